@@ -1,0 +1,42 @@
+# Everything runs in .venv, which each target makes itself; only Python >= 3.11 and make are needed.
+PYTHON ?= $(shell command -v python3.11 || command -v python3 || command -v python)
+BIN := .venv/bin
+
+.PHONY: demo test lint format benchmark clean
+
+demo: .venv/installed
+	$(BIN)/jaxid diagnose examples/servo_pendulum --out out/demo
+	@echo "The report with pictures: out/demo/report.html"
+
+test: .venv/installed-dev
+	$(BIN)/python -m pytest -q -n auto --maxprocesses 2 $(ARGS)
+
+lint: .venv/installed-dev
+	$(BIN)/ruff check .
+	$(BIN)/ruff format --check .
+	$(BIN)/pyright --pythonpath $(BIN)/python
+
+format: .venv/installed-dev
+	$(BIN)/ruff check --fix .
+	$(BIN)/ruff format .
+
+benchmark: .venv/installed-dev
+	$(BIN)/python benchmarks/run_all.py $(ARGS)
+
+clean:
+	rm -rf .venv out build dist .pytest_cache .ruff_cache .hypothesis *.egg-info
+	find . -name __pycache__ -type d -prune -exec rm -rf {} +
+
+$(BIN)/python:
+	@"$(PYTHON)" -c 'import sys; sys.exit(sys.version_info < (3, 11))' \
+		|| { echo "jaxid needs Python 3.11 or newer; name one with: make PYTHON=/path/to/python3.11"; exit 1; }
+	"$(PYTHON)" -m venv .venv
+
+# The stamps depend on pyproject.toml alone: the install is editable, so changed sources need no new one.
+.venv/installed: pyproject.toml | $(BIN)/python
+	$(BIN)/python -m pip install --quiet --disable-pip-version-check --editable .
+	@touch $@
+
+.venv/installed-dev: pyproject.toml | $(BIN)/python
+	$(BIN)/python -m pip install --quiet --disable-pip-version-check --editable ".[dev]"
+	@touch .venv/installed $@

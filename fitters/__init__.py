@@ -1,0 +1,13 @@
+"""Fitters: one algorithm a file. A new one: its file, and one line here."""
+
+# Imported as bare `fitters`, every class would exist twice and isinstance would fail.
+if __name__ != "jaxid.fitters":
+    raise ImportError("import jaxid.fitters, not fitters")
+
+from .de import DifferentialEvolution
+from .lm import descend, LevenbergMarquardt, Path, search
+
+
+FITTERS = (LevenbergMarquardt, DifferentialEvolution)
+
+__all__ = ["FITTERS", "DifferentialEvolution", "LevenbergMarquardt", "Path", "descend", "search"]

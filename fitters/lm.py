@@ -1,0 +1,221 @@
+"""Bounded Levenberg-Marquardt for sums of squares, all starts as one batch.
+
+Minimise |r(z)|^2 / 2 with lower <= z <= upper: solve (H + mu D) dz = -g on the variables that are not held at a bound, with
+H = J'J, g = J'r, D = diag H, and mu by the gain ratio (Nielsen, Damping Parameter in Marquardt's Method, IMM-REP-1999-05).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import ClassVar
+
+import jax
+import numpy as np
+
+from jaxid.errors import UsageError
+from jaxid.fitter import AbstractFitter, Minimum, sampling_box
+from jaxid.problem import Linear, Problem, linearise
+
+
+class LevenbergMarquardt(AbstractFitter):
+    """Bounded Levenberg-Marquardt with multistart.
+
+    `restarts` random starts join the given ones; all run on growing shares of the records (a long oscillation has one basin
+    per cycle that is gained or lost; a short look finds the right one), the best go on to the end.
+    """
+
+    name: ClassVar[str] = "lm"
+    source: ClassVar[str] = "Levenberg 1944, Marquardt 1963; damping of Nielsen 1999; bounds by projection"
+
+    restarts: int = 4
+    iterations: int = 60
+    tolerance: float = 1e-10
+
+    def minimise(self, problem, starts, key, budget=None, progress=None):
+        if problem.loss_name != "sum_of_squares":
+            raise UsageError(
+                f"lm minimises sums of squares; the loss {problem.loss_name!r} needs a population (fitter de) or bfgs"
+            )
+        guesses = [problem_clip(problem, z) for z in starts]
+        if self.restarts:
+            lower, upper = sampling_box(problem, guesses[0])
+            draw = np.random.default_rng(seed_of(key)).uniform(size=(self.restarts, problem.size))
+            random = lower + draw * (upper - lower)
+            random[:, problem.free.size :] = guesses[0][problem.free.size :]
+            guesses += list(random)
+        report = (lambda i, c: progress(self.name, i, self.iterations, f"loss {c:.6g}")) if progress else None
+        limit = None if budget is None else max(1, budget // (1 + problem.size))
+        best, tried = search([[(problem, z) for z in guesses]], steps_of(self.iterations, limit), self.tolerance, report)
+        best = best[0]
+        evaluations = tried * (1 + problem.size)
+        loss = problem.loss(best.z)
+        count = max(1, best.count)
+        history = [(k * (1 + problem.size), 2 * c / count) for k, c in best.history or []]
+        if not np.isfinite(best.cost):
+            why = "the simulation diverges at every start; give other start values or narrower bounds"
+            return Minimum(best.z, loss, False, why, evaluations, history)
+        return Minimum(best.z, loss, best.converged, best.stopped, evaluations, history)
+
+
+def steps_of(iterations: int, limit: int | None) -> int:
+    return iterations if limit is None else max(1, min(iterations, limit))
+
+
+#: (share of each record, iterations, paths kept) of the stages before the final descent.
+STAGES = ((0.1, 6, 4), (0.4, 6, 3), (1.0, 6, 2))
+
+
+def search(
+    groups: Sequence[Sequence[tuple[Problem, np.ndarray]]], iterations: int, tolerance: float, report=None
+) -> tuple[list[Path], int]:
+    """The best path of each group of (problem, start), all groups in one batch, and the number of linearisations.
+
+    Starts first descend on growing shares of the records: a long oscillation has one basin per cycle that is gained or lost,
+    and a short look finds the right one. The first start of a group also goes straight to the whole.
+    """
+    current = [list(g) for g in groups]
+    tried = 0
+    for share, steps, keep in STAGES if max(len(g) for g in groups) > 1 else ():
+        if share == 1.0:
+            for g, original in zip(current, groups, strict=True):
+                g += [original[0]]
+        flat = [(k, job) for k, g in enumerate(current) for job in g]
+        paths = descend([job for _, job in flat], steps, 1e-4, share)
+        tried += sum(p.linearisations for p in paths)
+        for k in range(len(groups)):
+            own = sorted((p for (n, _), p in zip(flat, paths, strict=True) if n == k), key=lambda p: p.cost)
+            points = distinct([p.z for p in own if np.isfinite(p.cost)] or [own[0].z])[:keep]
+            current[k] = [(own[0].problem if len(own) else groups[k][0][0], z) for z in points]
+    flat = [(k, job) for k, g in enumerate(current) for job in g]
+    paths = descend([job for _, job in flat], iterations, tolerance, 1.0, report)
+    tried += sum(p.linearisations for p in paths)
+    best = []
+    for k in range(len(groups)):
+        best.append(min((p for (n, _), p in zip(flat, paths, strict=True) if n == k), key=lambda p: p.cost))
+    return best, tried
+
+
+@dataclass
+class Path:
+    """One descent: where it stands and how it got there."""
+
+    problem: Problem
+    z: np.ndarray
+    cost: float = np.inf
+    gradient: np.ndarray | None = None
+    hessian: np.ndarray | None = None
+    mu: float = 1e-3
+    nu: float = 2.0
+    count: int = 0
+    linearisations: int = 0
+    converged: bool = False
+    stopped: str = "iteration limit"
+    history: list[tuple[int, float]] | None = None
+
+
+def descend(
+    jobs: Sequence[tuple[Problem, np.ndarray]],
+    iterations: int,
+    tolerance: float,
+    share: float = 1.0,
+    report=None,
+) -> list[Path]:
+    """Levenberg-Marquardt on many (problem, start) on the same runs at once; each linearisation of all is one batch."""
+    paths = [Path(p, problem_clip(p, z), history=[]) for p, z in jobs]
+    trials = [p.z for p in paths]
+    active = list(range(len(paths)))
+    for iteration in range(iterations + 1):
+        results = linearise([(paths[i].problem, trials[i]) for i in active], share)
+        for i, new in zip(active, results, strict=True):
+            _accept(paths[i], trials[i], new, tolerance)
+        active = [i for i in active if not paths[i].converged]
+        if report:
+            report(iteration, 2 * min(p.cost for p in paths) / max(1, max(p.count for p in paths)))
+        if not active or iteration == iterations:
+            break
+        for i in active:
+            trials[i] = _step(paths[i])
+    return paths
+
+
+def _accept(path: Path, trial: np.ndarray, new: Linear, tolerance: float) -> None:
+    cost = new.cost / 2
+    path.linearisations += 1
+    path.count = new.count
+    finite = np.isfinite(cost) and np.isfinite(new.gradient).all() and np.isfinite(new.hessian).all()
+    first = path.gradient is None
+    if first:
+        if not finite:
+            path.converged, path.stopped = True, "the start diverges"
+            return
+        path.cost, path.gradient, path.hessian = cost, new.gradient, new.hessian
+        assert path.history is not None
+        path.history.append((path.linearisations, cost))
+        return
+    assert path.gradient is not None and path.hessian is not None and path.history is not None
+    dz = trial - path.z
+    predicted = -(path.gradient @ dz + dz @ path.hessian @ dz / 2)
+    gained = path.cost - cost if finite else -np.inf
+    if finite and gained > 0:
+        rho = gained / max(predicted, 1e-300)
+        path.mu *= max(1 / 3, 1 - (2 * min(max(rho, 0.0), 1.0) - 1) ** 3)
+        path.nu = 2.0
+        small = gained <= tolerance * path.cost and predicted <= 100 * tolerance * path.cost
+        path.z, path.cost, path.gradient, path.hessian = trial, cost, new.gradient, new.hessian
+        if small:
+            path.converged, path.stopped = True, "tolerance"
+    else:
+        if predicted <= tolerance * path.cost:
+            path.converged, path.stopped = True, "tolerance"
+        path.mu *= path.nu
+        path.nu *= 2
+        if path.mu > 1e12:
+            path.converged, path.stopped = True, "no step lowers the loss any further"
+    path.history.append((path.linearisations, path.cost))
+
+
+def _step(path: Path) -> np.ndarray:
+    assert path.gradient is not None and path.hessian is not None
+    z, g, H = path.z, path.gradient, path.hessian
+    lower, upper = path.problem.lower, path.problem.upper
+    free = ~(((z <= lower) & (g > 0)) | ((z >= upper) & (g < 0)))
+    diagonal = np.diag(H) + 1e-300
+    for _ in range(3):  # a variable that the step would push out is held there and the rest solved again
+        index = np.flatnonzero(free)
+        if not index.size:
+            return z
+        scale = np.sqrt(diagonal[index])
+        A = H[np.ix_(index, index)] / scale / scale[:, None]
+        A[np.diag_indices_from(A)] = 1 + path.mu + 1e-14
+        dz = np.zeros_like(z)
+        fixed = ~free
+        rest = np.where(fixed, np.clip(z, lower, upper) - z, 0.0)
+        dz[index] = -np.linalg.solve(A, (g + H @ rest)[index] / scale) / scale
+        trial = z + dz
+        out = free & ((trial < lower - 1e-12 * (upper - lower)) | (trial > upper + 1e-12 * (upper - lower)))
+        if not out.any():
+            break
+        share = np.min(np.where(out, (np.where(trial < lower, lower, upper) - z) / np.where(out, dz, 1.0), 1.0))
+        if share > 0.05:  # a long way to the bound: stop there first
+            break
+        free &= ~out
+    return np.clip(z + dz, lower, upper)
+
+
+def distinct(points: Sequence[np.ndarray]) -> list[np.ndarray]:
+    """Points without near repetitions, in order."""
+    kept: list[np.ndarray] = []
+    for z in points:
+        if all(np.max(np.abs(z - k) / (np.abs(k) + 1e-9)) > 1e-3 for k in kept):
+            kept.append(z)
+    return kept
+
+
+def problem_clip(problem: Problem, z: np.ndarray) -> np.ndarray:
+    return np.clip(np.asarray(z, np.float64), problem.lower, problem.upper)
+
+
+def seed_of(key) -> int:
+    """A NumPy seed from a JAX key."""
+    return int(np.asarray(jax.random.key_data(key)).ravel()[-1])

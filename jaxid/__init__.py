@@ -1,0 +1,71 @@
+"""Fits mechanical models to measured data and says where a simulator is wrong, which effect is missing, how far the gap
+shrinks.
+
+`import jaxid` loads nothing heavy and changes no setting: each name is imported when it is first used.
+"""
+
+from importlib import import_module as _import_module
+from pathlib import Path as _Path
+from typing import TYPE_CHECKING as _TYPE_CHECKING
+
+
+if _TYPE_CHECKING:
+    from jaxid import fitters as fitters, models as models
+    from jaxid.api import diagnose as diagnose, fit as fit, simulate as simulate
+    from jaxid.chain import Chain as Chain
+    from jaxid.dataset_io import load_dataset as load_dataset, save_dataset as save_dataset
+    from jaxid.errors import UsageError as UsageError
+    from jaxid.experiment import (
+        Channel as Channel,
+        Dataset as Dataset,
+        DatasetError as DatasetError,
+        Experiment as Experiment,
+    )
+    from jaxid.problem import Problem as Problem
+    from jaxid.results import Diagnosis as Diagnosis, Fit as Fit, Simulation as Simulation
+
+
+# Public name -> the module that holds it; None: the name is itself a sub-package.
+_HOME = {
+    "Chain": "jaxid.chain",
+    "Channel": "jaxid.experiment",
+    "Dataset": "jaxid.experiment",
+    "DatasetError": "jaxid.experiment",
+    "Diagnosis": "jaxid.results",
+    "Experiment": "jaxid.experiment",
+    "Fit": "jaxid.results",
+    "Problem": "jaxid.problem",
+    "Simulation": "jaxid.results",
+    "UsageError": "jaxid.errors",
+    "diagnose": "jaxid.api",
+    "fit": "jaxid.api",
+    "fitters": None,
+    "load_dataset": "jaxid.dataset_io",
+    "models": None,
+    "save_dataset": "jaxid.dataset_io",
+    "simulate": "jaxid.api",
+}
+
+__all__ = list(_HOME)  # pyright: ignore[reportUnsupportedDunderAll]
+
+
+def __getattr__(name: str):
+    if name == "__version__":
+        from importlib.metadata import version
+
+        return version("jaxid")
+    if name not in _HOME:
+        raise AttributeError(f"module 'jaxid' has no attribute {name!r}")
+    home = _HOME[name]
+    value = _import_module(f"jaxid.{name}") if home is None else getattr(_import_module(home), name)
+    globals()[name] = value
+    return value
+
+
+def __dir__() -> list[str]:
+    return sorted({*globals(), *__all__})
+
+
+# Installed, models/ and fitters/ lie in this folder; in a checkout beside it (in it are only stubs for type checkers).
+if not (_Path(__file__).parent / "models" / "__init__.py").is_file():
+    __path__.append(str(_Path(__file__).parents[1]))

@@ -1,0 +1,97 @@
+"""`jaxid.fit`, `jaxid.diagnose`, `jaxid.simulate`: the three verbs."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping
+from typing import Any
+
+
+from jaxid import catalogue
+from jaxid.binding import Binding, bind
+from jaxid.errors import UsageError, nearest
+from jaxid.experiment import Dataset
+from jaxid.fitter import AbstractFitter, Progress
+from jaxid.problem import LOSSES
+from jaxid.residual import RESIDUALS, Residual
+from jaxid.results import Diagnosis, Fit, Simulation
+
+
+def fit(
+    model: object,
+    dataset: Dataset,
+    *,
+    fitter: AbstractFitter | str | None = None,
+    residual: Residual | str | None = None,
+    loss: str | None = None,
+    effects: Iterable[str] = (),
+    without: Iterable[str] = (),
+    seed: int = 0,
+    budget: int | None = None,
+    progress: Progress | None = None,
+) -> Fit:
+    """Fits the parameters of a model to a dataset.
+
+    `model` is an id, a mechanism, a chain, or None for the one that the dataset names; `effects` (`dead_zone@tau`) are added
+    and fitted, `without` takes built-in ones out. Raises `UsageError` for arguments that do not fit; a fit that fails is a
+    `Fit` with `failed` set and a sentence in `stopped_because`.
+    """
+    binding = bind(model, dataset, effects=effects, without=without)
+    return _fit(binding, fitter, residual, loss, seed, budget, progress)
+
+
+def _fit(binding: Binding, fitter, residual, loss, seed: int, budget: int | None, progress) -> Fit:
+    from jaxid.estimation import fit_binding
+
+    loss = loss or "sum_of_squares"
+    if loss not in LOSSES:
+        raise UsageError(f"there is no loss {loss!r}{nearest(loss, LOSSES)}")
+    if budget is not None and budget < 1:
+        raise UsageError(f"a budget of {budget} evaluations is none; give at least 1")
+    chosen = resolve_fitter(fitter, loss)
+    return fit_binding(binding, chosen, resolve_residual(residual), loss, seed, budget, progress)
+
+
+def diagnose(
+    model: object,
+    dataset: Dataset,
+    *,
+    max_effects: int = 3,
+    effects: Iterable[str] | None = None,
+    without: Iterable[str] = (),
+    residual: Residual | str | None = None,
+    seed: int = 0,
+    progress: Progress | None = None,
+) -> Diagnosis:
+    """Says where the model is wrong, which effect is missing, and how far the gap shrinks once it is added.
+
+    `effects` limits the candidates (ids; default: all that the model lacks), `max_effects` how many may be named.
+    """
+    from jaxid.diagnosis import run_diagnosis
+
+    if max_effects < 1:
+        raise UsageError(f"max_effects is {max_effects}; a diagnosis needs at least 1")
+    return run_diagnosis(model, dataset, max_effects, effects, without, resolve_residual(residual), seed, progress)
+
+
+def simulate(parameters: Fit | Mapping[str, Any], dataset: Dataset, *, model: object = None) -> Simulation:
+    """Free runs of a model on a dataset's inputs; `parameters` is a `Fit` or the content of a fit.json."""
+    from jaxid.simulation import simulate_dataset
+
+    content = parameters.to_dict() if isinstance(parameters, Fit) else parameters
+    return simulate_dataset(content, dataset, model)
+
+
+def resolve_fitter(fitter: AbstractFitter | str | None, loss: str = "sum_of_squares") -> AbstractFitter:
+    if fitter is None:
+        fitter = "lm" if loss == "sum_of_squares" else "de"
+    return catalogue.fitter_class(fitter)() if isinstance(fitter, str) else fitter
+
+
+def resolve_residual(residual: Residual | str | None) -> Residual | None:
+    if isinstance(residual, str):
+        if residual not in RESIDUALS:
+            raise UsageError(f"there is no residual {residual!r}{nearest(residual, RESIDUALS)}")
+        return RESIDUALS[residual]()
+    return residual
+
+

@@ -1,0 +1,181 @@
+"""A model bound to a dataset: which channels it uses, what its numbers start from, between which bounds, and the noise."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from dataclasses import dataclass
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from jaxid import catalogue, samples
+from jaxid.chain import Chain, Effect
+from jaxid.errors import UsageError, nearest
+from jaxid.experiment import Dataset, Experiment
+from jaxid.layout import Layout
+from jaxid.mechanism import Mechanism, Signature
+from jaxid.noise import Noise, noise_floor
+from jaxid.parameter import Reference
+from jaxid.precision import float64
+from jaxid.samples import Motion
+
+
+@dataclass
+class Binding:
+    """Everything about a model on a dataset that does not depend on a residual or fitter."""
+
+    dataset: Dataset
+    chain: Chain
+    layout: Layout
+    noise: dict[str, Noise]
+    sigma: np.ndarray  # [ny]
+    motions: dict[str, Motion]  # experiment name -> smoothed motion; empty where the model does not measure its joints
+    references: list[Reference]
+    theta: np.ndarray  # start values of every number
+    lower: np.ndarray
+    upper: np.ndarray
+    scale: np.ndarray
+    free: list[int]  # what a fit of this model determines
+    stated: set[int]  # values that the dataset states itself
+    nominal: set[int]  # numbers of the model as the user has it, without added effects and candidates
+
+    def experiments(self, split: str) -> tuple[Experiment, ...]:
+        return self.dataset.split(split)
+
+    def motions_of(self, experiments: Iterable[Experiment]) -> list[Motion] | None:
+        """Motions of these runs, or None where the model does not measure its joints."""
+        return [self.motions[e.name] for e in experiments] if self.motions else None
+
+
+def resolve_model(model: object, dataset: Dataset, without: Iterable[str] = ()) -> Chain:
+    """The chain that a dataset and a user mean: by id, as a mechanism, or as a chain; None takes the dataset's."""
+    spec = dataset.model
+    if model is None:
+        if spec is None or spec.name is None:
+            raise UsageError(f"the dataset names no model: give one (there is: {', '.join(catalogue.model_names())})")
+        model = spec.name
+    smoothing = spec.constants.get("smoothing_velocity", 0.0) if spec is not None else 0.0
+    if isinstance(model, str):
+        model = catalogue.model_class(model)()
+    if isinstance(model, Mechanism):
+        model = Chain(model, signature=_signature(model, dataset), smoothing_velocity=smoothing)
+    if not isinstance(model, Chain):
+        raise UsageError(f"a model is an id, a mechanism or a chain, not {type(model).__name__}")
+    out = [*(spec.without if spec is not None else ()), *without]
+    has = [e.name for e in model.effects]
+    for name in out:
+        catalogue.effect_class(name)
+        builtin = [kind.name for kind, _ in model.mechanism.builtin]
+        if name not in has and name not in builtin:
+            raise UsageError(f"{model.mechanism.name} has no {name} to leave out{nearest(name, has)}")
+    return model.without(*out)
+
+
+def _signature(mechanism: Mechanism, dataset: Dataset) -> Signature:
+    inputs, outputs = {c.name for c in dataset.inputs}, {c.name for c in dataset.outputs}
+    free = dataset.model is not None and dataset.model.free
+    for s in mechanism.signatures:
+        if outputs >= {n for n, _ in s.outputs} and (free or inputs >= {n for n, _ in s.inputs}):
+            return s
+    wanted = "; or ".join(
+        f"inputs {', '.join(n for n, _ in s.inputs)} and outputs {', '.join(n for n, _ in s.outputs)}"
+        for s in mechanism.signatures
+    )
+    raise UsageError(
+        f"model {mechanism.name} needs {wanted}; the dataset has inputs {', '.join(sorted(inputs)) or 'none'} and outputs "
+        f"{', '.join(sorted(outputs)) or 'none'}. Rename channels with `column`, or choose another model"
+    )
+
+
+def parse_effect(text: str, chain: Chain) -> tuple[type[Effect], str | None]:
+    """`dead_zone` or `dead_zone@tau`."""
+    name, _, place = text.partition("@")
+    kind = catalogue.effect_class(name)
+    if place and place not in chain.places(kind):
+        raise UsageError(f"{name} cannot act at {place!r}{nearest(place, chain.places(kind))}")
+    return kind, place or None
+
+
+def bind(
+    model: object,
+    dataset: Dataset,
+    *,
+    effects: Iterable[str] = (),
+    without: Iterable[str] = (),
+    candidates: Iterable[type[Effect]] = (),
+    splits: bool = True,
+) -> Binding:
+    """Binds a model to a dataset.
+
+    `effects` are added and fitted, `candidates` are put into the chain at their neutral value and stay there.
+    """
+    dataset = dataset.with_splits() if splits else dataset
+    if not dataset.experiments:
+        raise UsageError("the dataset holds no time series; this model needs at least one experiment")
+    nominal = resolve_model(model, dataset, without)
+    added = [parse_effect(e, nominal) for e in effects]
+    present = {e.name for e in nominal.effects}
+    extra = [k for k, _ in added if k.name not in present]
+    extra += [k for k in candidates if k.name not in present and k not in extra]
+    chain = nominal.with_effects(*(k() for k in dict.fromkeys(extra)))
+    layout = Layout(chain)
+    noise = noise_floor(dataset)
+    names = [n for n, _ in chain.signature.outputs]
+    sigma = np.array([noise[n].std for n in names])
+
+    theta, stated = layout.values.copy(), set()
+    fixed = {i for i, e in enumerate(layout.entries) if e.spec.fixed}
+    spec = dataset.model
+    priors = dict(spec.parameters) if spec is not None else {}
+    for name, value in (spec.constants if spec is not None else {}).items():
+        if name != "smoothing_velocity":
+            i = layout.index(name)
+            theta[i] = value
+            fixed.add(i)
+            stated.add(i)
+    for name, prior in priors.items():
+        if prior.value is not None:
+            theta[layout.index(name)] = prior.value
+            stated.add(layout.index(name))
+
+    own = {i for i, e in enumerate(layout.entries) if e.owner < 0 or chain.effects[e.owner].name in present}
+    free = sorted(i for i in own if i not in fixed)
+    for kind, place in added:
+        free += [i for i in layout.of_effect(kind.name, place) if i not in free]
+
+    motions: dict[str, Motion] = {}
+    if tuple(names) == chain.signature.joints:
+        motions = {e.name: samples.motion(dataset, e, chain, sigma) for e in dataset.experiments}
+    references = _references(dataset, layout, theta, motions)
+    lower, upper, scale = layout.boxes(references)
+    for name, prior in priors.items():
+        i = layout.index(name)
+        lower[i] = prior.lower if prior.lower is not None else min(lower[i], theta[i])
+        upper[i] = prior.upper if prior.upper is not None else max(upper[i], theta[i])
+        if not lower[i] <= theta[i] <= upper[i]:
+            if prior.value is not None:
+                raise UsageError(f"{name} = {theta[i]:g} lies outside its bounds [{lower[i]:g}, {upper[i]:g}]")
+            theta[i] = np.sqrt(lower[i] * upper[i]) if lower[i] > 0 else (lower[i] + upper[i]) / 2
+    theta[free] = np.clip(theta[free], lower[free], upper[free])
+    return Binding(dataset, chain, layout, noise, sigma, motions, references, theta, lower, upper, scale, free, stated, own)
+
+
+def _references(dataset: Dataset, layout: Layout, theta: np.ndarray, motions: dict[str, Motion]) -> list[Reference]:
+    fit = dataset.split("fit")
+    nq = layout.chain.nq
+    iu, _ = samples.columns(dataset, layout.chain)
+    if not motions:
+        step = float(np.median(np.diff(fit[0].t)))
+        duration = max(float(e.t[-1] - e.t[0]) for e in fit)
+        torque = [float(np.percentile(np.abs(np.concatenate([e.u[:, i] for e in fit])), 99)) for i in iu] or [1.0] * nq
+        return [Reference(torque[j], 1.0, 1.0, duration, step) for j in range(nq)]
+    used = [motions[e.name] for e in fit]
+    q, qdd = (np.concatenate([getattr(m, k) for m in used]) for k in ("q", "qdd"))
+    pick = np.linspace(0, len(q) - 1, min(len(q), 2000)).astype(int)
+    with float64():
+        body = layout.model(jnp.asarray(theta)).body()
+        still = jnp.zeros(nq)
+        torque = jax.vmap(lambda q, a: body.inverse(q, still, a) - body.inverse(q, still, still))(q[pick], qdd[pick])
+        inertia = np.percentile(np.abs(np.asarray(torque)), 99, axis=0)
+    return samples.references(fit, used, iu, inertia)

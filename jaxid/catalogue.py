@@ -1,0 +1,183 @@
+"""What there is: models, effects, fitters, residuals by id, with their equations, parameters, units and sources."""
+
+from __future__ import annotations
+
+from typing import Any, NamedTuple
+
+from jaxid.errors import UsageError, nearest
+
+
+class ParameterInfo(NamedTuple):
+    name: str
+    unit: str
+    neutral: float
+    lower: str
+    upper: str
+    meaning: str
+
+
+class SignatureInfo(NamedTuple):
+    inputs: tuple[tuple[str, str], ...]
+    outputs: tuple[tuple[str, str], ...]
+
+
+class ModelInfo(NamedTuple):
+    name: str
+    text: str
+    equations: str
+    source: str
+    signatures: tuple[SignatureInfo, ...]
+    parameters: tuple[str, ...]
+    constants: tuple[str, ...]
+    builtin_effects: tuple[str, ...]
+    states: tuple[str, ...]
+    parameter_info: tuple[ParameterInfo, ...]
+    constant_info: tuple[ParameterInfo, ...]
+
+
+class EffectInfo(NamedTuple):
+    name: str
+    text: str
+    family: str
+    port: str
+    equation: str
+    signature: str
+    source: str
+    locations: str
+    parameters: tuple[ParameterInfo, ...]
+
+
+class FitterInfo(NamedTuple):
+    name: str
+    text: str
+    settings: dict[str, Any]
+    source: str
+
+
+#: Constant that every model has besides its own.
+SMOOTHING = ParameterInfo(
+    "smoothing_velocity", "rad/s or m/s", 0.0, "0", "inf",
+    "0: Coulomb friction with true sticking; v > 0: tanh(qd / v), which is another model",
+)  # fmt: skip
+
+
+def _models() -> dict[str, type]:
+    from jaxid.models import MODELS
+
+    return {m.name: m for m in MODELS}
+
+
+def _effects() -> dict[str, type]:
+    from jaxid.models.effects import LIBRARY
+
+    return {e.name: e for e in LIBRARY}
+
+
+def _fitters() -> dict[str, type]:
+    from jaxid.fitters import FITTERS
+
+    return {f.name: f for f in FITTERS}
+
+
+def _pick(kind: str, table: dict[str, type], name: str) -> type:
+    if name not in table:
+        raise UsageError(f"there is no {kind} {name!r}{nearest(name, table)}")
+    return table[name]
+
+
+def model_names() -> tuple[str, ...]:
+    return tuple(_models())
+
+
+def effect_names() -> tuple[str, ...]:
+    return tuple(_effects())
+
+
+def fitter_names() -> tuple[str, ...]:
+    return tuple(_fitters())
+
+
+def model_class(name: str) -> Any:
+    """Raises `UsageError` with the nearest name for an unknown one, like its two siblings."""
+    return _pick("model", _models(), name)
+
+
+def effect_class(name: str) -> Any:
+    return _pick("effect", _effects(), name)
+
+
+def fitter_class(name: str) -> Any:
+    return _pick("fitter", _fitters(), name)
+
+
+def describe(name: str) -> ModelInfo:
+    """What a user and the checks of a dataset need to know of a model."""
+    from jaxid.chain import Chain
+    from jaxid.layout import Layout
+
+    kind = model_class(name)
+    parameters: dict[str, ParameterInfo] = {}
+    constants: dict[str, ParameterInfo] = {}
+    for signature in kind.signatures:
+        for e in Layout(Chain(kind(), signature=signature)).entries:
+            info = ParameterInfo(e.name, e.unit, e.spec.value, str(e.spec.lower), str(e.spec.upper), e.spec.meaning)
+            table = constants if e.spec.fixed else parameters
+            if e.name in table and table[e.name].unit != e.unit:
+                info = info._replace(unit=f"{table[e.name].unit} or {e.unit}")
+            table[e.name] = info
+    constants[SMOOTHING.name] = SMOOTHING
+    states: list[str] = []
+    for signature in kind.signatures:
+        for j, joint in enumerate(signature.joints):
+            number = "" if len(signature.joints) == 1 else str(j + 1)
+            states += [joint, "velocity" if signature.linear else f"qd{number}", f"q{number}", f"qd{number}"]
+    return ModelInfo(
+        name,
+        _text(kind),
+        kind.equations,
+        kind.source,
+        tuple(SignatureInfo(s.inputs, s.outputs) for s in kind.signatures),
+        tuple(parameters),
+        tuple(constants),
+        tuple(e.name for e, _ in kind.builtin),
+        tuple(dict.fromkeys(states)),
+        tuple(parameters.values()),
+        tuple(constants.values()),
+    )
+
+
+_PORTS = {
+    "InputEffect": ("actuator", "input", "an input channel"),
+    "JointEffect": ("friction and forces at the joint", "joint", "a joint"),
+    "BodyEffect": ("mechanism", "body", "a joint"),
+    "OutputEffect": ("sensor", "output", "an output channel"),
+}
+
+
+def describe_effect(name: str) -> EffectInfo:
+    from jaxid.parameter import specs
+
+    kind = effect_class(name)
+    family, port, locations = next(_PORTS[b.__name__] for b in kind.__mro__ if b.__name__ in _PORTS)
+    units = {"{F}": "N m or N", "{X}": "rad or m", "{I}": "kg m^2 or kg", "{u}": "unit of the input", "{y}": "unit of the output"}
+    parameters = []
+    for field, spec in specs(kind).items():
+        unit = spec.unit
+        for token, text in units.items():
+            unit = unit.replace(token, f"({text})" if unit != token else text)
+        parameters.append(ParameterInfo(field, unit, spec.value, str(spec.lower), str(spec.upper), spec.meaning))
+    return EffectInfo(
+        name, _text(kind), family, port, kind.equation, kind.signature, kind.source, locations, tuple(parameters)
+    )
+
+
+def describe_fitter(name: str) -> FitterInfo:
+    import dataclasses
+
+    kind = fitter_class(name)
+    settings = {f.name: f.default for f in dataclasses.fields(kind)}
+    return FitterInfo(name, _text(kind), settings, kind.source)
+
+
+def _text(kind: type) -> str:
+    return " ".join((kind.__doc__ or "").split())

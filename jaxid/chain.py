@@ -1,0 +1,300 @@
+"""A model is a signal chain: command -> input effects -> joint -> mechanism -> output effects -> sensor.
+
+An effect sits at ONE port of the chain and is called once a step. Nominal friction is an effect like any other, so "a
+candidate unless the model has it" is a set difference, and no mechanism writes friction or sensor code. Every parameter of an
+effect is one number per location (joint, input or output channel); at its neutral value the effect is the identity, bitwise.
+"""
+
+from __future__ import annotations
+
+import abc
+from collections.abc import Callable, Iterable
+from typing import Any, ClassVar, NamedTuple
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float
+
+from jaxid.arithmetic import dot, fence, inverse
+from jaxid.joint import solve_dry
+from jaxid.mechanism import Mechanism, Signature
+from jaxid.parameter import Quantity, specs, with_fields
+
+
+class Command(NamedTuple):
+    """What arrives from the data at one step: `u` the mean input over the step under the channel's stated hold, `other`
+    the same under the other hold (zero-order against linear), `delayed(d)` the mean input a time d earlier."""
+
+    t: Array
+    h: Array
+    u: Float[Array, " nu"]
+    other: Float[Array, " nu"]
+    delayed: Callable[[Float[Array, " nu"]], Float[Array, " nu"]]
+
+
+class Signals(NamedTuple):
+    """What an effect may look at: the predicted middle of the step."""
+
+    t: Array
+    q: Float[Array, " nq"]
+    qd: Float[Array, " nq"]
+    load: Float[Array, " nq"]  # torque that arrives at the joint
+    h: Array
+    command: Command
+
+
+class Effect(eqx.Module):
+    """Abstract: one physical effect at one port.
+
+    Class attributes of a final class: `name`, `equation`, `signature` (what it looks like in a residual), `source`,
+    `excitation` (what to record to see it), and `probes`: finite strengths for the screen, since some effects have zero
+    derivative at their neutral value.
+    """
+
+    name: eqx.AbstractClassVar[str]
+    equation: eqx.AbstractClassVar[str]
+    signature: eqx.AbstractClassVar[str]
+    source: eqx.AbstractClassVar[str]
+    excitation: eqx.AbstractClassVar[str]
+    probes: eqx.AbstractClassVar[tuple[dict[str, Quantity | float], ...]]
+    location: eqx.AbstractClassVar[str]  # "input" | "joint" | "output": the kind of place its parameters are counted by
+
+
+class InputEffect(Effect):
+    """Between command and joint: (u, signals, state) -> u, state."""
+
+    location: ClassVar[str] = "input"
+
+    @abc.abstractmethod
+    def __call__(self, u: Float[Array, " nu"], s: Signals, z: Any) -> tuple[Float[Array, " nu"], Any]: ...
+
+    @abc.abstractmethod
+    def start(self, u: Float[Array, " nu"]) -> Any:
+        """State after the input `u` has been held for long; () for an effect without state."""
+
+
+class JointEffect(Effect):
+    """At the joint: (signals, state) -> smooth opposing torque, dry levels (minus, plus) >= 0, state."""
+
+    location: ClassVar[str] = "joint"
+
+    @abc.abstractmethod
+    def __call__(self, s: Signals, z: Any) -> tuple[Any, Any, Any, Any]: ...
+
+    @abc.abstractmethod
+    def start(self, q: Float[Array, " nq"]) -> Any: ...
+
+
+class BodyEffect(Effect):
+    """Wraps or edits the mechanism: mechanism -> mechanism."""
+
+    location: ClassVar[str] = "joint"
+
+    @abc.abstractmethod
+    def __call__(self, mechanism: Mechanism) -> Mechanism: ...
+
+
+class OutputEffect(Effect):
+    """Between mechanism and record: (y, signals, state) -> y, state."""
+
+    location: ClassVar[str] = "output"
+
+    @abc.abstractmethod
+    def __call__(self, y: Float[Array, " ny"], s: Signals, z: Any) -> tuple[Float[Array, " ny"], Any]: ...
+
+    @abc.abstractmethod
+    def start(self, y: Float[Array, " ny"]) -> Any: ...
+
+
+class Carry(NamedTuple):
+    """State of a simulation between steps: mechanism, effects, and two predictors (dry torque, acceleration)."""
+
+    x: Any
+    z: tuple[Any, ...]
+    lam: Float[Array, " nq"]
+    acc: Float[Array, " nq"]
+
+
+class Chain(eqx.Module):
+    """A model: a mechanism and the effects on the way to and from it.
+
+    `smoothing_velocity` 0 is Coulomb friction with true sticking; v > 0 replaces sign(qd) by tanh(qd / v), another model.
+    """
+
+    mechanism: Mechanism
+    effects: tuple[Effect, ...] = ()
+    signature: Signature = eqx.field(static=True, default=None)  # type: ignore[assignment]
+    smoothing_velocity: float = eqx.field(static=True, default=0.0)
+
+    def __init__(
+        self,
+        mechanism: Mechanism,
+        effects: Iterable[Effect] | None = None,
+        *,
+        signature: Signature | None = None,
+        smoothing_velocity: float = 0.0,
+    ):
+        """`effects` None takes the mechanism's built-in ones at their start values."""
+        self.mechanism = mechanism
+        self.signature = signature or mechanism.signatures[0]
+        self.smoothing_velocity = float(smoothing_velocity)
+        effects = [kind() for kind, _ in mechanism.builtin] if effects is None else effects
+        self.effects = tuple(self._widened(e) for e in effects)
+
+    @property
+    def nq(self) -> int:
+        return len(self.signature.joints)
+
+    def places(self, effect: Effect | type[Effect]) -> tuple[str, ...]:
+        """Names of the locations an effect can act at in this model."""
+        if effect.location == "joint":
+            return self.signature.joints
+        return tuple(n for n, _ in (self.signature.inputs if effect.location == "input" else self.signature.outputs))
+
+    def _widened(self, effect: Effect) -> Effect:
+        n = len(self.places(effect))
+        wide = {name: np.broadcast_to(np.asarray(getattr(effect, name), np.float64), (n,)) for name in specs(effect)}
+        return with_fields(effect, {k: np.array(v) for k, v in wide.items()})
+
+    def without(self, *names: str) -> Chain:
+        """The same model with these effects taken out."""
+        return self._with(e for e in self.effects if e.name not in names)
+
+    def with_effects(self, *effects: Effect) -> Chain:
+        """The same model with more effects; one that it already has is replaced."""
+        return self._with([*self.without(*(e.name for e in effects)).effects, *effects])
+
+    def _with(self, effects: Iterable[Effect]) -> Chain:
+        return Chain(
+            self.mechanism, effects, signature=self.signature, smoothing_velocity=self.smoothing_velocity
+        )
+
+    def smoothed(self, smoothing_velocity: float) -> Chain:
+        """The same model with dry friction smoothed as tanh(qd / smoothing_velocity); 0 restores true sticking."""
+        return Chain(
+            self.mechanism, self.effects, signature=self.signature, smoothing_velocity=smoothing_velocity
+        )
+
+    # ---- one step
+
+    def body(self) -> Mechanism:
+        """The mechanism with all body effects applied."""
+        mechanism = self.mechanism
+        for e in self.effects:
+            if isinstance(e, BodyEffect):
+                mechanism = e(mechanism)
+        return mechanism
+
+    def has_states(self) -> bool:
+        """Whether any effect remembers something between steps."""
+        z = jax.eval_shape(lambda: self.start(jnp.zeros(self.nq), jnp.zeros(self.nq), jnp.zeros(len(self.signature.inputs))).z)
+        return bool(jax.tree.leaves(z))
+
+    def start(self, q: Float[Array, " nq"], qd: Float[Array, " nq"], u: Float[Array, " nu"]) -> Carry:
+        """State at the beginning of a run that has seen the input `u` for long."""
+        body = self.body()
+        x = body.start(q, qd)
+        y = body.output(x, jnp.zeros_like(q))
+        z = []
+        for e in self.effects:
+            if isinstance(e, InputEffect):
+                z.append(e.start(u))
+            elif isinstance(e, JointEffect):
+                z.append(e.start(q))
+            elif isinstance(e, OutputEffect):
+                z.append(e.start(y))
+            else:
+                z.append(())
+        return Carry(x, tuple(z), jnp.zeros_like(q), jnp.zeros_like(q))
+
+    def drive(self, s: Signals, z: tuple) -> tuple[Float[Array, " nq"], tuple]:
+        """Joint torque after the input effects."""
+        u, z_new = s.command.u, list(z)
+        for i, e in enumerate(self.effects):
+            if isinstance(e, InputEffect):
+                u, z_new[i] = e(u, s, z[i])
+        return (u if self.signature.inputs else jnp.zeros_like(s.q)), tuple(z_new)
+
+    def friction(self, s: Signals, z: tuple) -> tuple[Array, Array, Array, tuple]:
+        """Smooth opposing torque, dry levels (minus, plus), effect states at the end of the step."""
+        smooth, minus, plus, z_new = jnp.zeros_like(s.qd), jnp.zeros_like(s.qd), jnp.zeros_like(s.qd), list(z)
+        for i, e in enumerate(self.effects):
+            if isinstance(e, JointEffect):
+                f, m, p, z_new[i] = e(s, z[i])
+                smooth, minus, plus = smooth + f, minus + m, plus + p
+        return smooth, jnp.maximum(minus, 0.0), jnp.maximum(plus, 0.0), tuple(z_new)
+
+    def sense(self, body: Mechanism, carry: Carry, command: Command) -> tuple[Float[Array, " ny"], Carry]:
+        """What the sensors record at the beginning of a step."""
+        q, v = body.port(carry.x)
+        s = Signals(command.t, q, v, jnp.zeros_like(q), command.h, command)
+        y, z = body.output(carry.x, carry.acc), list(carry.z)
+        for i, e in enumerate(self.effects):
+            if isinstance(e, OutputEffect):
+                y, z[i] = e(y, s, carry.z[i])
+        return y, carry._replace(z=tuple(z))
+
+    def advance(self, body: Mechanism, carry: Carry, command: Command) -> Carry:
+        """One step of length command.h: friction law at the predicted middle, smooth friction linearly implicit, dry
+        friction solved exactly (`jaxid.joint`)."""
+        x, z, lam, acc = carry
+        h, eps = command.h, self.smoothing_velocity
+        q, v = body.port(x)
+        s = Signals(command.t + h / 2, q + h / 2 * v, v + h / 2 * acc, jnp.zeros_like(q), h, command)
+        tau, z = self.drive(s, z)
+        s = s._replace(load=tau)
+
+        law = lambda qd: self.friction(s._replace(qd=qd), z)[:3]
+        (F, minus, plus), (slope, _, _) = jax.jvp(law, (s.qd,), (jnp.ones_like(v),))
+        tau, F, minus, plus, slope = (fence(a) for a in (tau, F, minus, plus, slope))
+        if eps == 0:
+            lam = jnp.where(v > 0, plus, jnp.where(v < 0, -minus, jnp.clip(lam, -minus, plus)))
+        else:
+            lam = jnp.where(s.qd > 0, plus, minus) * jnp.tanh(s.qd / eps)
+
+        free = body.free(h, x, tau - F - lam)
+        # Smooth law, linearised at the prediction, at the middle velocity (v + w) / 2: stable at any slope.
+        B = inverse(jnp.eye(v.shape[0]) + free.A * slope / 2)
+        w = dot(B, free.qd + dot(free.A, slope * (s.qd - v / 2)))
+        A = dot(B, free.A)
+        dry, end, bend = solve_dry(v, w + dot(A, lam), A, minus, plus, lam, eps)
+        # A joint that sticks stands exactly still: rounding left here would ruin every later decision and gradient.
+        sticks = (end == 0) & (minus + plus > 0)
+        w = jnp.where(sticks, 0.0, w + dot(A, lam - dry))
+        x = body.close(h, x, free, lam - dry - slope * ((v + w) / 2 - s.qd), w, h * bend)
+        _, _, _, z = self.friction(s._replace(qd=(v + w) / 2), z)
+        return Carry(x, z, dry, (w - v) / h)
+
+    # ---- the same objects without integration
+
+    def inverse(
+        self,
+        command: Command,
+        z: tuple,
+        q: Float[Array, " nq"],
+        qd: Float[Array, " nq"],
+        qdd: Float[Array, " nq"],
+    ) -> tuple[Float[Array, " nq"], tuple]:
+        """Missing torque of a measured motion, drive(u) - (M qdd + bias + friction), and the effects' next states."""
+        s = Signals(command.t, q, qd, jnp.zeros_like(q), command.h, command)
+        tau, z = self.drive(s, z)
+        F, minus, plus, z = self.friction(s._replace(load=tau), z)
+        eps = self.smoothing_velocity
+        direction = jnp.sign(qd) if eps == 0 else jnp.tanh(qd / eps)
+        dry = jnp.where(direction > 0, plus, minus) * direction
+        return tau - self.body().inverse(q, qd, qdd) - F - dry, z
+
+    def vector_field(self, t: Any, x: Any, u: Float[Array, " nu"]) -> Any:
+        """dx/dt as a plain ODE for a generic solver. Needs effects without states and smoothed dry friction."""
+        body = self.body()
+        q, qd = body.port(x)
+        command = Command(t, jnp.zeros(()), u, u, lambda d: u)
+        s = Signals(t, q, qd, jnp.zeros_like(q), jnp.zeros(()), command)
+        tau, z = self.drive(s, self.start(q, qd, u).z)
+        F, minus, plus, _ = self.friction(s._replace(load=tau), z)
+        dry = jnp.zeros_like(qd)
+        if self.smoothing_velocity > 0:
+            dry = jnp.where(qd > 0, plus, minus) * jnp.tanh(qd / self.smoothing_velocity)
+        return body.vector_field(t, x, tau - F - dry)

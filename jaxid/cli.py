@@ -1,0 +1,387 @@
+"""The command line. Nothing heavy is imported before a command runs: `jaxid --help` loads no JAX."""
+
+from __future__ import annotations
+
+import json
+import os
+import sys
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any, TypeVar
+
+import click
+
+from jaxid import terminal
+
+
+SUCCESS, FAILED, BAD_INPUT, INTERRUPTED = 0, 1, 2, 130
+
+RESIDUALS = ("output_error", "multiple_shooting", "inverse_dynamics", "frequency_response")
+LOSSES = ("sum_of_squares", "sum_of_norms", "sum_of_abs")
+
+T = TypeVar("T")
+
+
+class Commands(click.Group):
+    """A group that answers an unknown command with the nearest one."""
+
+    def resolve_command(self, ctx, args):
+        from jaxid.errors import nearest
+
+        if args and not args[0].startswith("-") and self.get_command(ctx, args[0]) is None:
+            ctx.fail(f"No such command {args[0]!r}{nearest(args[0], self.list_commands(ctx))}.")
+        return super().resolve_command(ctx, args)
+
+
+@click.group(cls=Commands, context_settings={"help_option_names": ["-h", "--help"], "max_content_width": 100})
+@click.version_option(package_name="jaxid")
+def cli() -> None:
+    """Fits mechanical models to measured data and says where a simulator is wrong, which effect is missing, and how far
+    the gap shrinks once it is added.
+
+    Exit codes: 0 success, 1 a fit failed, 2 bad input, 130 interrupted (what was finished is saved).
+    """
+
+
+def names(_ctx, _param, value: str | None) -> tuple[str, ...] | None:
+    """A list written with commas."""
+    return None if value is None else tuple(name for name in (part.strip() for part in value.split(",")) if name)
+
+
+def output_options(command: Callable) -> Callable:
+    command = click.option("--quiet", is_flag=True, help="Print nothing but errors.")(command)
+    return click.option("--json", "as_json", is_flag=True, help="Print the result as JSON and nothing else.")(command)
+
+
+DATASET = click.argument("dataset", type=click.Path())
+OUT = click.option("--out", required=True, type=click.Path(path_type=Path), metavar="DIR", help="Folder for results.")
+MODEL = click.option("--model", metavar="M", help="Model id (see `jaxid models`); default: the dataset's.")
+WITHOUT = click.option(
+    "--without", callback=names, metavar="E,…", help="Built-in effects to leave out; each becomes a candidate."
+)
+RESIDUAL = click.option("--residual", metavar="R", type=click.Choice(RESIDUALS), help=f"{', '.join(RESIDUALS)}.")
+SEED = click.option("--seed", type=click.IntRange(0, 2**31 - 1), default=0, show_default=True, help="Random seed.")
+
+
+@cli.command()
+@DATASET
+@OUT
+@MODEL
+@click.option("--fitter", metavar="F", help="Fitter id (see `jaxid fitters`).")
+@click.option("--effect", "effects", multiple=True, metavar="E[@LOCATION]", help="Effect to add; may be repeated.")
+@WITHOUT
+@RESIDUAL
+@click.option("--loss", metavar="L", type=click.Choice(LOSSES), help=f"{', '.join(LOSSES)}.")
+@SEED
+@click.option("--budget", type=click.IntRange(1), metavar="N", help="Most evaluations of the loss.")
+@output_options
+def fit(dataset, out, model, fitter, effects, without, residual, loss, seed, budget, as_json, quiet) -> int:
+    """Fit a model to a dataset.
+
+    Writes fit.json and report.html into DIR.
+    """
+    jaxid, data = start(dataset, out)
+    with terminal.Progress(quiet) as progress:
+        result = keeping_partial(
+            out,
+            lambda: jaxid.fit(
+                model,
+                data,
+                fitter=fitter,
+                residual=residual,
+                loss=loss,
+                effects=effects,
+                without=without or (),
+                seed=seed,
+                budget=budget,
+                progress=progress.callback,
+            ),
+        )
+    save(result, out)
+    show(result, as_json, quiet)
+    if result.failed:
+        terminal.complain(f"the fit failed: {result.stopped_because}")
+        return FAILED
+    return SUCCESS
+
+
+@cli.command()
+@DATASET
+@OUT
+@MODEL
+@click.option("--max-effects", type=click.IntRange(1, 20), default=3, show_default=True, help="Most effects to name.")
+@click.option("--effects", callback=names, metavar="E,…", help="Candidates (see `jaxid effects`); default: all.")
+@WITHOUT
+@RESIDUAL
+@SEED
+@output_options
+def diagnose(dataset, out, model, max_effects, effects, without, residual, seed, as_json, quiet) -> int:
+    """Say where a model is wrong, and which effect is missing.
+
+    Also says how far the gap shrinks once it is added. Writes diagnosis.json and report.html into DIR.
+    """
+    jaxid, data = start(dataset, out)
+    with terminal.Progress(quiet) as progress:
+        result = keeping_partial(
+            out,
+            lambda: jaxid.diagnose(
+                model,
+                data,
+                max_effects=max_effects,
+                effects=effects,
+                without=without or (),
+                residual=residual,
+                seed=seed,
+                progress=progress.callback,
+            ),
+        )
+    save(result, out)
+    show(result, as_json, quiet)
+    if result.nominal.failed:
+        terminal.complain(f"the nominal fit failed: {result.nominal.stopped_because}")
+        return FAILED
+    return SUCCESS
+
+
+@cli.command()
+@DATASET
+@click.option(
+    "--parameters", "parameters", required=True, type=click.Path(path_type=Path), metavar="FIT.json", help="A fit."
+)
+@OUT
+@MODEL
+@output_options
+def simulate(dataset, parameters, out, model, as_json, quiet) -> int:
+    """Run a model on a dataset's inputs.
+
+    Writes run_1.parquet … and simulation.json into DIR.
+    """
+    fitted = read_parameters(parameters)
+    jaxid, data = start(dataset, out)
+    result = jaxid.simulate(fitted, data, model=model)
+    import pyarrow
+    import pyarrow.parquet
+
+    for i, run in enumerate(result.runs, start=1):
+        partial = out / f"run_{i}.parquet.partial"
+        pyarrow.parquet.write_table(pyarrow.table(dict(run)), partial)
+        partial.replace(out / f"run_{i}.parquet")
+    save(result, out)
+    show(result, as_json, quiet)
+    return SUCCESS
+
+
+@cli.command("import")
+@click.argument("kind", metavar="KIND")
+@click.argument("files", type=click.Path(path_type=Path), metavar="FILE…", nargs=-1, required=True)
+@OUT
+@click.option("--overwrite", is_flag=True, help="Replace a folder that has other content.")
+@output_options
+def import_(kind, files, out, overwrite, as_json, quiet) -> int:
+    """Convert a recording made by others.
+
+    KIND: emps. Several files of one recording become one dataset folder.
+    """
+    import jaxid
+    from jaxid import importers
+    from jaxid.errors import nearest
+
+    converters = {"emps": importers.import_emps}
+    if kind not in converters:
+        raise jaxid.UsageError(f"unknown kind of recording {kind!r}{nearest(kind, converters)}")
+    folder = converters[kind](files, out, overwrite=overwrite)
+    data = jaxid.load_dataset(folder, check_model=False)
+    if as_json:
+        summary = {
+            "schema": 1,
+            "kind": "dataset",
+            "name": data.name,
+            "folder": str(folder),
+            "channels": {c.name: c.unit for c in data.channels},
+            "experiments": [{"name": e.name, "split": e.split, "samples": len(e.t)} for e in data.experiments],
+        }
+        print(json.dumps(summary, indent=1))
+    elif not quiet:
+        terminal.say(f"{data.name}: {len(data.experiments)} experiments written to {folder}")
+    return SUCCESS
+
+
+@cli.command()
+@click.argument("name", required=False)
+@output_options
+def models(name, as_json, quiet) -> int:
+    """List the models, or describe one."""
+    return catalogue("models", name, as_json, quiet)
+
+
+@cli.command()
+@click.argument("name", required=False)
+@output_options
+def effects(name, as_json, quiet) -> int:
+    """List the effects a model can lack, or describe one."""
+    return catalogue("effects", name, as_json, quiet)
+
+
+@cli.command()
+@click.argument("name", required=False)
+@output_options
+def fitters(name, as_json, quiet) -> int:
+    """List the fitters, or describe one."""
+    return catalogue("fitters", name, as_json, quiet)
+
+
+def catalogue(kind: str, name: str | None, as_json: bool, quiet: bool) -> int:
+    from jaxid import listing, runtime
+
+    runtime.prepare()
+    found = listing.find(kind, name)
+    if as_json:
+        print(json.dumps(listing.to_dict(kind, name, found), indent=1))
+    elif not quiet:
+        terminal.say(listing.summary(kind, found) if name is None else listing.description(found[0]))
+    return SUCCESS
+
+
+def start(dataset: str, out: Path) -> tuple[Any, Any]:
+    """Loads the dataset, then makes sure that results can be written, before any long work."""
+    from jaxid import runtime
+
+    runtime.prepare()
+    import jaxid
+
+    data = jaxid.load_dataset(dataset)
+    writable_folder(out)
+    return jaxid, data
+
+
+def writable_folder(out: Path) -> None:
+    """Makes the folder, or says why nothing could be written there."""
+    from jaxid.errors import UsageError
+
+    try:
+        out.mkdir(parents=True, exist_ok=True)
+        probe = out / f".jaxid-{os.getpid()}.partial"
+        probe.touch()
+        probe.unlink()
+    except OSError as error:
+        raise UsageError(
+            f"--out {out}: cannot write there ({error.strerror}); name a folder that is writable"
+        ) from error
+
+
+def read_parameters(path: Path) -> dict[str, Any]:
+    """The content of a FIT.json; only `parameters` is needed."""
+    from jaxid.errors import UsageError
+
+    wanted = 'it needs {"parameters": {"inertia": {"value": 0.08}}, "effects": []}'
+    try:
+        content = json.loads(path.read_text(encoding="utf-8"))
+    except OSError as error:
+        raise UsageError(f"--parameters {path}: cannot be read ({error.strerror})") from error
+    except json.JSONDecodeError as error:
+        raise UsageError(
+            f"--parameters {path}: not JSON, line {error.lineno} column {error.colno}: {error.msg}; {wanted}"
+        ) from error
+    except (ValueError, RecursionError) as error:
+        raise UsageError(f"--parameters {path}: not JSON text; {wanted}") from error
+    if not isinstance(content, dict) or not isinstance(content.get("parameters"), dict):
+        raise UsageError(f"--parameters {path}: no object `parameters` in it; {wanted}")
+    groups = [("parameters", content["parameters"])]
+    effects = content.get("effects", [])
+    if not isinstance(effects, list):
+        raise UsageError(f"--parameters {path}: `effects` is not a list; {wanted}")
+    for i, effect in enumerate(effects):
+        inside = effect.get("parameters", {}) if isinstance(effect, dict) else None
+        if not isinstance(inside, dict) or not isinstance(effect.get("effect"), str):
+            raise UsageError(f"--parameters {path}: effects[{i}] needs an `effect`, a `location` and `parameters`")
+        groups.append((f"effects[{i}].parameters", inside))
+    for group, parameters in groups:
+        for name, entry in parameters.items():
+            value = entry.get("value") if isinstance(entry, dict) else None
+            if isinstance(value, bool) or not isinstance(value, int | float) or not abs(value) < float("inf"):
+                raise UsageError(f'--parameters {path}: {group}.{name} needs a finite number, as in {{"value": 0.08}}')
+    return content
+
+
+def keeping_partial(out: Path, work: Callable[[], T]) -> T:
+    """Runs long work; on Ctrl-C what it had finished is saved before the interrupt goes on."""
+    from jaxid.runtime import Interrupted
+
+    try:
+        return work()
+    except Interrupted as stop:
+        if stop.partial is not None:
+            path = save(stop.partial, out)
+            terminal.complain(f"interrupted; what was finished is in {path}")
+        raise
+
+
+def save(result: Any, out: Path) -> Path:
+    """Writes the JSON, then the report where the result has one."""
+    from jaxid.results import Diagnosis, Fit, save_json
+
+    stem = "diagnosis" if isinstance(result, Diagnosis) else "fit" if isinstance(result, Fit) else "simulation"
+    path = save_json(result, out / f"{stem}.json")
+    if isinstance(result, Diagnosis | Fit):
+        result.report(out / "report.html")
+    return path
+
+
+def show(result: Any, as_json: bool, quiet: bool) -> None:
+    from jaxid import text
+    from jaxid.results import Diagnosis, finite, Fit
+
+    if as_json:
+        print(json.dumps(finite(result.to_dict()), indent=1, allow_nan=False))
+    elif not quiet and isinstance(result, Diagnosis):
+        terminal.say(text.diagnosis_text(result))
+    elif not quiet and isinstance(result, Fit):
+        terminal.say(text.fit_text(result))
+    elif not quiet:
+        terminal.say(text.simulation_text(result))
+
+
+def explain(error: Exception) -> tuple[int, str]:
+    """Exit code and message of an error that reached the top."""
+    from jaxid.errors import UsageError
+    from jaxid.experiment import DatasetError
+
+    if isinstance(error, UsageError | DatasetError):
+        return BAD_INPUT, str(error)
+    if isinstance(error, OSError):
+        return BAD_INPUT, f"{error.filename or 'file'}: {error.strerror or error}"
+    if isinstance(error, MemoryError):
+        return FAILED, "not enough memory"
+    return FAILED, f"internal error, {type(error).__name__}: {error} (JAXID_TRACEBACK=1 shows where; please report it)"
+
+
+def main(arguments: list[str] | None = None) -> int:
+    """Runs the command line and returns the exit code."""
+    for stream in (sys.stdout, sys.stderr):
+        # A terminal that cannot show `±` gets `?` instead of an error; streams replaced by others stay as they are.
+        if callable(reconfigure := getattr(stream, "reconfigure", None)):
+            reconfigure(errors="replace")
+    try:
+        code = cli.main(args=arguments, prog_name="jaxid", standalone_mode=False)
+        sys.stdout.flush()
+        return code or SUCCESS
+    except click.ClickException as error:
+        error.show()
+        return error.exit_code
+    except (KeyboardInterrupt, click.Abort):
+        terminal.complain("interrupted")
+        return INTERRUPTED
+    except BrokenPipeError:
+        # The reader went away (`jaxid effects | head`); keep Python from failing again when it closes the stream.
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        return FAILED
+    except Exception as error:
+        if os.environ.get("JAXID_TRACEBACK"):
+            raise
+        code, message = explain(error)
+        terminal.complain(message)
+        return code
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,362 @@
+"""What may stand in `dataset.toml`: pydantic models of it, and its faults as problems with the line of the key."""
+
+from __future__ import annotations
+
+import datetime
+import re
+import tomllib
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from difflib import get_close_matches
+from typing import Any, Literal, TypeVar
+
+from pydantic import BaseModel, ConfigDict, Field, field_validator, FiniteFloat, model_validator, ValidationError
+
+from jaxid.errors import nearest
+from jaxid.experiment import Problem
+
+
+Split = Literal["fit", "validation", "report"]
+Number = FiniteFloat | bool
+Positive = Field(default=None, gt=0)
+
+
+class _Strict(BaseModel):
+    model_config = ConfigDict(extra="forbid", strict=True, allow_inf_nan=False)
+
+
+def _plain(text: str) -> str:
+    if not text.strip():
+        raise ValueError("is empty")
+    if any(ord(c) < 32 or ord(c) == 127 for c in text):
+        raise ValueError("holds control characters")
+    return text
+
+
+class Header(_Strict):
+    """The top-level keys other than the tables."""
+
+    name: str
+    description: str = ""
+    source: str | dict[str, str | int | float | datetime.date] | None = None
+    licence: str | None = None
+    recorded: str | datetime.date | None = None
+    hardware: str | None = None
+    time: str = "t"
+
+    _name = field_validator("name", "time")(_plain)
+
+
+class ChannelEntry(_Strict):
+    """`[channels.NAME]`. A value is `scale * raw + offset`, in `unit`."""
+
+    role: Literal["input", "output", "auxiliary"]
+    unit: str
+    column: str | None = None
+    scale: FiniteFloat = 1.0
+    offset: FiniteFloat = 0.0
+    noise_std: FiniteFloat | None = Positive
+    resolution: FiniteFloat | None = Positive
+    hold: Literal["zero", "linear"] = "zero"
+
+    @field_validator("scale")
+    @classmethod
+    def _scale(cls, value: float) -> float:
+        if value == 0:
+            raise ValueError("is 0, so every sample would be the offset")
+        return value
+
+
+class ExperimentEntry(_Strict):
+    """`[[experiments]]`: a recorded run, or a frequency response."""
+
+    file: str
+    name: str | None = None
+    split: Split = "fit"
+    kind: Literal["record", "frequency_response"] = "record"
+    rows: list[int] | None = Field(default=None, min_length=2, max_length=2)
+    window_s: list[FiniteFloat] | None = Field(default=None, min_length=2, max_length=2)
+    where: dict[str, str | bool | int | FiniteFloat] = {}
+    at_rest: bool = False
+    initial: dict[str, FiniteFloat] | None = None
+    initial_window_s: FiniteFloat | None = Positive
+    constants: dict[str, Number] = {}
+    split_at_gaps: bool = False
+    input: str | None = None
+    output: str | None = None
+    columns: dict[Literal["omega", "frequency", "gain", "phase", "re", "im"], str] = {}
+    phase_unit: Literal["rad", "deg"] = "rad"
+
+    @field_validator("name")
+    @classmethod
+    def _name(cls, value: str | None) -> str | None:
+        return value if value is None else _plain(value)
+
+    @field_validator("rows", "window_s")
+    @classmethod
+    def _interval(cls, value: list[float] | None) -> list[float] | None:
+        if value is not None and not value[0] < value[1]:
+            raise ValueError(f"is {value}: the end must lie behind the start")
+        return value
+
+    @field_validator("rows")
+    @classmethod
+    def _not_negative(cls, value: list[int] | None) -> list[int] | None:
+        if value is not None and value[0] < 0:
+            raise ValueError(f"is {value}: the first sample is number 0")
+        return value
+
+    @model_validator(mode="after")
+    def _kinds(self) -> ExperimentEntry:
+        response = {"input", "output", "columns", "phase_unit"}
+        record = {"at_rest", "initial", "initial_window_s", "constants", "split_at_gaps", "window_s"}
+        wrong = sorted(self.model_fields_set & (response if self.kind == "record" else record))
+        if wrong:
+            raise ValueError(f"{wrong[0]!r} has no meaning in an experiment of kind {self.kind!r}")
+        if self.at_rest and self.initial is not None:
+            raise ValueError("both at_rest and initial fix the initial state")
+        if self.kind == "frequency_response" and not (self.input and self.output):
+            raise ValueError("a frequency response needs `input` and `output`, the channels it leads from and to")
+        return self
+
+
+class PriorEntry(_Strict):
+    value: FiniteFloat | None = None
+    lower: FiniteFloat | None = None
+    upper: FiniteFloat | None = None
+
+    @model_validator(mode="after")
+    def _ordered(self) -> PriorEntry:
+        given = [v for v in (self.lower, self.value, self.upper) if v is not None]
+        if given != sorted(given) or (self.lower is not None and self.lower == self.upper):
+            raise ValueError(
+                "lower, value and upper must rise in this order (a known value belongs in [model.constants])"
+            )
+        return self
+
+
+class ModelEntry(_Strict):
+    """`[model]`."""
+
+    name: str | None = None
+    without: list[str] = []
+    free: bool = False
+    constants: dict[str, Number] = {}
+    parameters: dict[str, PriorEntry] = {}
+
+    @model_validator(mode="after")
+    def _apart(self) -> ModelEntry:
+        both = sorted(set(self.constants) & set(self.parameters))
+        if both:
+            raise ValueError(f"{both[0]!r} is both known (constants) and to be fitted (parameters)")
+        return self
+
+
+class ControllerEntry(BaseModel):
+    """`[controller]`: its kind, and gains, sample time and saturation as numbers or lists of numbers."""
+
+    model_config = ConfigDict(extra="allow", strict=True, allow_inf_nan=False)
+    __pydantic_extra__: dict[str, FiniteFloat | list[FiniteFloat]]
+    kind: str
+
+
+@dataclass
+class Document:
+    """The sound parts of a `dataset.toml`, and its faults. A part that is at fault is None or left out."""
+
+    header: Header | None = None
+    channels: dict[str, ChannelEntry] = field(default_factory=dict)
+    experiments: dict[int, ExperimentEntry] = field(default_factory=dict)
+    model: ModelEntry | None = None
+    controller: ControllerEntry | None = None
+    problems: list[Problem] = field(default_factory=list)
+    sound: set[str] = field(default_factory=set)  # the sections without a fault
+    faulty: dict[tuple[str | int, ...], set[str | int | None]] = field(default_factory=dict)  # part -> its faulty keys
+
+
+Entry = TypeVar("Entry", bound=BaseModel)
+
+
+class Places:
+    """Makes problems of `dataset.toml`: the key as people write it, and its line."""
+
+    def __init__(self, file: str, text: str = ""):
+        self.file = file
+        self.lines = _key_lines(text)
+
+    def problem(self, key: tuple[str | int, ...], message: str, remedy: str) -> Problem:
+        line = next((self.lines[key[:n]] for n in range(len(key), 0, -1) if key[:n] in self.lines), None)
+        return Problem(self.file, line, _dotted(key) or None, message, remedy)
+
+
+def _dotted(key: tuple[str | int, ...]) -> str:
+    text = ""
+    for part in key:
+        text += f"[{part + 1}]" if isinstance(part, int) else f".{part}" if text else part
+    return text
+
+
+_KEY = r"""(?:"(?:[^"\\]|\\.)*"|'[^']*'|[A-Za-z0-9_-]+)"""
+_DOTTED = rf"{_KEY}(?:\s*\.\s*{_KEY})*"
+
+
+def _key_lines(text: str) -> dict[tuple[str | int, ...], int]:
+    """The line of each key of a TOML text, by a light scan (tomllib does not tell)."""
+    lines: dict[tuple[str | int, ...], int] = {}
+    counts: dict[str, int] = {}
+    table: tuple[str | int, ...] = ()
+
+    def parts(dotted: str) -> tuple[str | int, ...]:
+        return tuple(tomllib.loads(f"key = {w}")["key"] if w[0] in "\"'" else w for w in re.findall(_KEY, dotted))
+
+    for number, line in enumerate(text.splitlines(), 1):
+        if header := re.match(rf"\s*(\[\[?)\s*({_DOTTED})\s*\]", line):
+            table = parts(header[2])
+            first = str(table[0])
+            if header[1] == "[[" and len(table) == 1:
+                counts[first] = counts.get(first, -1) + 1
+            if first in counts:
+                table = (first, counts[first], *table[1:])
+            key = table
+            lines.setdefault((first,), number)
+        elif pair := re.match(rf"\s*({_DOTTED})\s*=", line):
+            key = (*table, *parts(pair[1]))
+        else:
+            continue
+        lines.setdefault(key, number)
+    return lines
+
+
+def read_document(raw: Mapping[str, Any], places: Places) -> Document:
+    """Checks every part by itself, so that a fault in one hides none in another."""
+    document = Document()
+    tables = {"channels": dict, "experiments": list, "model": dict, "controller": dict}
+    allowed = [*Header.model_fields, *tables]
+    sections = {}
+    for name, kind in tables.items():
+        value = raw.get(name)
+        if name in raw and not isinstance(value, kind):
+            what = "a list of tables: [[experiments]]" if kind is list else f"a table: [{name}]"
+            document.problems.append(places.problem((name,), f"{name!r} is not {what}", f"Write {what}"))
+        else:
+            document.sound.add(name)
+            sections[name] = value
+    head = {k: v for k, v in raw.items() if k not in tables}
+    document.header = _entry(Header, head, (), places, document, "header", allowed)
+    for name, value in (sections.get("channels") or {}).items():
+        if not re.fullmatch(r"[A-Za-z_][A-Za-z0-9_]*", name) or name == "t":
+            why = "is the name of the time" if name == "t" else "is not a name of letters, digits and underscores"
+            document.problems.append(
+                places.problem(("channels", name), f"channel {name!r} {why}", "Rename it and state its `column`")
+            )
+            document.sound.discard("channels")
+            continue
+        entry = _entry(ChannelEntry, value, ("channels", name), places, document, "channels")
+        if entry is not None:
+            document.channels[name] = entry
+    for index, value in enumerate(sections.get("experiments") or []):
+        key = ("experiments", index)
+        entry = _entry(ExperimentEntry, value, key, places, document, "experiments")
+        if entry is not None and not any(_selects(k) for k in document.faulty.get(key, ())):
+            document.experiments[index] = entry
+    if sections.get("model") is not None:
+        document.model = _entry(ModelEntry, sections["model"], ("model",), places, document, "model")
+    if sections.get("controller") is not None:
+        document.controller = _entry(
+            ControllerEntry, sections["controller"], ("controller",), places, document, "controller"
+        )
+    return document
+
+
+def _selects(key: str | int | None) -> bool:
+    """Whether a faulty key may have chosen the samples, so that checking all of them would blame the wrong ones."""
+    harmless = {"split", "name", "at_rest", "initial", "initial_window_s", "constants"}
+    if not isinstance(key, str):
+        return True
+    close = get_close_matches(key, list(ExperimentEntry.model_fields), n=1, cutoff=0.5)
+    return bool(close) and close[0] not in harmless
+
+
+def _entry(
+    cls: type[Entry],
+    raw: Any,
+    key: tuple[str | int, ...],
+    places: Places,
+    document: Document,
+    section: str,
+    allowed: list[str] | None = None,
+) -> Entry | None:
+    """One part, checked; one with a fault is tried again without the faulty keys, so that the rest can be checked."""
+    if not isinstance(raw, Mapping):
+        document.sound.discard(section)
+        document.problems.append(places.problem(key, f"{_dotted(key)} is not a table", f"Write it as [{_dotted(key)}]"))
+        return None
+    try:
+        return cls.model_validate(dict(raw))
+    except (ValidationError, OverflowError) as error:
+        document.sound.discard(section)
+        if isinstance(error, OverflowError):
+            document.problems.append(places.problem(key, "a number beyond 1e308", "Write a smaller number"))
+            return None
+        seen: set[tuple[str | int, ...]] = set()
+        faulty = document.faulty.setdefault(key, set())
+        for fault in error.errors(include_url=False, include_input=True):
+            where = _real_path(fault["loc"], raw)
+            faulty.add(where[0] if where else None)
+            if where in seen:  # a union reports once a branch
+                continue
+            seen.add(where)
+            message, remedy = _say(cls, fault, where, allowed)
+            document.problems.append(places.problem((*key, *where), message, remedy))
+        rest = {k: v for k, v in raw.items() if k not in faulty}
+        try:
+            return cls.model_validate(rest)
+        except (ValidationError, OverflowError):
+            return None
+
+
+def _real_path(loc: tuple[str | int, ...], raw: Any) -> tuple[str | int, ...]:
+    """The part of pydantic's location that stands in the data (it also names branches of unions)."""
+    path: list[str | int] = []
+    for part in loc:
+        if isinstance(raw, Mapping) and part in raw:
+            raw = raw[part]
+        elif isinstance(raw, list) and isinstance(part, int) and part < len(raw):
+            raw = raw[part]
+        else:
+            if not path and isinstance(part, str):
+                path.append(part)
+            elif isinstance(raw, Mapping) and isinstance(part, str) and part.isidentifier() and part not in _BRANCHES:
+                path.append(part)
+            break
+        path.append(part)
+    return tuple(path)
+
+
+_BRANCHES = {"str", "int", "float", "bool", "date", "dict", "list"}
+
+
+def _say(cls: type[BaseModel], fault: Any, where: tuple[str | int, ...], allowed: list[str] | None) -> tuple[str, str]:
+    kind, name = fault["type"], where[-1] if where else ""
+    owner = PriorEntry if cls is ModelEntry and where[:1] == ("parameters",) and len(where) > 2 else cls
+    if kind == "extra_forbidden":
+        return f"unknown key {name!r}{nearest(str(name), allowed or list(owner.model_fields))}", "Correct or remove it"
+    if kind == "missing":
+        return f"{name!r} is missing", f"State {name!r}"
+    if kind == "literal_error":
+        choices = re.findall(r"'([^']*)'", fault["ctx"]["expected"])
+        if fault["loc"][-1:] == ("[key]",):
+            return f"unknown key {name!r}{nearest(str(name), choices)}", "Correct or remove it"
+        return (
+            f"{name!r} is {fault['input']!r}{nearest(str(fault['input']), choices)}",
+            f"Write one of: {', '.join(choices)}",
+        )
+    if kind == "value_error":
+        text = str(fault["ctx"]["error"])
+        return (f"{name!r} {text}" if text.startswith(("is ", "holds ")) else text), "Correct it"
+    if kind == "greater_than":
+        return f"{name!r} is {fault['input']!r}", "Write a number above 0"
+    if kind == "finite_number":
+        return f"{name!r} is {fault['input']!r}", "Write a finite number"
+    shown = repr(fault["input"])
+    return f"{name!r} is {shown if len(shown) < 60 else shown[:57] + '...'}: {fault['msg'].lower()}", "Correct it"

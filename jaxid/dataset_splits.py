@@ -1,0 +1,74 @@
+"""The split rules: validation data from the tail of fit runs, report data from the second half of validation runs."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+
+from jaxid.dataset_records import MINIMUM_SAMPLES
+from jaxid.experiment import Dataset, Experiment
+
+
+TAIL = 0.3
+GUARD_SAMPLES, GUARD_S = 20, 0.1
+
+
+def with_splits(dataset: Dataset) -> Dataset:
+    """See `Dataset.with_splits`."""
+    runs = list(dataset.experiments)
+    notes: list[str] = []
+    if not any(e.split == "validation" for e in runs):
+        runs = _cut(
+            runs,
+            "fit",
+            "validation",
+            1 - TAIL,
+            "no validation run: the last 30 % of each fit run are kept for it",
+            notes,
+        )
+    if not any(e.split == "report" for e in runs):
+        runs = _cut(
+            runs,
+            "validation",
+            "report",
+            0.5,
+            "no report run: the second half of each validation run is kept for it",
+            notes,
+        )
+    return replace(dataset, experiments=tuple(runs), notes=(*dataset.notes, *notes)) if notes else dataset
+
+
+def _cut(
+    runs: list[Experiment], first: str, second: str, share: float, rule: str, notes: list[str]
+) -> list[Experiment]:
+    """Each run of split `first` in two; the later part becomes `second`."""
+    cut: list[Experiment] = []
+    told: list[str] = []
+    for run in runs:
+        if run.split != first:
+            cut.append(run)
+            continue
+        stop = round(share * len(run))
+        start = _after_guard(run, stop)
+        if stop < MINIMUM_SAMPLES or len(run) - start < MINIMUM_SAMPLES:
+            cut.append(run)
+            told.append(f"{run.name} is too short ({len(run)} samples) and stays whole")
+            continue
+        base = run.name.removesuffix(f"#{first}")
+        name = run.name if run.name.endswith(f"#{first}") else f"{base}#{first}"
+        cut.append(run.piece(0, stop, name=name, split=first))
+        cut.append(run.piece(start, len(run), name=f"{base}#{second}", split=second))
+        told.append(
+            f"{base} cut at {run.t[stop]:.6g} s, {start - stop} samples ({run.t[start] - run.t[stop]:.3g} s) left out, "
+            f"{len(run) - start} samples for {second}"
+        )
+    if told:
+        notes.append(f"{rule} ({'; '.join(told)})")
+    return cut
+
+
+def _after_guard(run: Experiment, stop: int) -> int:
+    """The first sample behind a guard gap of 20 samples or 0.1 s, whichever is longer."""
+    by_time = int(np.searchsorted(run.t, run.t[stop] + GUARD_S, side="left"))
+    return min(len(run), max(stop + GUARD_SAMPLES, by_time))

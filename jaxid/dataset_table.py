@@ -1,0 +1,268 @@
+"""A data file as a table of columns, each fault with its row and column: CSV, Parquet, or arrays."""
+
+from __future__ import annotations
+
+import csv
+import io
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from jaxid.errors import nearest
+from jaxid.experiment import Problem
+
+
+_MISSING = {"", "nan", "na", "n/a", "null", "none", "-", "?"}
+
+
+@dataclass(frozen=True)
+class Numbers:
+    """A column as float64, NaN where a cell is no finite number; `faults`: sample index -> what stands there."""
+
+    values: np.ndarray
+    faults: dict[int, str]
+
+
+@dataclass
+class Table:
+    """Columns of equal length. `rows` is the row of each sample as an editor shows it, None for arrays in memory.
+
+    `whole` is False where rows were unreadable and are missing here, so that no gap is blamed on them.
+    """
+
+    file: str
+    columns: Mapping[str, Any]
+    count: int
+    rows: np.ndarray | None = None
+    whole: bool = True
+    problems: list[Problem] = field(default_factory=list)
+    _numbers: dict[str, Numbers] = field(default_factory=dict)
+
+    def row(self, sample: int) -> int:
+        return int(self.rows[sample]) if self.rows is not None else sample
+
+    def place(self, sample: int) -> str:
+        if self.rows is None:
+            return f"sample at index {sample}"
+        return f"sample {self.row(sample) - 1} (row {self.row(sample)})"
+
+    def missing(self, column: str, role: str) -> Problem:
+        return Problem(
+            self.file,
+            None if self.rows is None else 1,
+            column,
+            f"there is no column {column!r} for {role}{nearest(column, self.columns)}",
+            "Add the column, or name the one to read with `column` (of a channel) or `time` (top level)"
+            if self.rows is not None
+            else "Name a column that exists",
+        )
+
+    def numbers(self, column: str) -> Numbers:
+        """A column as numbers; converted once."""
+        if column not in self._numbers:
+            self._numbers[column] = _as_numbers(self.columns[column])
+        return self._numbers[column]
+
+    def equal(self, column: str, value: str | bool | int | float) -> np.ndarray:
+        """Where a column holds `value`, for `where`; text compares as text, numbers as numbers."""
+        cells = self.columns[column]
+        if isinstance(value, bool):
+            words = {"true", "1", "1.0"} if value else {"false", "0", "0.0"}
+            return np.array([str(c).strip().lower() in words for c in cells], dtype=bool)
+        if isinstance(value, str):
+            return np.array([str(c).strip() == value.strip() for c in cells], dtype=bool)
+        return self.numbers(column).values == float(value)
+
+
+def _cell(text: Any) -> tuple[float, str | None]:
+    """One cell as a number, or NaN and what is wrong with it."""
+    word = "" if text is None else str(text).strip()
+    if word.lower() in _MISSING:
+        return np.nan, "missing"
+    try:
+        value = float(word) if "_" not in word else np.nan
+    except ValueError:
+        value = np.nan
+    if np.isfinite(value):
+        return value, None
+    if "inf" in word.lower():
+        return np.nan, "infinite"
+    shown = word if len(word) <= 40 else word[:37] + "..."
+    hint = ", a decimal comma" if word.count(",") == 1 and word.replace(",", "", 1).lstrip("+-").isdigit() else ""
+    return np.nan, f"not a number: {shown!r}{hint}"
+
+
+def _as_numbers(cells: Any) -> Numbers:
+    array = np.asarray(cells) if not isinstance(cells, list) else None
+    if array is not None and array.dtype.kind in "biuf":
+        values = array.astype(float)
+        bad = np.flatnonzero(~np.isfinite(values))
+        faults = {int(i): "missing" if np.isnan(values[i]) else "infinite" for i in bad}
+        values[bad] = np.nan
+        return Numbers(values, faults)
+    cells = list(cells)
+    try:
+        if any("_" in c for c in cells):
+            raise ValueError
+        values = np.array([float(c) for c in cells], dtype=float)
+        if np.isfinite(values).all():
+            return Numbers(values, {})
+    except (ValueError, TypeError):
+        pass
+    pairs = [_cell(c) for c in cells]
+    return Numbers(np.array([v for v, _ in pairs], dtype=float), {i: w for i, (_, w) in enumerate(pairs) if w})
+
+
+def table_of_arrays(name: str, columns: Mapping[str, Any]) -> Table:
+    """A table of arrays in memory; unequal lengths and shapes other than [time] are its problems."""
+    problems, good = [], {}
+    lengths: dict[str, int] = {}
+    for column, values in columns.items():
+        array = np.asarray(values)
+        if array.ndim != 1:
+            problems.append(
+                Problem(
+                    name, None, column, f"an array of shape {array.shape}", "Give one number a sample: shape [time]"
+                )
+            )
+        elif array.dtype.kind == "c":
+            problems.append(Problem(name, None, column, "complex numbers", "Give real numbers"))
+        else:
+            lengths[column], good[column] = len(array), array if array.dtype.kind in "biuf" else array.tolist()
+    first = next(iter(lengths), None)
+    for column, length in lengths.items():
+        if first is not None and length != lengths[first]:
+            problems.append(
+                Problem(
+                    name, None, column, f"{length} samples, but {first!r} has {lengths[first]}", "Give equal lengths"
+                )
+            )
+    if problems:
+        return Table(name, {}, 0, problems=problems)
+    return Table(name, good, lengths[first] if first is not None else 0)
+
+
+def read_table(path: Path, file: str, content: bytes) -> Table:
+    """The table of a `.csv` or `.parquet` file, whose bytes are `content`."""
+    reader = _read_parquet if path.suffix.lower() in (".parquet", ".pq") else _read_csv
+    return reader(file, content)
+
+
+def _broken(file: str, row: int | None, message: str, remedy: str, column: str | None = None) -> Table:
+    return Table(file, {}, 0, problems=[Problem(file, row, column, message, remedy)])
+
+
+def _read_parquet(file: str, content: bytes) -> Table:
+    import pyarrow as pa
+    import pyarrow.parquet as pq
+
+    if not content:
+        return _broken(file, None, "the file is empty", "Write a header row and samples")
+    try:
+        table = pq.read_table(pa.BufferReader(content))
+        names = table.column_names
+        repeated = next((n for n in names if names.count(n) > 1), None)
+        if repeated is not None:
+            return _broken(file, 1, f"column {repeated!r} stands twice", "Give each column its own name", repeated)
+        columns = {name: _arrow_column(table.column(i)) for i, name in enumerate(names)}
+    except (pa.ArrowException, OSError, ValueError, NotImplementedError) as error:
+        reason = str(error).strip().splitlines()[0][:120] if str(error).strip() else type(error).__name__
+        return _broken(file, None, f"not readable as Parquet ({reason})", "Write the file again, or give CSV")
+    if table.num_rows == 0:
+        return _broken(file, 1, "a header without samples", "Give at least 20 samples")
+    return Table(file, columns, table.num_rows, np.arange(table.num_rows) + 2)
+
+
+def _arrow_column(column: Any) -> Any:
+    import pyarrow as pa
+
+    kind = column.type
+    if pa.types.is_integer(kind) or pa.types.is_floating(kind):
+        return column.cast(pa.float64(), safe=False).to_numpy()
+    return column.to_pylist()
+
+
+def _read_csv(file: str, content: bytes) -> Table:
+    if not content.strip():
+        return _broken(file, None, "the file is empty", "Write a header row of channel names and one row a sample")
+    if content[:2] in (b"\xff\xfe", b"\xfe\xff"):
+        return _broken(file, 1, "the text is UTF-16", "Save the file as UTF-8")
+    nul = content.find(b"\0")
+    if nul >= 0:
+        row = content.count(b"\n", 0, nul) + 1
+        return _broken(file, row, "binary data, not text", "Give CSV as text, or name a Parquet file .parquet")
+    try:
+        text = content.decode("utf-8-sig")
+    except UnicodeDecodeError as error:
+        row = content.count(b"\n", 0, error.start) + 1
+        return _broken(file, row, "a character that is not UTF-8", "Save the file as UTF-8")
+    lines: list[list[str]] = []
+    rows: list[int] = []
+    reader = csv.reader(io.StringIO(text, newline=None), skipinitialspace=True, strict=True)
+    try:
+        for fields in reader:
+            lines.append(fields)
+            rows.append(reader.line_num)
+    except csv.Error as error:
+        return _broken(
+            file, reader.line_num, f"not readable as CSV ({error})", "Check the quotes in and before this row"
+        )
+    while lines and not any(f.strip() for f in lines[-1]):
+        lines.pop()
+        rows.pop()
+    header = [name.strip() for name in lines[0]]
+    fault = _header_fault(file, header, lines[1:])
+    if fault is not None:
+        return Table(file, {}, 0, problems=[fault])
+    return _csv_columns(file, header, lines[1:], rows[1:])
+
+
+def _header_fault(file: str, header: Sequence[str], lines: Sequence[Sequence[str]]) -> Problem | None:
+    for sign, word in ((";", "semicolons"), ("\t", "tabs")):
+        if len(header) == 1 and sign in header[0]:
+            comma = " and decimal commas" if any("," in c for fields in lines[:3] for c in [",".join(fields)]) else ""
+            return Problem(
+                file,
+                1,
+                None,
+                f"columns separated by {word}{comma}",
+                "Save it with commas between columns and decimal points",
+            )
+    if not any(header):
+        return Problem(file, 1, None, "the first row is empty", "Let the first row name the columns")
+    if all(_cell(name)[1] is None for name in header):
+        return Problem(file, 1, None, "the first row holds numbers, not names", "Let the first row name the columns")
+    named = [name for name in header if name]
+    repeated = next((n for n in named if named.count(n) > 1), None)
+    if repeated is not None:
+        return Problem(file, 1, repeated, f"column {repeated!r} stands twice", "Give each column its own name")
+    if not lines:
+        return Problem(file, 1, None, "a header without samples", "Give at least 20 samples")
+    return None
+
+
+def _csv_columns(file: str, header: Sequence[str], lines: Sequence[list[str]], rows: Sequence[int]) -> Table:
+    width = len(header)
+    kept, kept_rows, ragged = [], [], []
+    for fields, row in zip(lines, rows, strict=True):
+        while len(fields) > width and not fields[-1].strip():
+            fields.pop()
+        if len(fields) == width:
+            kept.append(fields)
+            kept_rows.append(row)
+        else:
+            ragged.append((row, len(fields)))
+    problems = []
+    if ragged:
+        row, found = ragged[0]
+        more = f"; so {len(ragged)} rows" if len(ragged) > 1 else ""
+        comma = ", decimal commas perhaps" if found == 2 * width else ""
+        what = "an empty row" if found == 0 else f"{found} fields where the header has {width}{comma}"
+        problems.append(Problem(file, row, None, what + more, "Give one field a column in every row"))
+    if not kept:
+        return Table(file, {}, 0, problems=problems)
+    columns = {name: list(cells) for name, cells in zip(header, zip(*kept, strict=True), strict=True) if name}
+    return Table(file, columns, len(kept), np.array(kept_rows), whole=not ragged, problems=problems)

@@ -1,0 +1,254 @@
+"""Where a simulator is wrong, which effect is missing, how far the gap shrinks once it is added."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Iterable
+
+import jax
+import numpy as np
+
+from jaxid import catalogue, samples
+from jaxid.binding import Binding, bind, resolve_model
+from jaxid.diagnosis import how_far as shrinking, where as location
+from jaxid.diagnosis.next_experiment import advice
+from jaxid.diagnosis.which import Candidate, Hypothesis, Search, Searcher, candidates
+from jaxid.errors import UsageError, nearest
+from jaxid.estimation import (
+    STEP_SHARE,
+    Bench,
+    assemble,
+    default_residual,
+    estimate_starts,
+    free_runs,
+    make_traces,
+    start_values,
+    step_error,
+)
+from jaxid.experiment import Dataset
+from jaxid.fitter import Minimum, Progress
+from jaxid.fitters import descend, LevenbergMarquardt
+from jaxid.residual import InverseDynamics, OutputError, Residual
+from jaxid.results import Diagnosis, EffectEstimate, Fit, Ranked, Which
+from jaxid.uncertainty import covariance
+
+
+#: Shares of the gap (mean square above the floor, validation data) that the verdicts need.
+NAMED, PARTLY = 0.97, 0.5
+
+
+def run_diagnosis(
+    model: object,
+    dataset: Dataset,
+    max_effects: int,
+    effects: Iterable[str] | None,
+    without: Iterable[str],
+    residual: Residual | None,
+    seed: int,
+    progress: Progress | None,
+) -> Diagnosis:
+    """See `jaxid.diagnose`."""
+    began = time.perf_counter()
+    allowed = tuple(effects) if effects is not None else catalogue.effect_names()
+    for name in allowed:
+        catalogue.effect_class(name)
+    without = tuple(without)
+    present = {e.name for e in resolve_model(model, dataset, without).effects}
+    known = [n for n in allowed if n in present]
+    if effects is not None and known:
+        raise UsageError(f"{known[0]} is part of the model already{nearest(known[0], set(allowed) - set(known))}")
+    library = [catalogue.effect_class(n) for n in allowed if n not in present]
+    binding = bind(model, dataset, without=without, candidates=library)
+    if isinstance(residual, InverseDynamics):
+        raise UsageError("a diagnosis simulates: use the residual output_error or multiple_shooting")
+    residual = residual or default_residual(binding)
+    if progress:
+        progress("nominal fit", 0, 1, binding.chain.mechanism.name)
+
+    bench, nominal_fit, search, compile_time = _search(binding, residual, allowed, max_effects, seed, progress)
+    chosen = search.chosen
+    verdict, text = judge(search)
+    named = chosen.effects if verdict in ("named", "partly") else ()
+    final = chosen if named else search.nominal
+    if progress:
+        progress("how far", 0, 1, "report data")
+
+    before, note = _before(binding, search.nominal)
+    how_far = shrinking.measure(bench, before, search.nominal.theta, chosen.theta if named else final.theta, verdict, seed, note)
+    estimates = _effect_estimates(binding, final)
+    final_fit = _fit(bench, final, residual, seed, compile_time, time.perf_counter() - began)
+    mates = search.confusable if named else []
+    findings, pictures, rows = _where(bench, search.nominal, final, verdict, named, seed)
+    ranking = tuple(_ranked(search))
+    which = Which(
+        verdict, estimates if named else (), tuple(EffectEstimate(c.effect, c.location) for c in mates), ranking, text
+    )
+    return Diagnosis(
+        binding.chain.mechanism.name, binding.dataset.name, binding.dataset.sha256, seed, residual.name, findings, which,
+        how_far, advice(verdict, [c.effect for c in named], [c.effect for c in mates]), time.perf_counter() - began,
+        nominal_fit, final_fit, _traces(bench, search.nominal, final, named), pictures, rows,
+        (*binding.dataset.notes, *_notes(binding, final_fit, compile_time)),
+    )  # fmt: skip
+
+
+def _search(
+    binding: Binding, residual: Residual, allowed: tuple[str, ...], max_effects: int, seed: int, progress: Progress | None
+) -> tuple[Bench, Fit, Search, float]:
+    """Nominal fit and search, with a finer step where the step matters."""
+    step, compile_time = samples.STEP, 0.0
+    began = time.perf_counter()
+    for attempt in range(4):
+        bench = Bench(binding, step)
+        guesses = start_values(bench, binding.free, seed)
+        problem = bench.problem(residual, "fit", binding.free, guesses[0])
+        fitter = LevenbergMarquardt()
+        result = fitter.minimise(problem, [problem.z(g) for g in guesses], jax.random.key(seed), None, progress)
+        if result.failed:
+            raise UsageError(f"the nominal model cannot be fitted: {result.stopped_because}")
+        nominal = descend([(problem, result.z)], 3, 1e-9)[0]
+        nominal_fit = assemble(
+            bench, problem, Minimum(nominal.z, result.loss, result.converged, result.stopped_because, result.evaluations,
+                                    result.history),
+            residual, fitter.name, seed, bench.compile_time(), time.perf_counter() - began,
+        )  # fmt: skip
+        searcher = Searcher(bench, residual, nominal, progress)
+        search = searcher.run(candidates(bench, allowed), max_effects)
+        compile_time += bench.compile_time()
+        final = search.chosen.path
+        moved = step_error(bench, final.problem, final.z)
+        if moved <= STEP_SHARE or attempt == 3:
+            return bench, nominal_fit, search, compile_time
+        step /= 2
+    raise AssertionError("unreachable")
+
+
+def judge(search: Search) -> tuple[str, str]:
+    """Verdict and its sentence. A wrong name costs a user more than an honest `unknown`."""
+    nominal, chosen = search.nominal.validation, search.chosen.validation
+    samples_ = nominal.count
+    floor = 1 + 4 * np.sqrt(2 / max(1, samples_)) + 0.06
+    if not search.chosen.effects:
+        if nominal.loss <= floor and search.nominal.fit_loss <= 1 + 4 * np.sqrt(2 / search.nominal.path.count) + 0.06:
+            return "none", "The model reaches the noise floor on data that were not fitted: there is no gap."
+        gap = np.sqrt(max(nominal.loss, search.nominal.fit_loss))
+        return "unknown", f"There is a gap ({gap:.3g} times the noise), and no effect of the library explains it."
+    closed = (nominal.loss - chosen.loss) / max(nominal.loss - 1, 1e-12)
+    names = " and ".join(str(c) for c in search.chosen.effects)
+    left = np.sqrt(max(chosen.loss, 1.0))
+    if chosen.loss <= max(floor, 1.1) or closed >= NAMED:
+        return "named", f"The model lacks {names}; with it {left:.3g} times the noise is left on validation data."
+    if closed >= PARTLY:
+        return "partly", (
+            f"The model lacks {names}, which explains {100 * closed:.0f} % of the gap on validation data; a clear remainder "
+            f"({left:.3g} times the noise) stays unexplained."
+        )
+    return "unknown", (
+        f"No effect explains most of the gap: the best, {names}, explains {100 * closed:.0f} % of it and leaves "
+        f"{left:.3g} times the noise."
+    )
+
+
+def _before(binding: Binding, nominal: Hypothesis) -> tuple[np.ndarray, str]:
+    """The model before anything was fitted: the values that the dataset states; what it does not state is re-tuned."""
+    theta = nominal.theta.copy()
+    stated = [i for i in binding.free if i in binding.stated]
+    if not stated:
+        return theta, "The dataset states no parameter values, so the gap before is that of the re-tuned model."
+    theta[stated] = binding.theta[stated]
+    return theta, ""
+
+
+def _effect_estimates(binding: Binding, h: Hypothesis) -> tuple[EffectEstimate, ...]:
+    from jaxid.estimation import estimates
+
+    if not h.effects:
+        return ()
+    cov = covariance(h.path.problem, h.path.z)
+    found = estimates(binding, h.path.problem, h.path.z, cov)
+    return tuple(
+        EffectEstimate(c.effect, c.location, {binding.layout.entries[i].field: found[i] for i in c.index})
+        for c in h.effects
+    )
+
+
+def _fit(bench: Bench, h: Hypothesis, residual: Residual, seed: int, compile_time: float, wall_time: float) -> Fit:
+    problem = h.path.problem
+    minimum = Minimum(h.path.z, problem.loss(h.path.z), h.path.converged, h.path.stopped, h.path.linearisations)
+    return assemble(bench, problem, minimum, residual, "lm", seed, compile_time, wall_time)
+
+
+def _starts(bench: Bench, h: Hypothesis) -> np.ndarray:
+    problem = h.path.problem
+    if list(problem.records) == list(bench.runs(OutputError(), "fit").records):
+        return problem.starts(h.path.z)
+    return estimate_starts(bench, "fit", [h.theta])[0]
+
+
+def _where(bench: Bench, nominal: Hypothesis, final: Hypothesis, verdict: str, named, seed: int):
+    """Findings, pictures and regime table; no finding where there is no gap."""
+    before = location.missing_forces(bench, nominal.theta, _starts(bench, nominal), seed)
+    if not before:
+        found = [] if verdict == "none" else location.output_findings(bench, nominal.theta, _starts(bench, nominal))
+        return tuple(found), (), ()
+    after = location.missing_forces(bench, final.theta, _starts(bench, final), seed, draws=0)
+    joints = bench.binding.chain.signature.joints
+    rows = location.table(before, joints)
+    places: dict[str, str] = {}
+    inputs = [n for n, _ in bench.binding.chain.signature.inputs]
+    for c in named:
+        joint = c.location if c.location in joints else None
+        if joint is None and c.location in inputs and inputs.index(c.location) < len(joints):
+            joint = joints[inputs.index(c.location)]
+        if joint is not None:
+            places.setdefault(joint, c.location)
+    found = [] if verdict == "none" else location.findings(bench, before, rows, places)
+    return tuple(found), tuple(location.pictures(bench, before, after)), tuple(rows)
+
+
+def _ranked(search: Search) -> list[Ranked]:
+    """Every hypothesis that was refitted, best validation gap first; those with several effects name the last one added."""
+    out, seen = [], set()
+    nominal = search.nominal
+    for h in sorted([*search.tried, search.chosen], key=lambda h: h.validation.loss):
+        key = frozenset(str(c) for c in h.effects)
+        if key in seen or not h.effects:
+            continue
+        seen.add(key)
+        last: Candidate = h.effects[-1]
+        gap = float(np.sqrt(max(h.validation.loss, 0.0)))
+        from jaxid.diagnosis.evidence import inflation, worth
+
+        evidence = worth(h.validation, nominal.validation, inflation(h.validation))
+        beside = f" beside {' and '.join(str(c) for c in h.effects[:-1])}" if len(h.effects) > 1 else ""
+        change = 100 * (1 - gap / max(np.sqrt(max(nominal.validation.loss, 1e-300)), 1e-300))
+        words = f"{abs(change):.1f} % {'smaller' if change >= 0 else 'larger'} than the nominal model's"
+        out.append(
+            Ranked(last.effect, last.location, gap, float(h.bic), float(evidence), f"{last}{beside}: validation gap {words}")
+        )
+    return out
+
+
+def _traces(bench: Bench, nominal: Hypothesis, final: Hypothesis, named):
+    """Measured and simulated series of every split, for the report."""
+    out = []
+    thetas = [nominal.theta] + ([final.theta] if named else [])
+    labels = ["nominal model, re-tuned"] + (["with " + " and ".join(str(c) for c in named)] if named else [])
+    for split in ("report", "validation", "fit"):
+        if not bench.binding.experiments(split):
+            continue
+        if split == "fit":
+            starts = np.array([_starts(bench, h) for h in (nominal, final)[: len(thetas)]])
+        else:
+            starts = estimate_starts(bench, split, thetas)
+        predictions = free_runs(bench, split, thetas, starts)
+        out += make_traces(bench.binding, split, dict(zip(labels, predictions, strict=True)))
+    return tuple(out)
+
+
+def _notes(binding: Binding, fit: Fit, compile_time: float) -> list[str]:
+    own = [n for n in fit.notes if n not in binding.dataset.notes]
+    friction = "tanh(qd / v) with v = " + f"{binding.chain.smoothing_velocity:g}"
+    law = "true sticking" if binding.chain.smoothing_velocity == 0 else friction
+    return [*own, f"Coulomb friction: {law}", f"compilation took {compile_time:.2g} s"]
+
+

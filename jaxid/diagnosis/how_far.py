@@ -1,0 +1,78 @@
+"""How far the gap shrinks: report runs only, which were neither fitted nor chosen on."""
+
+from __future__ import annotations
+
+
+import numpy as np
+
+from jaxid.diagnosis.evidence import HeldOut, held_out, memory
+from jaxid.estimation import Bench
+from jaxid.results import ChannelGap, HowFar
+
+
+#: An interval needs at least this many independent blocks.
+BLOCKS = 8
+DRAWS = 2000
+
+
+def measure(
+    bench: Bench, before: np.ndarray, retuned: np.ndarray, after: np.ndarray, verdict: str, seed: int, note: str
+) -> HowFar:
+    """Gaps of three parameter vectors on the report runs: as stated, re-tuned without the effect, with the effect."""
+    b = bench.binding
+    split = "report" if b.experiments("report") else "validation"
+    runs = held_out(bench, split, [before, retuned, after])
+    gaps = [r.gap for r in runs]
+    per_channel = {}
+    for c, (name, unit) in enumerate(b.chain.signature.outputs):
+        sigma = float(b.sigma[c])
+        rmse = [
+            sigma * float(np.sqrt(np.mean(np.concatenate([r[:, c] for r in run.residual]) ** 2))) for run in runs
+        ]
+        noise = b.noise[name]
+        per_channel[name] = ChannelGap(unit, rmse[0], rmse[1], rmse[2], noise.std, noise.source)
+    shrinkage = interval = None
+    reason = ""
+    if verdict == "none":
+        reason = "the verdict is none: there is no gap to shrink"
+    elif gaps[0] <= 1.0:
+        reason = "the gap was at the noise floor on report data before any effect was added"
+    else:
+        shrinkage = shrink(gaps[0] ** 2, gaps[2] ** 2)
+        interval, reason = bootstrap(runs[0], runs[2], seed)
+    text = (
+        f"gap on {split} data: {gaps[0]:.3g} times the noise before, {gaps[1]:.3g} after re-tuning the old parameters alone, "
+        f"{gaps[2]:.3g} with the effects added"
+    )
+    return HowFar(gaps[0], gaps[1], gaps[2], 1.0, shrinkage, interval, reason, per_channel, f"{text}. {note}".strip())
+
+
+def shrink(before: float, after: float) -> float:
+    """Share of the gap that is closed; arguments are mean squares in units of the noise."""
+    return 1 - (after - 1) / (before - 1)
+
+
+def bootstrap(before: HeldOut, after: HeldOut, seed: int) -> tuple[tuple[float, float] | None, str]:
+    """95 % interval of the shrinkage from resampled blocks of the report runs, or the reason why there is none.
+
+    A free run drifts: its error is one slow curve, so blocks are as long as the residual's memory (the longer of both).
+    """
+    length = 2 * max(memory(before.residual), memory(after.residual))
+    pairs = []
+    for a, b in zip(before.residual, after.residual, strict=True):
+        for k in range(0, len(a) - length + 1, length):
+            pairs.append((np.sum(a[k : k + length] ** 2), np.sum(b[k : k + length] ** 2), a[k : k + length].size))
+    if len(pairs) < BLOCKS:
+        return None, (
+            f"no interval: residuals remember themselves for {length // 2} samples, so the report data hold only "
+            f"{len(pairs)} independent blocks and {BLOCKS} are needed"
+        )
+    table = np.array(pairs)
+    draw = np.random.default_rng(seed).integers(0, len(table), (DRAWS, len(table)))
+    s = table[draw].sum(1)
+    first, last = s[:, 0] / s[:, 2], s[:, 1] / s[:, 2]
+    values = shrink(np.maximum(first, 1 + 1e-9), last)
+    low, high = np.percentile(values, [2.5, 97.5])
+    return (float(low), float(high)), ""
+
+

@@ -1,0 +1,313 @@
+"""Where the gap lies: the force that the model lacks, by joint, regime and time, against what noise alone would show.
+
+The missing force m(t) = drive - (M qdd + bias + friction) is computed along the smoothed measured motion. Derivatives of a
+noisy position make such a residual even for a perfect model, so every figure is compared with the same figure of simulated
+data: the model's own free run with the measured noise added, through the same filters.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from jaxid import samples
+from jaxid.estimation import Bench, estimate_starts, free_runs
+from jaxid.experiment import Experiment
+from jaxid.problem import Problem
+from jaxid.residual import InverseDynamics, OutputError
+from jaxid.results import Finding, MissingForce, Regime
+
+
+#: Simulated repetitions for the null of every regime.
+NULLS = 12
+WINDOW_S = 0.5
+
+
+@dataclass
+class Missing:
+    """Missing force of one run: [time nq], and [draws time nq] of what a perfect model would show."""
+
+    experiment: Experiment
+    keep: np.ndarray
+    q: np.ndarray
+    qd: np.ndarray
+    qdd: np.ndarray
+    load: np.ndarray
+    force: np.ndarray
+    null: np.ndarray
+
+
+def missing_forces(bench: Bench, theta: np.ndarray, starts: np.ndarray | None, seed: int, draws: int = NULLS) -> list[Missing]:
+    """Missing force on the fit runs at `theta`; empty where the model does not measure its joints."""
+    b = bench.binding
+    if not b.motions:
+        return []
+    residual = InverseDynamics(decimate=1)
+    runs = bench.runs(residual, "fit")
+    experiments = b.experiments("fit")
+    iu, iy = samples.columns(b.dataset, b.chain)
+    problem = bench.problem(residual, "fit", [], theta)
+    force = [-p for p in _torque(problem, theta)]
+    if starts is None:
+        starts = estimate_starts(bench, "fit", [theta])[0]
+    simulated = free_runs(bench, "fit", [theta], starts[None])[0]
+    rng = np.random.default_rng(seed)
+    nulls: list[list[np.ndarray]] = [[] for _ in experiments]
+    for _ in range(draws):
+        motion = []
+        for e, y in zip(experiments, simulated, strict=True):
+            noisy = y + b.sigma * rng.standard_normal(y.shape)
+            motion.append(_differentiated(e, noisy, b.sigma, [e.y[:, i] for i in iy]))
+        for k, p in enumerate(_torque(problem, theta, motion)):
+            nulls[k].append(-p)
+    out = []
+    for k, e in enumerate(experiments):
+        m = b.motions[e.name]
+        record = runs.record(runs.records[k])
+        keep = np.zeros(len(e.t), bool)
+        keep[np.searchsorted(_positions(runs, k), record.samples)] = True
+        load = e.u[:, iu] if iu else np.zeros((len(e.t), b.chain.nq))
+        out.append(
+            Missing(e, keep, m.q[keep], m.qd[keep], m.qdd[keep], load[keep], force[k], np.array(nulls[k]))
+        )
+    return out
+
+
+def _positions(runs, k: int) -> np.ndarray:
+    record = runs.record(runs.records[k])
+    return np.arange(record.first, record.last + 1)
+
+
+def _differentiated(e: Experiment, y: np.ndarray, sigma: np.ndarray, measured: Sequence[np.ndarray]) -> np.ndarray:
+    from jaxid.signals import differentiate
+
+    parts = []
+    for c in range(y.shape[1]):
+        parts.append(differentiate(e.t, y[:, c], samples.content_cutoff(e.t, measured[c], sigma[c]))[:3])
+    return np.concatenate([np.stack([p[k] for p in parts], -1) for k in range(3)], 1)
+
+
+def _torque(problem: Problem, theta: np.ndarray, motion: Sequence[np.ndarray] | None = None) -> list[np.ndarray]:
+    """Minus the missing force at the kept samples of each run; `motion` [time 3 nq] per run replaces the measured one."""
+    import jax.numpy as jnp
+
+    from jaxid.precision import float64
+
+    engine = problem.runs.engine
+    kept = engine.samples
+    if motion is not None:
+        x = np.array(kept.x)
+        for number, m in zip(problem.records, motion, strict=True):
+            r = problem.runs.record(number)
+            x[r.first : r.last + 1] = m
+        with float64():
+            engine.samples = kept._replace(x=jnp.asarray(x))
+    try:
+        return problem.predictions(problem.z(theta))
+    finally:
+        engine.samples = kept
+
+
+def regimes(m: Missing, joint: int) -> dict[str, np.ndarray]:
+    """Masks over the kept samples of one run and joint: the situations in which a machine can be."""
+    qd, q, qdd = m.qd[:, joint], m.q[:, joint], m.qdd[:, joint]
+    speed = np.percentile(np.abs(qd), 99) + 1e-300
+    t = m.experiment.t[m.keep]
+    v = np.abs(qd) / speed
+    moving = v > 0.03
+    sign = np.sign(np.where(moving, qd, 0.0))
+    filled = _last_nonzero(sign)
+    flips = np.flatnonzero(np.diff(filled) != 0)
+    near = np.zeros(len(t), bool)
+    span = t[-1] - t[0]
+    reach = min(0.1, span / 100)
+    for f in flips:
+        near |= np.abs(t - t[f]) <= reach
+    starts = np.flatnonzero(moving[1:] & ~moving[:-1])
+    leaving = np.zeros(len(t), bool)
+    for f in starts:
+        leaving |= (t >= t[f]) & (t <= t[f] + reach)
+    a = np.abs(qdd) / (np.percentile(np.abs(qdd), 99) + 1e-300)
+    low, high = np.percentile(q, [2, 98])
+    out = {
+        "standstill": ~moving,
+        "breakaway": leaving & ~near,
+        "velocity_reversal": near,
+        "low_speed": moving & (v < 0.25),
+        "high_speed": v > 0.7,
+        "forward": sign > 0,
+        "backward": sign < 0,
+        "high_acceleration": a > 0.6,
+        "upper_travel": q > low + 0.8 * (high - low),
+        "lower_travel": q < low + 0.2 * (high - low),
+        "early": t < t[0] + span / 3,
+        "late": t > t[0] + 2 * span / 3,
+    }
+    u = np.abs(m.load[:, joint])
+    top = np.percentile(u, 99)
+    if top > 0:
+        out["high_load"] = u > 0.7 * top
+        out["low_load"] = u < 0.15 * top
+    return out
+
+
+def _last_nonzero(sign: np.ndarray) -> np.ndarray:
+    index = np.where(sign != 0, np.arange(len(sign)), 0)
+    return sign[np.maximum.accumulate(index)]
+
+
+_WORDS = {
+    "standstill": "while standing still",
+    "breakaway": "at breakaway",
+    "velocity_reversal": "around velocity reversals",
+    "low_speed": "at low speed",
+    "high_speed": "at high speed",
+    "forward": "while moving forwards",
+    "backward": "while moving backwards",
+    "high_acceleration": "under high acceleration",
+    "upper_travel": "at the upper end of travel",
+    "lower_travel": "at the lower end of travel",
+    "early": "in the first third of the run",
+    "late": "in the last third of the run",
+    "high_load": "under high load",
+    "low_load": "under low load",
+    "everywhere": "everywhere alike",
+}
+
+
+def table(found: Sequence[Missing], joints: Sequence[str]) -> list[Regime]:
+    """Strength of the missing force in each regime over its strength overall, and the same for a perfect model."""
+    out = []
+    for j, joint in enumerate(joints):
+        masks = [regimes(m, j) for m in found]
+        for name in dict.fromkeys(n for mask in masks for n in mask):
+            mask = [k.get(name, np.zeros(len(m.force), bool)) for k, m in zip(masks, found, strict=True)]
+            count = int(sum(k.sum() for k in mask))
+            if count < 20:
+                continue
+            ratio = _ratio([m.force[:, j] for m in found], mask)
+            null = [
+                _ratio([m.null[d][:, j] for m in found], mask) for d in range(len(found[0].null))
+            ]
+            low, high = (float(x) for x in np.percentile(null, [2.5, 97.5])) if null else (np.nan, np.nan)
+            out.append(Regime(joint, name, ratio, (low, high), count))
+    return out
+
+
+def _ratio(series: Sequence[np.ndarray], masks: Sequence[np.ndarray]) -> float:
+    inside = np.concatenate([s[k] for s, k in zip(series, masks, strict=True)])
+    return float(np.sqrt(np.mean(inside**2) / max(np.mean(np.concatenate(series) ** 2), 1e-300)))
+
+
+def floor_of(found: Sequence[Missing], joint: int) -> float:
+    """Root mean square of the missing force that noise alone would show."""
+    return float(np.sqrt(np.mean(np.concatenate([m.null[:, :, joint].ravel() for m in found]) ** 2)))
+
+
+def findings(
+    bench: Bench, found: Sequence[Missing], rows: Sequence[Regime], locations: dict[str, str], most: int = 3
+) -> list[Finding]:
+    """The places that hold most of the gap, worst first; `locations` joint -> location of the effect blamed there."""
+    b = bench.binding
+    joints, outputs = b.chain.signature.joints, [n for n, _ in b.chain.signature.outputs]
+    unit = b.chain.signature.unit("{F}")
+    total = sum(_excess(found, j, None) for j in range(len(joints))) or 1e-300
+    out = []
+    for j, joint in enumerate(joints):
+        floor = floor_of(found, j)
+        scored_rows = []
+        for row in rows:
+            if row.joint != joint or row.null[1] <= 0:
+                continue
+            inside = [regimes(m, j).get(row.regime, np.zeros(len(m.force), bool)) for m in found]
+            energy = _excess(found, j, inside)
+            lift = row.ratio / max(row.null[1], 1e-9)
+            if row.ratio > max(1.1, 1.1 * row.null[1]) and energy > 0.05 * total:
+                scored_rows.append((lift * np.sqrt(energy / total), energy / total, row.regime, inside))
+        scored_rows.sort(key=lambda r: -r[0])
+        if not scored_rows:
+            every = [np.ones(len(m.force), bool) for m in found]
+            share = _excess(found, j, None) / total
+            if share > 0.2:
+                scored_rows = [(0.0, share, "everywhere", every)]
+        for _, share, regime, inside in scored_rows[:most]:
+            values = np.concatenate([m.force[k, j] for m, k in zip(found, inside, strict=True)])
+            strength = float(np.sqrt(np.mean(values**2)))
+            times = strength / max(floor, 1e-300)
+            window, experiment = _window(found, j, inside)
+            place = locations.get(joint, joint)
+            text = (
+                f"{joint}: {100 * share:.0f} % of the missing force lies {_WORDS[regime]} ({strength:.3g} {unit} rms, "
+                f"{times:.3g} times what noise would show); worst from {window[0]:.4g} to {window[1]:.4g} s of {experiment}"
+            )
+            channel = joint if joint in outputs else outputs[min(j, len(outputs) - 1)]
+            out.append(Finding(channel, place, regime, window, float(share), float(times), text))
+    return sorted(out, key=lambda f: -f.share_of_gap * f.times_noise_floor)[:most]
+
+
+def _excess(found: Sequence[Missing], joint: int, masks: Sequence[np.ndarray] | None) -> float:
+    """Energy of the missing force above what noise would show, over a regime or everything, in units of that noise."""
+    total = 0.0
+    for k, m in enumerate(found):
+        mask = np.ones(len(m.force), bool) if masks is None else masks[k]
+        null = m.null[:, mask, joint]
+        floor = np.mean(m.null[:, :, joint] ** 2) + 1e-300
+        total += float(np.sum(m.force[mask, joint] ** 2) - np.sum(null**2) / max(1, len(null))) / float(floor)
+    return max(total, 0.0)
+
+
+def _window(found: Sequence[Missing], joint: int, masks: Sequence[np.ndarray]) -> tuple[tuple[float, float], str]:
+    """The half second (or twentieth of the run) in which the missing force of a regime is strongest."""
+    best, where = -1.0, ((0.0, 0.0), "")
+    for m, mask in zip(found, masks, strict=True):
+        t = m.experiment.t[m.keep]
+        energy = np.concatenate([[0.0], np.cumsum(np.where(mask, m.force[:, joint] ** 2, 0.0))])
+        until = np.searchsorted(t, t + min(WINDOW_S, (t[-1] - t[0]) / 20), side="right")
+        strength = energy[until] - energy[np.arange(len(t))]
+        k = int(np.argmax(strength))
+        if strength[k] > best:
+            best = float(strength[k])
+            where = ((float(t[k]), float(t[until[k] - 1])), m.experiment.name)
+    return where
+
+
+def output_findings(bench: Bench, theta: np.ndarray, starts: np.ndarray) -> list[Finding]:
+    """For models whose joints are not measured: the window of each channel where the free run is worst."""
+    b = bench.binding
+    runs = bench.runs(OutputError(), "fit")
+    predictions = free_runs(bench, "fit", [theta], starts[None])[0]
+    out = []
+    for c, (name, unit) in enumerate(b.chain.signature.outputs):
+        for record, e, p in zip(runs.records, runs.experiments, predictions, strict=True):
+            error = p[:, c] - runs.targets[runs.record(record).samples][:, c]
+            energy = np.concatenate([[0.0], np.cumsum(error**2)])
+            until = np.searchsorted(e.t, e.t + min(WINDOW_S, (e.t[-1] - e.t[0]) / 20), side="right")
+            strength = energy[until] - energy[np.arange(len(e.t))]
+            k = int(np.argmax(strength))
+            rms = float(np.sqrt(strength[k] / max(1, until[k] - k)))
+            share = float(strength[k] / max(energy[-1], 1e-300))
+            window = (float(e.t[k]), float(e.t[until[k] - 1]))
+            times = rms / float(b.sigma[c])
+            text = f"{name}: the free run is worst from {window[0]:.4g} to {window[1]:.4g} s of {e.name} ({rms:.3g} {unit} rms)"
+            out.append(Finding(name, name, "time_window", window, share, times, text))
+    return sorted(out, key=lambda f: -f.times_noise_floor)[:3]
+
+
+def pictures(
+    bench: Bench, before: Sequence[Missing], after: Sequence[Missing]
+) -> list[MissingForce]:
+    """Series for the report, one per joint and fit run."""
+    b = bench.binding
+    s = b.chain.signature
+    out = []
+    for m, a in zip(before, after, strict=True):
+        for j, joint in enumerate(s.joints):
+            out.append(
+                MissingForce(
+                    joint, s.unit("{F}"), s.unit("{X}"), s.unit("{X}/s"), m.experiment.name, m.experiment.t[m.keep],
+                    m.q[:, j], m.qd[:, j], m.load[:, j], m.force[:, j], a.force[:, j], floor_of(before, j),
+                )
+            )  # fmt: skip
+    return out

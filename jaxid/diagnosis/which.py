@@ -1,0 +1,366 @@
+"""Which effect is missing: screen all candidates from one fit, refit, choose on held-out runs, abstain when nothing fits.
+
+The screen must rank and the refit must decide: signatures of physically different effects are often nearly parallel after
+re-tuning, and some effects have no derivative at their neutral value. Information criteria alone prefer the richer neighbour
+of the true effect; runs that were not fitted do not.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from jaxid.diagnosis.evidence import HeldOut, held_out, inflation, memory, worth
+from jaxid.estimation import Bench
+from jaxid.fitter import Progress
+from jaxid.fitters import descend, Path, search
+from jaxid.parameter import resolve
+from jaxid.problem import Problem, rows
+from jaxid.residual import InverseDynamics, Residual
+
+
+#: A difference of held-out evidence below this many chi-square units (3 sigma) decides nothing.
+DECISIVE = 9.0
+#: Candidates within this share of the best screen value are refitted, at least MINIMUM and at most MAXIMUM of them.
+SCREEN_SHARE, MINIMUM, MAXIMUM = 0.02, 8, 16
+#: An effect must remove at least this share of what is left of the gap on validation data.
+GAIN = 0.02
+#: Near the floor: nothing worth another effect is left below this mean square on validation data.
+NEAR_FLOOR = 1.02
+
+
+@dataclass(frozen=True)
+class Candidate:
+    """An effect at a location: the positions of its parameters in the layout."""
+
+    effect: str
+    location: str
+    index: tuple[int, ...]
+
+    def __str__(self) -> str:
+        return f"{self.effect} at {self.location}"
+
+
+@dataclass
+class Hypothesis:
+    """A set of effects with the model refitted to it, and what it predicts."""
+
+    effects: tuple[Candidate, ...]
+    theta: np.ndarray
+    path: Path
+    validation: HeldOut
+
+    @property
+    def fit_loss(self) -> float:
+        return 2 * self.path.cost / max(1, self.path.count)
+
+    @property
+    def size(self) -> int:
+        """Number of effect parameters."""
+        return sum(len(c.index) for c in self.effects)
+
+    @property
+    def bic(self) -> float:
+        return self.path.count * np.log(max(self.fit_loss, 1e-300)) + self.path.problem.free.size * np.log(
+            max(2, self.path.count)
+        )
+
+
+@dataclass
+class Search:
+    """What the search found: the accepted steps, and all that was tried on the way."""
+
+    nominal: Hypothesis
+    chosen: Hypothesis
+    tried: list[Hypothesis] = field(default_factory=list)
+    confusable: list[Candidate] = field(default_factory=list)
+
+
+def candidates(bench: Bench, allowed: Sequence[str]) -> list[Candidate]:
+    """Every allowed effect that the model lacks, at each of its locations."""
+    b = bench.binding
+    out = []
+    for effect in b.chain.effects:
+        if effect.name in allowed and not any(i in b.nominal for i in b.layout.of_effect(effect.name)):
+            for place in b.chain.places(effect):
+                out.append(Candidate(effect.name, place, tuple(b.layout.of_effect(effect.name, place))))
+    return out
+
+
+class Searcher:
+    """Forward selection with re-evaluation, on one bench and residual."""
+
+    def __init__(self, bench: Bench, residual: Residual, nominal: Path, progress: Progress | None = None):
+        self.bench, self.residual, self.progress = bench, residual, progress
+        self.base_free = list(nominal.problem.free)
+        self.nominal = self._hypotheses([((), nominal)])[0]
+        self._low, self._high = bench.binding.lower, bench.binding.upper
+        self._inflations: dict[frozenset[str], float] = {}
+        self.known: dict[frozenset[str], Hypothesis] = {frozenset(): self.nominal}
+
+    # ---- hypotheses
+
+    def _hypotheses(self, found: Sequence[tuple[tuple[Candidate, ...], Path]]) -> list[Hypothesis]:
+        thetas = [path.problem.theta(path.z) for _, path in found]
+        validations = held_out(self.bench, "validation", thetas, self.residual)
+        return [Hypothesis(e, t, p, v) for (e, p), t, v in zip(found, thetas, validations, strict=True)]
+
+    def problem(self, effects: Sequence[Candidate], theta: np.ndarray) -> Problem:
+        free = self.base_free + [i for c in effects for i in c.index]
+        return self.bench.problem(self.residual, "fit", free, theta)
+
+    def refit(self, sets: Sequence[tuple[tuple[Candidate, ...], Sequence[np.ndarray]]]) -> list[Hypothesis]:
+        """Refits each set of effects from its starts (full parameter vectors), all in one batch; best start of each."""
+        starts = self.nominal.path.problem.starts(self.nominal.path.z)
+        groups = []
+        for (effects, thetas), more in zip(sets, self._torque_starts(sets), strict=True):
+            p = self.problem(effects, thetas[0])
+            groups.append([(p, p.z(theta, starts)) for theta in [*thetas, *more]])
+        final, _ = search(groups, 30, 1e-7)
+        found = self._hypotheses([(effects, path) for (effects, _), path in zip(sets, final, strict=True)])
+        for h in found:
+            self.known[_key(h.effects)] = h
+        return found
+
+    def _torque_starts(self, sets: Sequence[tuple[tuple[Candidate, ...], Sequence[np.ndarray]]]) -> list[list[np.ndarray]]:
+        """A start of each set from the torque residual of the measured motion: biased by the noise of derivatives, but free of
+        the free run's local minima (where a nominal term stands in for two missing ones, a descent stays)."""
+        b = self.bench.binding
+        if not b.motions:
+            return [[] for _ in sets]
+        jobs = []
+        for effects, thetas in sets:
+            free = self.base_free + [i for c in effects for i in c.index]
+            p = self.bench.problem(InverseDynamics(decimate=1), "fit", free, thetas[0])
+            jobs.append((p, p.z(thetas[0])))
+        return [[p.problem.theta(p.z)] if np.isfinite(p.cost) else [] for p in descend(jobs, 12, 1e-6)]
+
+    # ---- screen
+
+    def screen(self, h: Hypothesis, pool: Sequence[Candidate]) -> list[tuple[float, Candidate, list[np.ndarray]]]:
+        """Share of the sum of squares that each candidate explains beside `h` to first order in everything but itself.
+
+        Each finite probe is simulated, what re-tuning could do is projected out, and the probe is scaled within [0, 4].
+        Returns (share, candidate, starts for the refit), best first.
+        """
+        p, z = h.path.problem, h.path.z
+        parts = list(rows([(p, z)]))
+        Q = _basis(parts, p.size)
+        r0 = np.concatenate([part.r.ravel() for part in parts])
+        total = float(r0 @ r0)
+        r0 = r0 - Q @ (Q.T @ r0)
+        probes: list[tuple[Candidate, np.ndarray]] = []
+        jobs = []
+        for c in pool:
+            for theta in self.probes(c, h.theta):
+                q = Problem(p.runs, theta, [], self.bench.binding.lower, self.bench.binding.upper, p.records)
+                zq = np.concatenate([np.zeros(0), p.starts(z)[q.start_rows, q.start_columns]])
+                probes.append((c, theta))
+                jobs.append((q, zq))
+        residuals = _residuals(p, jobs)
+        best: dict[str, list[tuple[float, np.ndarray]]] = {}
+        who: dict[str, Candidate] = {}
+        for (c, theta), r in zip(probes, residuals, strict=True):
+            d = r - np.concatenate([part.r.ravel() for part in parts])
+            if not np.isfinite(d).all():
+                continue
+            d = d - Q @ (Q.T @ d)
+            power = float(d @ d)
+            if power <= 1e-12 * max(total, 1.0) * 1e-6 or power < 1e-6:
+                continue  # the data do not react to this effect
+            scale = float(np.clip(-(r0 @ d) / power, 0.0, 4.0))
+            gain = float(-2 * scale * (r0 @ d) - scale**2 * power)
+            start = h.theta + max(scale, 0.05) * (theta - h.theta)
+            for i in c.index:  # a shape parameter has no zero to be scaled from
+                if self.bench.binding.layout.entries[i].spec.log:
+                    start[i] = theta[i]
+            best.setdefault(str(c), []).append((gain / max(total, 1e-300), start))
+            who[str(c)] = c
+        ranked = []
+        for name, found in best.items():
+            found.sort(key=lambda f: -f[0])
+            ranked.append((found[0][0], who[name], [s for _, s in found[:2]]))
+        return sorted(ranked, key=lambda f: -f[0])
+
+    def probes(self, c: Candidate, theta: np.ndarray) -> list[np.ndarray]:
+        """Parameter vectors with one candidate switched on at each of its probe strengths."""
+        b = self.bench.binding
+        effect = next(e for e in b.chain.effects if e.name == c.effect)
+        place = b.chain.places(effect).index(c.location)
+        reference = b.references[min(place, len(b.references) - 1)]
+        out = []
+        for probe in effect.probes:
+            new = theta.copy()
+            for i in c.index:
+                field_name = b.layout.entries[i].field
+                if field_name in probe:
+                    new[i] = np.clip(resolve(probe[field_name], reference), b.lower[i], b.upper[i])
+            out.append(new)
+        return out
+
+    # ---- search
+
+    def run(self, pool: Sequence[Candidate], max_effects: int) -> Search:
+        """Forward selection up to `max_effects`, then each accepted effect is questioned again."""
+        chosen, tried = self.nominal, []
+        while len(chosen.effects) < max_effects:
+            rest = [c for c in pool if c not in chosen.effects]
+            if not rest:
+                break
+            found = self._extend(chosen, rest)
+            tried += found
+            step = self._best(chosen, found)
+            if step is None and len(chosen.effects) + 2 <= max_effects:
+                step = self._pairs(chosen, found)
+                tried += [step] if step else []
+            if step is None:
+                break
+            chosen = step
+            if chosen.validation.loss < NEAR_FLOOR and chosen.fit_loss < NEAR_FLOOR + 0.05:
+                break
+        chosen = self._questioned(chosen)
+        return Search(self.nominal, chosen, tried, self._mates(chosen, pool))
+
+    def _extend(self, h: Hypothesis, rest: Sequence[Candidate]) -> list[Hypothesis]:
+        """Refits of `h` with one more effect each, for all that the screen lets pass."""
+        ranked = self.screen(h, rest)
+        if not ranked:
+            return []
+        if self.progress:
+            self.progress("screen", len(h.effects), 3, f"{len(ranked)} candidates react to the data")
+        bar = ranked[0][0] - SCREEN_SHARE
+        kept = [f for k, f in enumerate(ranked) if k < MINIMUM or f[0] >= bar][:MAXIMUM]
+        if self.progress:
+            self.progress("refit", len(h.effects), 3, f"{len(kept)} candidates")
+        return self.refit([((*h.effects, c), starts) for _, c, starts in kept])
+
+    def _evidence(self, before: Hypothesis, after: Hypothesis) -> tuple[float, float]:
+        """Evidence for `after` in chi-square units: from the fit runs, and from the validation runs."""
+        fitted = (before.fit_loss - after.fit_loss) * after.path.count
+        return fitted / self.fit_inflation(after), worth(after.validation, before.validation, inflation(after.validation))
+
+    def fit_inflation(self, h: Hypothesis) -> float:
+        """The same as `inflation` for the residual of the fit runs."""
+        key = _key(h.effects)
+        if key not in self._inflations:
+            series = [part.r for part in rows([(Problem(h.path.problem.runs, h.theta, [], self._low, self._high,
+                      h.path.problem.records), h.path.z[h.path.problem.free.size :])])]  # fmt: skip
+            self._inflations[key] = max(1.0, h.fit_loss) * memory(series)
+        return self._inflations[key]
+
+    def _significant(self, before: Hypothesis, after: Hypothesis) -> bool:
+        """Whether the effects that `after` has beyond `before` are there: fit and validation runs together decide, and the
+        validation runs must agree."""
+        fitted, held = self._evidence(before, after)
+        left = max(before.validation.loss - 1.0, 1e-12)
+        share = (before.validation.loss - after.validation.loss) / left
+        return held > 0 and share > GAIN and fitted + held > 2 * DECISIVE + 2 * (after.size - before.size)
+
+    def _best(self, before: Hypothesis, found: Sequence[Hypothesis]) -> Hypothesis | None:
+        """The choice among refits: best on validation data; of those that it does not beat decisively, the one with the
+        fewest parameters, then with the best evidence on fit and validation data together."""
+        good = [h for h in found if self._significant(before, h)]
+        if not good:
+            return None
+        top = min(good, key=lambda h: h.validation.loss)
+        factor = inflation(top.validation)
+        near = [h for h in good if worth(top.validation, h.validation, factor) < DECISIVE]
+        fewest = min(h.size for h in near)
+        return min((h for h in near if h.size == fewest), key=self._joint)
+
+    def _joint(self, h: Hypothesis) -> float:
+        """Mean square over fit and validation samples together."""
+        total = h.fit_loss * h.path.count + h.validation.loss * h.validation.count
+        return total / (h.path.count + h.validation.count)
+
+    def _pairs(self, before: Hypothesis, found: Sequence[Hypothesis]) -> Hypothesis | None:
+        """Two effects at once, where one alone brings nothing (a nominal term may stand in for both)."""
+        singles = sorted(found, key=lambda h: h.fit_loss)[:4]
+        sets = []
+        for a in range(len(singles)):
+            for b in range(a):
+                first, second = singles[b], singles[a]
+                theta = first.theta.copy()
+                new = second.effects[-1]
+                theta[list(new.index)] = second.theta[list(new.index)]
+                if new not in first.effects:
+                    sets.append(((*first.effects, new), [theta, *self.probes(new, first.theta)[:2]]))
+        return self._best(before, self.refit(sets)) if sets else None
+
+    def _questioned(self, h: Hypothesis) -> Hypothesis:
+        """Takes out effects that are no longer needed beside the others."""
+        while len(h.effects) > 1:
+            sets = []
+            for c in h.effects:
+                rest = tuple(e for e in h.effects if e is not c)
+                if _key(rest) not in self.known:
+                    theta = h.theta.copy()
+                    theta[list(c.index)] = self.bench.binding.theta[list(c.index)]
+                    sets.append((rest, [theta]))
+            if sets:
+                self.refit(sets)
+            smaller = [self.known[_key(tuple(e for e in h.effects if e is not c))] for c in h.effects]
+            needless = [s for s in smaller if not self._significant(s, h)]
+            if not needless:
+                return h
+            h = min(needless, key=lambda s: s.validation.loss)
+        return h
+
+    def _mates(self, chosen: Hypothesis, pool: Sequence[Candidate]) -> list[Candidate]:
+        """What the data cannot tell from the named effects: alternatives in the place of each, the others kept."""
+        out: list[Candidate] = []
+        factor = inflation(chosen.validation)
+        for c in chosen.effects:
+            others = tuple(e for e in chosen.effects if e is not c)
+            missing = [e for e in pool if e not in chosen.effects and _key((*others, e)) not in self.known]
+            if missing and others and _key(others) in self.known:
+                self._extend(self.known[_key(others)], missing)
+            for e in pool:
+                h = self.known.get(_key((*others, e)))
+                if e in chosen.effects or h is None or e in out:
+                    continue
+                both = self._joint(h) - self._joint(chosen)
+                count = chosen.path.count + chosen.validation.count
+                near = worth(chosen.validation, h.validation, factor) < DECISIVE
+                if near and both * count / factor < 2 * DECISIVE:
+                    out.append(e)
+        return out
+
+
+def _key(effects: Sequence[Candidate]) -> frozenset[str]:
+    return frozenset(str(c) for c in effects)
+
+
+def _basis(parts, size: int) -> np.ndarray:
+    """Orthonormal basis of what re-tuning can do to the residual, [samples rank]."""
+    n = sum(part.r.size for part in parts)
+    J = np.zeros((n, size))
+    k = 0
+    for part in parts:
+        J[k : k + part.r.size, part.z_columns] = part.J.reshape(part.r.size, -1)
+        k += part.r.size
+    J = J[:, np.abs(J).max(0) > 0] / np.linalg.norm(J[:, np.abs(J).max(0) > 0], axis=0)
+    q, s, _ = np.linalg.svd(J, full_matrices=False)
+    return q[:, s > 1e-9 * s[0]] if s.size else q
+
+
+def _residuals(p: Problem, jobs: Sequence[tuple[Problem, np.ndarray]]) -> list[np.ndarray]:
+    """Weighted residual vectors at the samples, without tangents."""
+    runs = p.runs
+    n = len(p.records)
+    theta = np.repeat(np.array([q.base for q, _ in jobs]), n, 0)
+    start = np.concatenate([q.starts(z) for q, z in jobs])
+    record = np.tile(np.array(p.records), len(jobs))
+    y = runs.engine.outputs(theta, start, record)
+    out = []
+    for k in range(len(jobs)):
+        parts = []
+        for i, number in enumerate(p.records):
+            at = runs.record(number).samples
+            parts.append(
+                (runs.weights[at] * (runs.sample_prediction(number, y[k * n + i]) - runs.targets[at])).ravel()
+            )
+        out.append(np.concatenate(parts))
+    return out

@@ -1,0 +1,251 @@
+"""Simulation of many candidates: lanes of one compiled program.
+
+A lane is one candidate on one record, with one tangent direction. Candidates, parameters and records share ONE flat batch
+axis in blocks of fixed size: the program never recompiles because a number changed, a lane's result does not depend on its
+neighbours (bitwise), and a lane that diverges costs the others nothing.
+"""
+
+from __future__ import annotations
+
+import os
+import time
+from collections.abc import Callable, Sequence
+from concurrent.futures import ThreadPoolExecutor
+from typing import Any, NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float, Int
+
+from jaxid.chain import Carry, Chain, Command
+from jaxid.layout import Layout
+from jaxid.precision import float64
+from jaxid.samples import BLOCK, Record, Samples, bucket
+
+
+#: Lanes of one block: enough for vector code, few enough to stay in the cache.
+LANES = 16
+#: Upper bound of every delay parameter of the library.
+LONGEST_DELAY_S = 0.1
+
+
+#: (chain, samples, where, start, steps, length, reach, burn) -> prediction at every step of a record.
+Lane = Callable[..., Array]
+
+
+def command_at(samples: Samples, k: Array, first: Array, last: Array, reach: int) -> Command:
+    """Command of buffer step k of the run that occupies first ... last; `reach` as of `reach_of`."""
+    now, h = samples.t[k], samples.h[k]
+
+    def step_of(t: Array) -> Array:
+        """Position of the step that holds each time [nu], none later than one step ahead."""
+        if reach == 0:  # equal steps: by arithmetic, then one place to either side against rounding
+            low = jnp.clip(k + jnp.floor((t - now) / h).astype(k.dtype), first, last)
+            low = jnp.where(samples.t[low] > t, jnp.maximum(low - 1, first), low)
+            up = jnp.minimum(low + 1, last)
+            return jnp.where(samples.t[up] <= t, up, low)
+        low, high = jnp.full(t.shape, jnp.maximum(k - reach, first)), jnp.full(t.shape, jnp.minimum(k + 1, last))
+        for _ in range(reach.bit_length() + 1):
+            middle = (low + high + 1) // 2
+            down = samples.t[middle] > t
+            low, high = jnp.where(down, low, middle), jnp.where(down, middle - 1, high)
+        return low
+
+    def integral(t: Array) -> Array:
+        """Integral of the stated input from the run's beginning to times t [nu]; before the run the first input holds."""
+        low = step_of(t)
+        channel = jnp.arange(t.shape[0])
+        return samples.total[low, channel] + samples.u[low, channel] * (t - samples.t[low])
+
+    delayed = lambda d: (integral(now + h - d) - integral(now - d)) / h
+    return Command(now, h, samples.u[k], samples.other[k], delayed)
+
+
+def simulate_lane(
+    chain: Chain,
+    samples: Samples,
+    where: Int[Array, " 4"],
+    start: Float[Array, " two_nq"],
+    steps: Array,
+    length: int,
+    reach: int,
+    burn: bool,
+) -> Float[Array, "length ny"]:
+    """Outputs of one model on one record, at every step of the buffer (`steps` of them, then zeros).
+
+    `where` holds the first step of the lane, the bounds of its run, and the burn-in: for so many steps the mechanism follows
+    the measured motion, so that effects bring their states to the record's beginning; then it starts from `start`.
+    The loop runs over blocks, their count is data: one program serves every length.
+    """
+    body, nq = chain.body(), chain.nq
+    begin, first, last, lead = where
+
+    def step(carry: Carry, k: Array) -> tuple[Carry, Array]:
+        i = jnp.minimum(begin + k, last)
+        if burn:
+            forced = jnp.where(k < lead, samples.x[i], start)
+            x = body.start(forced[:nq], forced[nq:])
+            carry = carry._replace(x=jax.tree.map(lambda a, b: jnp.where(k <= lead, a, b), x, carry.x))
+        command = command_at(samples, i, first, last, reach)
+        y, carry = chain.sense(body, carry, command)
+        return chain.advance(body, carry, command), y
+
+    return _blocks_of(step, chain.start(start[:nq], start[nq:], samples.u[begin]), steps, length, len(chain.signature.outputs))
+
+
+def torque_lane(
+    chain: Chain,
+    samples: Samples,
+    where: Int[Array, " 4"],
+    start: Float[Array, " two_nq"],
+    steps: Array,
+    length: int,
+    reach: int,
+    burn: bool,
+) -> Float[Array, "length nq"]:
+    """Minus the missing torque of the measured motion, M qdd + bias + friction - drive(u), at every sample of one run."""
+    nq = chain.nq
+    begin, first, last, _ = where
+
+    def step(z: tuple, k: Array) -> tuple[tuple, Array]:
+        i = jnp.minimum(begin + k, last)
+        command = command_at(samples, i, first, last, reach)
+        q, qd, qdd = samples.x[i, :nq], samples.x[i, nq : 2 * nq], samples.x[i, 2 * nq :]
+        missing, z = chain.inverse(command, z, q, qd, qdd)
+        return z, -missing
+
+    z = chain.start(samples.x[begin, :nq], samples.x[begin, nq : 2 * nq], samples.u[begin]).z
+    return _blocks_of(step, z, steps, length, nq)
+
+
+def _blocks_of(step: Callable, carry: Any, steps: Array, length: int, width: int) -> Array:
+    def block(state):
+        k, carry, out = state
+        carry, y = jax.lax.scan(step, carry, k + jnp.arange(BLOCK, dtype=k.dtype))
+        return k + BLOCK, carry, jax.lax.dynamic_update_slice_in_dim(out, y, k, 0)
+
+    state = (jnp.zeros((), jnp.asarray(steps).dtype), carry, jnp.zeros((length, width)))
+    return jax.lax.while_loop(lambda s: s[0] < steps, block, state)[2]
+
+
+def reach_of(samples: Samples, record: Record) -> int:
+    """0 where a run has equal steps (to one percent), else how many steps the longest delay may reach back, as a power of
+    two."""
+    t, h = (np.asarray(a)[record.first : record.last] for a in (samples.t, samples.h))
+    if not h.size or np.ptp(h) <= 0.01 * np.median(h):
+        return 0
+    return bucket(int(np.max(np.arange(t.size) - np.searchsorted(t, t - LONGEST_DELAY_S))) + 2, 8)
+
+
+#: Blocks of lanes run side by side, one per core; which thread runs a block changes nothing in its result.
+_POOL = ThreadPoolExecutor(max_workers=os.cpu_count() or 1, thread_name_prefix="jaxid-lanes")
+
+
+class Programs(NamedTuple):
+    """The compiled functions of one kind of model: pure batch prediction, and jitted outputs and tangents."""
+
+    predict: Callable[..., Array]
+    outputs: Callable[..., Any]
+    tangents: Callable[..., Any]
+    losses: dict[str, Any]
+    known: set[str]  # which of them have been compiled in this process
+
+
+_PROGRAMS: dict[Any, Programs] = {}
+
+
+def programs_for(layout: Layout, lane: Lane, length: int, reach: int, burn: bool) -> Programs:
+    """Programs shared by all engines of the same structure: numbers, data and lengths up to the bucket are arguments."""
+    key = (jax.tree.structure(layout.chain), lane, length, reach, burn)
+    if key not in _PROGRAMS:
+
+        def predict(theta, start, where, samples, steps):
+            return lane(layout.model(theta), samples, where, start, steps, length, reach, burn)
+
+        def tangent(theta, start, dtheta, dstart, where, samples, steps):
+            f = lambda theta, start: predict(theta, start, where, samples, steps)
+            return jax.jvp(f, (theta, start), (dtheta, dstart))
+
+        batch = jax.vmap(predict, (0, 0, 0, None, None))
+        tangents = jax.jit(jax.vmap(tangent, (0, 0, 0, 0, 0, None, None)))
+        _PROGRAMS[key] = Programs(batch, jax.jit(batch), tangents, {}, set())
+    return _PROGRAMS[key]
+
+
+class Engine:
+    """Compiled predictions of a layout on records, with tangents and without, for any number of lanes."""
+
+    def __init__(
+        self,
+        layout: Layout,
+        samples: Samples,
+        records: Sequence[Record],
+        overrides: np.ndarray,
+        lane: Lane,
+        length: int = 0,
+    ):
+        """`overrides` [records size]: numbers that a record's experiment states itself, nan elsewhere. `length` is the least
+        size of a lane's output, so that engines on other records share one program."""
+        self.layout, self.records, self.overrides, self.lane = layout, list(records), overrides, lane
+        self.length = bucket(max(length, *(r.count + r.lead for r in records)), BLOCK)
+        self.compile_time_s = 0.0
+        with float64():
+            self.samples = Samples(*(jnp.asarray(a) for a in samples))
+        reach = max(reach_of(samples, r) for r in self.records)
+        programs = programs_for(layout, lane, self.length, reach, any(r.lead for r in self.records))
+        self.predict, self.programs, self._known = programs.predict, programs.losses, programs.known
+        self._outputs, self._tangents = programs.outputs, programs.tangents
+        self.where = np.array([[r.offset - r.lead, r.first, r.last, r.lead] for r in self.records], np.int32)
+        self.steps = np.array([r.count + r.lead for r in self.records], np.int32)
+
+    def theta_of(self, theta: np.ndarray, record: np.ndarray) -> np.ndarray:
+        """The numbers in force on each lane's record."""
+        stated = self.overrides[record]
+        return np.where(np.isnan(stated), theta, stated)
+
+    def outputs(self, theta: np.ndarray, start: np.ndarray, record: np.ndarray, share: float = 1.0) -> np.ndarray:
+        """Predictions [lanes length ny]; theta [lanes size], start [lanes 2 nq], record [lanes]; only the first `share`."""
+        return self._call("outputs", self._outputs, (self.theta_of(theta, record), start), record, share)[0]
+
+    def tangents(
+        self,
+        theta: np.ndarray,
+        start: np.ndarray,
+        dtheta: np.ndarray,
+        dstart: np.ndarray,
+        record: np.ndarray,
+        share: float = 1.0,
+    ) -> tuple[np.ndarray, np.ndarray]:
+        """Predictions and their derivative along (dtheta, dstart), each [lanes length ny]."""
+        dtheta = np.where(np.isnan(self.overrides[record]), dtheta, 0.0)
+        arrays = (self.theta_of(theta, record), start, dtheta, dstart)
+        y, dy = self._call("tangents", self._tangents, arrays, record, share)
+        return y, dy
+
+    def _call(self, name: str, program, arrays, record: np.ndarray, share: float) -> list[np.ndarray]:
+        steps = np.ceil(self.steps[record] * share).astype(np.int32)
+        order = np.argsort(-steps, kind="stable")  # longest first, so that a block holds lanes of like length
+        results: list[np.ndarray] = []
+
+        def block(part: np.ndarray) -> tuple[np.ndarray, tuple]:
+            padded = np.concatenate([part, np.repeat(part[-1:], LANES - part.size)])
+            with float64():
+                out = program(*(a[padded] for a in arrays), self.where[record[padded]], self.samples, steps[part[0]])
+            return part, tuple(np.asarray(o) for o in (out if isinstance(out, tuple) else (out,)))
+
+        def store(part: np.ndarray, out: tuple) -> None:
+            if not results:
+                results.extend(np.empty((record.size, *o.shape[1:])) for o in out)
+            for r, o in zip(results, out, strict=True):
+                r[part] = o[: part.size]
+
+        parts = [order[k : k + LANES] for k in range(0, order.size, LANES)]
+        if name not in self._known:  # the first call compiles
+            began = time.perf_counter()
+            store(*block(parts.pop(0)))
+            self.compile_time_s += time.perf_counter() - began
+            self._known.add(name)
+        for part, out in _POOL.map(block, parts) if len(parts) > 1 else map(block, parts):
+            store(part, out)
+        return results

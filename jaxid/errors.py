@@ -1,0 +1,14 @@
+"""Errors a user can mend: each names what is wrong and what to do about it."""
+
+
+class UsageError(ValueError):
+    """A wrong argument: an unknown name, a model that does not fit the data, a fitter that does not fit the residual."""
+
+
+def nearest(word: str, choices) -> str:
+    """`" (did you mean 'x'?)"` for the closest choice, or the list of choices when nothing is close."""
+    from difflib import get_close_matches
+
+    choices = list(choices)
+    close = get_close_matches(word, choices, n=1, cutoff=0.5)
+    return f" (did you mean {close[0]!r}?)" if close else f" (there is: {', '.join(choices)})"

@@ -1,0 +1,365 @@
+"""From data to a `Fit`: start values, the fitter, uncertainty, scores on data that were and were not fitted."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import jax
+import numpy as np
+
+from jaxid import samples
+from jaxid.binding import Binding
+from jaxid.errors import UsageError
+from jaxid.experiment import Experiment
+from jaxid.fitter import AbstractFitter, Minimum, Progress
+from jaxid.problem import Problem
+from jaxid.residual import InverseDynamics, MultipleShooting, OutputError, Residual, Runs
+from jaxid.results import EffectEstimate, Estimate, Fit, Score, Trace
+from jaxid.uncertainty import Covariance, covariance
+
+
+#: Halving the step must not move the simulation by more than this share of what separates it from the data, or by more
+#: than this share of the noise.
+STEP_SHARE = 0.02
+
+
+@dataclass
+class Bench:
+    """Runs of a binding made ready, one set per split and residual, with the same step."""
+
+    binding: Binding
+    step: float = samples.STEP
+
+    def __post_init__(self):
+        self._runs: dict[tuple[str, str], Runs] = {}
+        steps = {e.name: samples.step_count(e, self.step) for e in self.binding.dataset.experiments}
+        totals = [sum(steps[e.name] for e in self.binding.experiments(s)) for s in ("fit", "validation", "report")]
+        self._shape = max(totals), max(steps.values())  # one shape for all splits, hence one program
+
+    def runs(self, residual: Residual, split: str) -> Runs:
+        key = (repr(residual), split)
+        if key not in self._runs:
+            b = self.binding
+            experiments = b.experiments(split)
+            self._runs[key] = residual.runs(
+                b.dataset, experiments, b.layout, b.sigma, b.motions_of(experiments), self.step, self._shape_of(residual)
+            )
+        return self._runs[key]
+
+    def _shape_of(self, residual: Residual) -> tuple[int, int]:
+        return (self._shape[0], 0) if isinstance(residual, MultipleShooting) else self._shape
+
+    def problem(
+        self,
+        residual: Residual,
+        split: str,
+        free: Sequence[int],
+        theta: np.ndarray,
+        records: Sequence[int] | None = None,
+        loss: str = "sum_of_squares",
+    ) -> Problem:
+        b = self.binding
+        return Problem(self.runs(residual, split), theta, free, b.lower, b.upper, records, loss)
+
+    def compile_time(self) -> float:
+        return sum(r.engine.compile_time_s for r in self._runs.values())
+
+
+def default_residual(binding: Binding) -> Residual:
+    """The free run: it says most about a simulator, and a drift that a wrong law causes is what it is asked to show."""
+    return OutputError()
+
+
+def start_values(bench: Bench, free: Sequence[int], seed: int) -> list[np.ndarray]:
+    """Guesses of every number of the model, best first: what inverse dynamics finds, what was stated or is the default."""
+    b = bench.binding
+    guesses = [b.theta]
+    linear = [i for i in free if i not in b.stated] or list(free)
+    if b.motions and linear:
+        from jaxid.fitters import descend
+
+        quick = InverseDynamics(decimate=1)
+        problem = bench.problem(quick, "fit", linear, b.theta)
+        path = descend([(problem, problem.z(b.theta))], 15, 1e-8)[0]
+        if np.isfinite(path.cost):
+            guesses.insert(0, problem.theta(path.z))
+            if b.stated & set(free):
+                both = bench.problem(quick, "fit", free, b.theta)
+                path = descend([(both, both.z(guesses[0]))], 15, 1e-8)[0]
+                if np.isfinite(path.cost):
+                    guesses.insert(0, both.theta(path.z))
+    return guesses
+
+
+def estimate_starts(bench: Bench, split: str, thetas: Sequence[np.ndarray]) -> np.ndarray:
+    """Starts of the free runs of a split that is not fitted, from their first moments only; [thetas runs 2 nq]."""
+    return starts_and_information(bench, split, thetas)[0]
+
+
+def starts_and_information(
+    bench: Bench, split: str, thetas: Sequence[np.ndarray]
+) -> tuple[np.ndarray, list[list[np.ndarray]]]:
+    """The same, and per theta and run how much the first moments tell about the unknown part of the start (J'J).
+
+    The start is fitted on the longest of some nested first stretches that the model follows to within twice the noise: with a
+    fine encoder a wrong friction law would else bend the start within a tenth of a second.
+    """
+    from jaxid.fitters import descend
+
+    runs = bench.runs(OutputError(), split)
+    jobs = []
+    for theta in thetas:
+        for heads in runs.heads:
+            for head in heads:
+                p = bench.problem(OutputError(), split, [], theta, [head])
+                jobs.append((p, p.z(theta)))
+    unknown = [k for k, (p, _) in enumerate(jobs) if p.size]
+    paths = dict(zip(unknown, descend([jobs[k] for k in unknown], 8, 1e-8), strict=True)) if unknown else {}
+    starts = np.zeros((len(thetas), len(runs.heads), jobs[0][0].start0.shape[1]))
+    information: list[list[np.ndarray]] = []
+    k = 0
+    for i in range(len(thetas)):
+        information.append([])
+        for j, heads in enumerate(runs.heads):
+            own = range(k, k + len(heads))  # longest first
+            k += len(heads)
+            best = own[-1]
+            for n in own:
+                if n in paths and 2 * paths[n].cost <= 2 * max(1, paths[n].count - jobs[n][0].size):
+                    best = n
+                    break
+            p, z = jobs[best]
+            z = paths[best].z if best in paths else z
+            starts[i, j] = p.starts(z)[0]
+            hessian = paths[best].hessian if best in paths else None
+            information[-1].append(np.zeros((p.size, p.size)) if hessian is None else hessian)
+    return starts, information
+
+
+def free_runs(bench: Bench, split: str, thetas: Sequence[np.ndarray], starts: np.ndarray) -> list[list[np.ndarray]]:
+    """Free runs of several parameter vectors: per theta and experiment the outputs at the samples [samples ny]."""
+    runs = bench.runs(OutputError(), split)
+    n = len(runs.records)
+    theta = np.repeat(np.array(thetas), n, 0)
+    record = np.tile(np.array(runs.records), len(thetas))
+    y = runs.engine.outputs(theta, starts.reshape(len(theta), -1), record)
+    out = [runs.sample_prediction(r, row) for r, row in zip(record, y, strict=True)]
+    return [out[k * n : (k + 1) * n] for k in range(len(thetas))]
+
+
+def scored(e: Experiment, split: str) -> np.ndarray:
+    """Which samples of a run count in its score: those that estimated the start of a run that was not fitted do not."""
+    from jaxid.residual import head_samples
+
+    keep = np.ones(len(e.t), bool)
+    if split != "fit" and not e.at_rest and e.initial is None:
+        keep[: head_samples(e)] = False
+    return keep
+
+
+def scores(bench: Bench, split: str, predictions: Sequence[np.ndarray]) -> dict[str, Score]:
+    """rmse, nrmse, relative error per channel of the free runs of a split."""
+    b = bench.binding
+    out = {}
+    _, iy = samples.columns(b.dataset, b.chain)
+    for c, (name, unit) in enumerate(b.chain.signature.outputs):
+        y, e = [], []
+        for experiment, prediction in zip(b.experiments(split), predictions, strict=True):
+            keep = scored(experiment, split)
+            y.append(experiment.y[keep, iy[c]])
+            e.append(prediction[keep, c] - y[-1])
+        out[name] = score(np.concatenate(y), np.concatenate(e), unit)
+    return out
+
+
+def score(y: np.ndarray, error: np.ndarray, unit: str) -> Score:
+    rmse = float(np.sqrt(np.mean(error**2)))
+    return Score(rmse, rmse / max(float(np.std(y)), 1e-300), rmse / max(float(np.sqrt(np.mean(y**2))), 1e-300), unit)
+
+
+def torque_scores(bench: Bench, residual: Residual, split: str, theta: np.ndarray, free: Sequence[int]) -> dict[str, Score]:
+    """The same for inverse dynamics: filtered torque against what the model needs for the measured motion."""
+    problem = bench.problem(residual, split, free, theta)
+    runs = problem.runs
+    out = {}
+    missing = np.concatenate(problem.predictions(problem.z(theta)))
+    from jaxid.torque import measured_torque
+
+    drive = measured_torque(bench.binding.dataset, runs)
+    for c, (name, unit) in enumerate(runs.channels):
+        out[name] = score(drive[:, c], missing[:, c], unit)
+    return out
+
+
+def estimates(binding: Binding, problem: Problem, z: np.ndarray, cov: Covariance) -> dict[int, Estimate]:
+    """Layout position -> estimate of each fitted number."""
+    theta, slope = problem.theta(z), problem.dtheta(z)
+    out = {}
+    for k, i in enumerate(problem.free):
+        std = cov.std[k] * slope[k]
+        out[int(i)] = Estimate(
+            float(theta[i]),
+            float(std) if np.isfinite(std) else None,
+            binding.layout.entries[i].unit,
+            float(binding.lower[i]),
+            float(binding.upper[i]),
+            bool(cov.at_bound[k]),
+            bool(cov.identifiable[k]),
+        )
+    return out
+
+
+def named_estimates(
+    binding: Binding, found: dict[int, Estimate]
+) -> tuple[dict[str, Estimate], tuple[EffectEstimate, ...]]:
+    """Estimates of the model's own parameters by id, and of added effects by effect and location."""
+    builtin = {kind.name for kind, _ in binding.chain.mechanism.builtin}
+    own: dict[str, Estimate] = {}
+    added: dict[tuple[str, str], dict[str, Estimate]] = {}
+    for i, estimate in found.items():
+        e = binding.layout.entries[i]
+        effect = None if e.owner < 0 else binding.chain.effects[e.owner].name
+        if effect is None or effect in builtin:
+            own[e.name] = estimate
+        if effect is not None and (effect not in builtin or is_candidate(binding, effect)):
+            added.setdefault((effect, e.location), {})[e.field] = estimate
+    return own, tuple(EffectEstimate(e, where, p) for (e, where), p in added.items())
+
+
+def is_candidate(binding: Binding, effect: str) -> bool:
+    """Whether an effect is not part of the nominal model but was put into the chain afterwards."""
+    entries = binding.layout.of_effect(effect)
+    return not any(i in binding.nominal for i in entries)
+
+
+def fit_binding(
+    binding: Binding,
+    fitter: AbstractFitter,
+    residual: Residual | None,
+    loss: str,
+    seed: int,
+    budget: int | None,
+    progress: Progress | None,
+) -> Fit:
+    """The whole of `jaxid.fit` once model and data are bound."""
+    began = time.perf_counter()
+    residual = residual or default_residual(binding)
+    step, compile_time, notes = samples.STEP, 0.0, []
+    for halvings in range(4):
+        bench = Bench(binding, step)
+        free = binding.free
+        guesses = start_values(bench, free, seed)
+        problem = bench.problem(residual, "fit", free, guesses[0], loss=loss)
+        key = jax.random.key(seed)
+        result = fitter.minimise(problem, [problem.z(g) for g in guesses], key, budget, progress)
+        compile_time += bench.compile_time()
+        moved = step_error(bench, problem, result.z) if not isinstance(residual, InverseDynamics) else 0.0
+        if result.failed or moved <= STEP_SHARE:
+            break
+        step /= 2
+        if halvings < 3:
+            notes.append(f"halving the step moved the simulation by {moved:.2g} of the noise or gap: refitted at {step:.3g} s")
+    return assemble(
+        bench, problem, result, residual, fitter.name, seed, compile_time, time.perf_counter() - began, notes
+    )
+
+
+def step_error(bench: Bench, problem: Problem, z: np.ndarray) -> float:
+    """How much the simulation at z moves when the step is halved, over the larger of noise and gap (rms, worst column)."""
+    finer = Bench(bench.binding, bench.step / 2)
+    if isinstance(problem.runs.statement, str) and problem.runs.statement.startswith("windows"):
+        return 0.0
+    runs = finer.runs(OutputError(), "fit")
+    lanes = np.array(problem.records)
+    theta = np.tile(problem.theta(z), (lanes.size, 1))
+    fine = runs.engine.outputs(theta, problem.starts(z), lanes)
+    worst = 0.0
+    coarse = problem.predictions(z)
+    move = np.concatenate([runs.sample_prediction(r, row) - c for r, row, c in zip(lanes, fine, coarse, strict=True)])
+    gap = np.concatenate(
+        [c - problem.runs.targets[problem.runs.record(r).samples] for r, c in zip(lanes, coarse, strict=True)]
+    )
+    size = np.maximum(np.sqrt(np.mean(gap**2, 0)), problem.runs.noise)
+    worst = float(np.max(np.sqrt(np.mean(move**2, 0)) / size))
+    return worst if np.isfinite(worst) else 0.0
+
+
+def assemble(
+    bench: Bench,
+    problem: Problem,
+    result: Minimum,
+    residual: Residual,
+    fitter: str,
+    seed: int,
+    compile_time: float,
+    wall_time: float,
+    notes: Sequence[str] = (),
+) -> Fit:
+    """A `Fit` from a minimum: uncertainty, scores, traces, notes."""
+    binding = bench.binding
+    theta = problem.theta(result.z)
+    notes = [*binding.dataset.notes, f"residual: {problem.runs.statement}", *notes]
+    if result.failed:
+        return Fit(
+            binding.chain.mechanism.name, (), fitter, residual.name, problem.loss_name, seed, False, True,
+            result.stopped_because, result.loss, {}, {}, {}, result.evaluations, wall_time, compile_time,
+            binding.dataset.name, binding.dataset.sha256, tuple(notes), history=tuple(result.history), theta=theta,
+        )  # fmt: skip
+    cov = covariance(problem, result.z)
+    found = estimates(binding, problem, result.z, cov)
+    own, added = named_estimates(binding, found)
+    names = problem.names
+    groups = tuple(tuple(names[i] for i in g) for g in cov.groups)
+    notes.append(cov.statement)
+    notes += [
+        f"{binding.layout.names[i]} ended at its bound ({e.value:.4g} {e.unit})" for i, e in found.items() if e.at_bound
+    ]
+    notes += [f"{names}: {n.text}" for names, n in binding.noise.items()]
+
+    table: dict[str, dict[str, Score]] = {}
+    traces: list[Trace] = []
+    windowed: dict[str, Score] = {}
+    for split in ("fit", "validation", "report"):
+        experiments = binding.experiments(split)
+        if not experiments:
+            continue
+        if isinstance(residual, InverseDynamics):
+            table[split] = torque_scores(bench, residual, split, theta, problem.free)
+            continue
+        if split == "fit" and isinstance(residual, OutputError):
+            starts = problem.starts(result.z)[None]
+        else:
+            starts = estimate_starts(bench, split, [theta])
+        predictions = free_runs(bench, split, [theta], starts)[0]
+        table[split] = scores(bench, split, predictions)
+        traces += make_traces(binding, split, {"fit": predictions})
+        if split == "fit" and not isinstance(residual, OutputError):
+            windowed = window_scores(binding, problem, result.z)
+    return Fit(
+        binding.chain.mechanism.name, added, fitter, residual.name, problem.loss_name, seed, result.converged, False,
+        result.stopped_because, result.loss, own, table, windowed, result.evaluations, wall_time, compile_time,
+        binding.dataset.name, binding.dataset.sha256, tuple(notes), groups, tuple(result.history), tuple(traces), theta,
+    )  # fmt: skip
+
+
+def window_scores(binding: Binding, problem: Problem, z: np.ndarray) -> dict[str, Score]:
+    predictions = np.concatenate(problem.predictions(z))
+    at = np.concatenate([problem.runs.record(r).samples for r in problem.records])
+    y = problem.runs.targets[at]
+    return {
+        name: score(y[:, c], predictions[:, c] - y[:, c], unit)
+        for c, (name, unit) in enumerate(binding.chain.signature.outputs)
+    }
+
+
+def make_traces(binding: Binding, split: str, predictions: dict[str, Sequence[np.ndarray]]) -> list[Trace]:
+    """Traces of a split, one per experiment and channel; `predictions` label -> outputs per experiment."""
+    out = []
+    _, iy = samples.columns(binding.dataset, binding.chain)
+    for k, e in enumerate(binding.experiments(split)):
+        for c, (name, unit) in enumerate(binding.chain.signature.outputs):
+            series = {label: p[k][:, c] for label, p in predictions.items()}
+            out.append(Trace(e.name, split, name, unit, e.t, e.y[:, iy[c]], series, float(binding.sigma[c])))
+    return out

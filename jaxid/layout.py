@@ -1,0 +1,114 @@
+"""A model as one flat vector of numbers with names, units and bounds: what fitters see of it."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any, NamedTuple
+
+import equinox as eqx
+import numpy as np
+from jaxtyping import Array, Float
+
+from jaxid.chain import Chain, Effect
+from jaxid.errors import UsageError, nearest
+from jaxid.parameter import ParameterSpec, Reference, resolve, specs
+
+
+class Entry(NamedTuple):
+    """One number of a model. `owner` -1 is the mechanism, else the index of the effect; `place` its location there."""
+
+    name: str
+    owner: int
+    field: str
+    place: int
+    location: str
+    spec: ParameterSpec
+    unit: str
+
+
+class Layout:
+    """Order, names and meaning of all numbers of a model: those of the mechanism, then those of each effect by location."""
+
+    def __init__(self, chain: Chain):
+        self.chain = chain
+        self.entries = tuple(_entries(chain))
+        self.names = [e.name for e in self.entries]
+        self.values = np.array(
+            [
+                np.asarray(getattr(chain.mechanism, e.field))
+                if e.owner < 0
+                else np.asarray(getattr(chain.effects[e.owner], e.field))[e.place]
+                for e in self.entries
+            ],
+            np.float64,
+        )
+        self._leaves = [(-1, name, 1) for name in specs(chain.mechanism)]
+        for i, effect in enumerate(chain.effects):
+            self._leaves += [(i, name, len(chain.places(effect))) for name in specs(effect)]
+        self.log = np.array([e.spec.log for e in self.entries])
+
+    def __len__(self) -> int:
+        return len(self.entries)
+
+    def model(self, theta: Float[Array, " size"]) -> Chain:
+        """The same chain with these numbers (works on tracers)."""
+        values: list[Any] = []
+        position = 0
+        for owner, name, width in self._leaves:
+            values.append(theta[position] if owner < 0 else theta[position : position + width])
+            position += width
+
+        def leaves(chain: Chain) -> list[Any]:
+            owners = (*chain.effects, chain.mechanism)  # index -1 is the mechanism
+            return [getattr(owners[owner], name) for owner, name, _ in self._leaves]
+
+        return eqx.tree_at(leaves, self.chain, values)
+
+    def index(self, name: str) -> int:
+        """Position of a parameter by its printed name."""
+        if name not in self.names:
+            raise UsageError(f"the model has no parameter {name!r}{nearest(name, self.names)}")
+        return self.names.index(name)
+
+    def of_effect(self, effect: str, location: str | None = None) -> list[int]:
+        """Positions of an effect's parameters, at one location or all."""
+        return [
+            i
+            for i, e in enumerate(self.entries)
+            if e.owner >= 0
+            and self.chain.effects[e.owner].name == effect
+            and (location is None or e.location == location)
+        ]
+
+    def boxes(self, references: Sequence[Reference]) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """(lower, upper, scale) of every number, effects' bounds resolved at their joint."""
+        rows = []
+        for e in self.entries:
+            r = references[min(e.place, len(references) - 1)]
+            rows.append([resolve(b, r) for b in (e.spec.lower, e.spec.upper, e.spec.scale)])
+        lower, upper, scale = np.array(rows, np.float64).reshape(-1, 3).T
+        return lower, upper, scale
+
+
+def _entries(chain: Chain):
+    unit = chain.signature.unit
+    for name, spec in specs(chain.mechanism).items():
+        yield Entry(name, -1, name, 0, "", spec, unit(spec.unit))
+    ids = {kind.name: names for kind, names in chain.mechanism.builtin}
+    for i, effect in enumerate(chain.effects):
+        places = chain.places(effect)
+        for field, spec in specs(effect).items():
+            short = ids.get(effect.name, {}).get(field)
+            for k, place in enumerate(places):
+                if short:
+                    name = short if len(places) == 1 else f"{short}{k + 1}"
+                else:
+                    name = f"{effect.name}.{field}@{place}"
+                yield Entry(name, i, field, k, place, spec, unit(channel_unit(chain, effect, k, spec.unit)))
+
+
+def channel_unit(chain: Chain, effect: Effect | type[Effect], place: int, template: str) -> str:
+    """Fills {u} and {y}, the unit of the channel that the effect acts on."""
+    ports = chain.signature.inputs if effect.location == "input" else chain.signature.outputs
+    own = ports[place][1] if place < len(ports) else ""
+    return template.replace("{u}", own).replace("{y}", own)

@@ -1,0 +1,92 @@
+"""What `jaxid models`, `jaxid effects` and `jaxid fitters` print."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any
+
+from jaxid.errors import nearest, UsageError
+from jaxid.results import finite, SCHEMA
+from jaxid.terminal import one_line
+from jaxid.text import table
+
+
+def find(kind: str, name: str | None) -> list[Any]:
+    """The descriptions of everything of a kind (`models`, `effects`, `fitters`), or of the one named."""
+    from jaxid import catalogue
+
+    list_names, describe = {
+        "models": (catalogue.model_names, catalogue.describe),
+        "effects": (catalogue.effect_names, catalogue.describe_effect),
+        "fitters": (catalogue.fitter_names, catalogue.describe_fitter),
+    }[kind]
+    known = list_names()
+    if name is not None and name not in known:
+        raise UsageError(f"there is no {kind[:-1]} {name!r}{nearest(name, known)}")
+    return [describe(n) for n in (known if name is None else [name])]
+
+
+def plain(value: Any) -> Any:
+    """Named tuples as dictionaries, whatever JSON has no word for as text."""
+    if isinstance(value, tuple) and callable(as_dict := getattr(value, "_asdict", None)):
+        return {name: plain(v) for name, v in as_dict().items()}  # pyright: ignore[reportAttributeAccessIssue]
+    if isinstance(value, dict):
+        return {str(k): plain(v) for k, v in value.items()}
+    if isinstance(value, tuple | list):
+        return [plain(v) for v in value]
+    return finite(value) if value is None or isinstance(value, bool | int | float | str) else str(value)
+
+
+def to_dict(kind: str, name: str | None, found: Sequence[Any]) -> dict[str, Any]:
+    """The JSON of a list, or of one description."""
+    if name is None:
+        return {"schema": SCHEMA, "kind": kind, kind: [plain(info) for info in found]}
+    return {"schema": SCHEMA, "kind": kind[:-1], **plain(found[0])}
+
+
+def summary(kind: str, found: Sequence[Any]) -> str:
+    """One line for each."""
+    if kind == "models":
+        rows = [(m.name, "; ".join(map(signature, m.signatures)), ", ".join(m.parameters)) for m in found]
+        return table(("model", "inputs → outputs", "fitted parameters"), rows)
+    if kind == "effects":
+        rows = [(e.name, e.family, e.locations, one_line(e.equation)) for e in found]
+        return table(("effect", "family", "location", "equation"), rows)
+    return table(("fitter", "what it does"), [(f.name, first_sentence(f.text)) for f in found])
+
+
+def signature(of: Any) -> str:
+    """`tau (N m) → q (rad)`."""
+    sides = (", ".join(f"{name} ({unit})" for name, unit in side) for side in (of.inputs, of.outputs))
+    return " → ".join(sides)
+
+
+def first_sentence(text: str) -> str:
+    return " ".join(text.split()).split(". ")[0].rstrip(".")
+
+
+def description(info: Any) -> str:
+    """Everything about one model, effect or fitter: long tables last."""
+    lines, tables = [info.name], []
+    for label, value in plain(info).items():
+        title = label.replace("_", " ")
+        if label == "name" or not value:
+            continue
+        if label == "signatures":
+            lines += [f"  inputs → outputs: {signature(s)}" for s in info.signatures]
+        elif isinstance(value, list) and isinstance(value[0], dict):
+            rows = [[str(cell) for cell in row.values()] for row in value]
+            tables += ["", title.removesuffix(" info"), indented(table(list(value[0]), rows))]
+        elif isinstance(value, list):
+            lines.append(f"  {title}: {', '.join(map(str, value))}")
+        elif isinstance(value, dict):
+            lines.append(f"  {title}: {', '.join(f'{k} = {v}' for k, v in value.items())}")
+        elif "\n" in str(value):
+            lines += [f"  {title}:", indented(str(value).strip(), 4)]
+        else:
+            lines.append(f"  {title}: {value}")
+    return "\n".join(lines + tables)
+
+
+def indented(text: str, by: int = 2) -> str:
+    return "\n".join(" " * by + line for line in text.split("\n"))

@@ -1,0 +1,164 @@
+"""Mechanisms: what moves between the drive and the sensor.
+
+Every mechanism is a pure JAX ODE, `vector_field(t, x, tau)`; that is its definition and the reference of every test. And it
+brings its best step as two answers at the joint port: how fast it would move under this torque (`free`), and the state once
+the final joint velocity is known (`close`). A rigid mechanism gets both from its equation of motion; friction, sticking and
+compliance are then solved in one place for all of them.
+"""
+
+from __future__ import annotations
+
+import abc
+from typing import Any, NamedTuple
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+from jaxtyping import Array, Float
+
+from jaxid.arithmetic import dot, inverse
+
+
+class Signature(NamedTuple):
+    """The channels a model takes and gives: (name, unit) pairs, the names of its joints, and whether they translate."""
+
+    inputs: tuple[tuple[str, str], ...]
+    outputs: tuple[tuple[str, str], ...]
+    joints: tuple[str, ...]
+    linear: bool = False
+
+    def unit(self, template: str) -> str:
+        """A parameter's unit with {F} force, {X} coordinate and {I} inertia filled in."""
+        force, coordinate, inertia = ("N", "m", "kg") if self.linear else ("N m", "rad", "kg m^2")
+        return template.replace("{F}", force).replace("{X}", coordinate).replace("{I}", inertia)
+
+
+class Free(NamedTuple):
+    """Answer of a mechanism to a held torque: end velocity, A = d qd / d tau over the step, and what `close` needs."""
+
+    qd: Float[Array, " nq"]
+    A: Float[Array, "nq nq"]
+    aux: Any
+
+
+class Mechanism(eqx.Module):
+    """Abstract: a mechanical system seen from its joints.
+
+    Class attributes of a final class: `name`, `signatures`, `equations`, `source`, and `builtin`: pairs
+    (effect class, {effect parameter: id in this model}) that the model contains by default.
+    """
+
+    name: eqx.AbstractClassVar[str]
+    signatures: eqx.AbstractClassVar[tuple[Signature, ...]]
+    builtin: eqx.AbstractClassVar[tuple[tuple[type, dict[str, str]], ...]]
+    equations: eqx.AbstractClassVar[str]
+    source: eqx.AbstractClassVar[str]
+
+    @abc.abstractmethod
+    def start(self, q: Float[Array, " nq"], qd: Float[Array, " nq"]) -> Any:
+        """State x with these joint positions and velocities."""
+
+    @abc.abstractmethod
+    def port(self, x: Any) -> tuple[Float[Array, " nq"], Float[Array, " nq"]]:
+        """Joint positions and velocities of a state."""
+
+    @abc.abstractmethod
+    def vector_field(self, t: Any, x: Any, tau: Float[Array, " nq"]) -> Any:
+        """dx/dt under joint torque `tau`."""
+
+    @abc.abstractmethod
+    def free(self, h: Any, x: Any, tau: Float[Array, " nq"]) -> Free:
+        """Motion over a step of length h under held torque."""
+
+    @abc.abstractmethod
+    def close(
+        self,
+        h: Any,
+        x: Any,
+        free: Free,
+        dtau: Float[Array, " nq"],
+        qd: Float[Array, " nq"],
+        shift: Float[Array, " nq"],
+    ) -> Any:
+        """State at the end of the step, given the torque correction `dtau`, the final joint velocity `qd`, and the `shift`
+        of the joint position of a joint that stopped or reversed inside the step."""
+
+    @abc.abstractmethod
+    def inverse(self, q: Float[Array, " nq"], qd: Float[Array, " nq"], qdd: Float[Array, " nq"]) -> Float[Array, " nq"]:
+        """Joint torque that this motion needs (friction excluded)."""
+
+    @abc.abstractmethod
+    def output(self, x: Any, qdd: Float[Array, " nq"]) -> Float[Array, " ny"]:
+        """What ideal sensors read."""
+
+
+class Rigid(Mechanism):
+    """Abstract: M(q) qdd + bias(q, qd) = tau, stepped by the classical Runge-Kutta scheme. Write `matrices`, nothing else."""
+
+    @abc.abstractmethod
+    def matrices(
+        self, q: Float[Array, " nq"], qd: Float[Array, " nq"]
+    ) -> tuple[Float[Array, "nq nq"], Float[Array, " nq"]]:
+        """Mass matrix and bias (Coriolis, centrifugal, gravity, springs)."""
+
+    def start(self, q, qd):
+        return q, qd
+
+    def port(self, x):
+        return x
+
+    def output(self, x, qdd):
+        return x[0]
+
+    def vector_field(self, t, x, tau):
+        M, bias = self.matrices(*x)
+        return x[1], dot(inverse(M), tau - bias)
+
+    def inverse(self, q, qd, qdd):
+        M, bias = self.matrices(q, qd)
+        return dot(M, qdd) + bias
+
+    def free(self, h, x, tau):
+        q, v = x
+
+        def acceleration(q, v):
+            M, bias = self.matrices(q, v)
+            W = inverse(M)
+            return dot(W, tau - bias), W
+
+        a1, _ = acceleration(q, v)
+        a2, W = acceleration(q + h / 2 * v, v + h / 2 * a1)
+        a3, _ = acceleration(q + h / 2 * v + h * h / 4 * a1, v + h / 2 * a2)
+        a4, _ = acceleration(q + h * v + h * h / 2 * a2, v + h * a3)
+        qd = v + h / 6 * (a1 + 2 * a2 + 2 * a3 + a4)
+        return Free(qd, h * W, q + h * v + h * h / 6 * (a1 + a2 + a3))
+
+    def close(self, h, x, free, dtau, qd, shift):
+        return free.aux + h / 2 * (qd - free.qd) + shift, qd
+
+
+class Lagrangian(Rigid):
+    """Abstract: a rigid mechanism from its energies; the equation of motion follows by automatic differentiation."""
+
+    @abc.abstractmethod
+    def kinetic_energy(self, q: Float[Array, " nq"], qd: Float[Array, " nq"]) -> Float[Array, ""]: ...
+
+    @abc.abstractmethod
+    def potential_energy(self, q: Float[Array, " nq"]) -> Float[Array, ""]: ...
+
+    def matrices(self, q, qd):
+        return equations_of_motion(lambda q, qd: self.kinetic_energy(q, qd) - self.potential_energy(q), q, qd)
+
+
+def equations_of_motion(lagrangian, q: Float[Array, " nq"], qd: Float[Array, " nq"]):
+    """(M, bias) of d/dt dL/dqd - dL/dq = tau for a Lagrangian L(q, qd)."""
+    momentum = jax.grad(lagrangian, 1)
+    M = jax.jacfwd(momentum, 1)(q, qd)
+    return M, jax.jvp(lambda q: momentum(q, qd), (q,), (qd,))[1] - jax.grad(lagrangian, 0)(q, qd)
+
+
+def joint_count(mechanism: Mechanism | type[Mechanism]) -> int:
+    return len(mechanism.signatures[0].joints)
+
+
+__all__ = ["Free", "Lagrangian", "Mechanism", "Rigid", "Signature", "equations_of_motion", "joint_count"]

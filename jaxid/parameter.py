@@ -1,0 +1,138 @@
+"""Parameters live on the field that holds them: start or neutral value, bounds, scale, unit, meaning.
+
+Bounds and scales of an effect cannot be absolute: a drive of 60 N and a tracker of 0.1 N m share the library. They are
+written as multiples of reference quantities (`2 * TORQUE / SPEED`) that are read off the data of each joint.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Callable
+from typing import Any, NamedTuple
+
+import equinox as eqx
+import numpy as np
+
+
+class Reference(NamedTuple):
+    """Typical magnitudes at one joint: drive torque, speed, travel, duration of a run, and sampling step."""
+
+    torque: float
+    speed: float
+    angle: float
+    duration: float
+    step: float
+
+
+@dataclasses.dataclass(frozen=True)
+class Quantity:
+    """A number in reference units, `coefficient * torque**a * speed**b * ...`."""
+
+    coefficient: float
+    powers: tuple[tuple[str, int], ...] = ()
+
+    def __mul__(self, other: Quantity | float) -> Quantity:
+        return self._combine(other, 1)
+
+    __rmul__ = __mul__
+
+    def __truediv__(self, other: Quantity | float) -> Quantity:
+        return self._combine(other, -1)
+
+    def __neg__(self) -> Quantity:
+        return Quantity(-self.coefficient, self.powers)
+
+    def _combine(self, other: Quantity | float, sign: int) -> Quantity:
+        other = other if isinstance(other, Quantity) else Quantity(float(other))
+        powers = dict(self.powers)
+        for name, power in other.powers:
+            powers[name] = powers.get(name, 0) + sign * power
+        kept = tuple((n, p) for n, p in powers.items() if p)
+        return Quantity(self.coefficient * other.coefficient**sign, kept)
+
+    def at(self, reference: Reference) -> float:
+        value = self.coefficient
+        for name, power in self.powers:
+            value *= getattr(reference, name) ** power
+        return float(value)
+
+    def __str__(self) -> str:
+        text = f"{self.coefficient:g}"
+        for name, power in self.powers:
+            text += f" {'*' if power > 0 else '/'} {name}" + (f"^{abs(power)}" if abs(power) > 1 else "")
+        return text
+
+
+TORQUE = Quantity(1.0, (("torque", 1),))
+SPEED = Quantity(1.0, (("speed", 1),))
+ANGLE = Quantity(1.0, (("angle", 1),))
+DURATION = Quantity(1.0, (("duration", 1),))
+
+Bound = float | Quantity
+
+
+def resolve(value: Bound, reference: Reference) -> float:
+    """A bound or scale as a plain number."""
+    return value.at(reference) if isinstance(value, Quantity) else float(value)
+
+
+class ParameterSpec(NamedTuple):
+    """What is known of a parameter before any data. `unit` may hold {F}, {X}, {I}: force, coordinate, inertia unit."""
+
+    value: float  # start value of a model parameter, neutral value of an effect's
+    lower: Bound
+    upper: Bound
+    scale: Bound
+    unit: str
+    meaning: str
+    log: bool
+    fixed: bool
+
+
+def param(
+    value: float,
+    lower: Bound,
+    upper: Bound,
+    *,
+    unit: str,
+    meaning: str = "",
+    scale: Bound | None = None,
+    log: bool = False,
+) -> Any:
+    """A field that can be fitted.
+
+    `value` is where a fit starts (the neutral value for an effect: the effect is then exactly the identity), `scale` a
+    typical change (default: a tenth of the value, or of the bounds), `log` searches the logarithm (positive quantities
+    that may lie anywhere in several decades).
+    """
+    if scale is None:
+        scale = 0.1 * abs(value) if value else (upper * 0.1)
+    return _field(ParameterSpec(value, lower, upper, scale, unit, meaning, log, False))
+
+
+def constant(value: float, *, unit: str, meaning: str = "") -> Any:
+    """A field with a known number that is not fitted (geometry, gravity); a dataset may state it, for each run too."""
+    return _field(ParameterSpec(value, -np.inf, np.inf, 1.0, unit, meaning, False, True))
+
+
+def _field(spec: ParameterSpec) -> Any:
+    return eqx.field(default=np.float64(spec.value), converter=_number, metadata={"parameter": spec})
+
+
+def _number(value: Any) -> Any:
+    """Python and NumPy numbers become float64 arrays that follow the precision in force; tracers pass."""
+    return np.asarray(value, np.float64) if isinstance(value, int | float | list | tuple | np.ndarray | np.generic) else value
+
+
+def specs(owner: Any) -> dict[str, ParameterSpec]:
+    """Field name -> specification of a class or instance that declares parameters."""
+    return {f.name: f.metadata["parameter"] for f in dataclasses.fields(owner) if "parameter" in f.metadata}
+
+
+def with_fields(owner: Any, values: dict[str, Any]) -> Any:
+    """The same module with some parameter fields replaced (works on tracers)."""
+    if not values:
+        return owner
+    names = list(values)
+    where: Callable[[Any], list[Any]] = lambda m: [getattr(m, n) for n in names]
+    return eqx.tree_at(where, owner, [values[n] for n in names])

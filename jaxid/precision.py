@@ -1,0 +1,15 @@
+"""Float64 where a fit needs it, without touching the global setting of the user's program."""
+
+from __future__ import annotations
+
+from contextlib import AbstractContextManager
+
+
+def float64() -> AbstractContextManager:
+    """Context in which JAX computes in float64; outside, the user's precision stands."""
+    import jax
+
+    switch = getattr(jax, "enable_x64", None)
+    if switch is None:  # JAX before 0.8
+        from jax.experimental import enable_x64 as switch
+    return switch(True)

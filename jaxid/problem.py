@@ -1,0 +1,303 @@
+"""A model and its runs as numbers: what every fitter, gradient or population, works on.
+
+z = (free parameters in their search scale, unknown starts). `loss(z)` is one compiled number; `linearise` gives what a
+least-squares method needs for many (problem, z) at once, all in the same batch of lanes.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass
+from typing import Any, NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float
+
+from jaxid.engine import LANES, Engine
+from jaxid.errors import UsageError
+from jaxid.precision import float64
+from jaxid.residual import Runs
+from jaxid.samples import Samples
+
+
+#: Loss of a candidate that diverges: finite, above anything that a simulation can give.
+PENALTY = 1e30
+
+
+class Data(NamedTuple):
+    """Arguments of the compiled loss."""
+
+    samples: Samples
+    base: Any
+    free: Any
+    log: Any
+    start0: Any
+    start_rows: Any
+    start_columns: Any
+    stated: Any
+    where: Any
+    counts: Any
+    steps: Any
+    count: Any
+    norm: Any
+
+
+@dataclass(frozen=True)
+class Linear:
+    """Sum of squares at z with gradient and Gauss-Newton matrix (of half the sum), and the number of residuals."""
+
+    cost: float
+    gradient: np.ndarray
+    hessian: np.ndarray
+    count: int
+
+
+class Problem:
+    """Free numbers of a model on some runs.
+
+    `base` holds every number of the layout, `free` the positions of those that are fitted between `lower` and `upper`
+    (both over the whole layout). `records` selects records of the runs, by default all that the residual made.
+    """
+
+    def __init__(
+        self,
+        runs: Runs,
+        base: np.ndarray,
+        free: Sequence[int],
+        lower: np.ndarray,
+        upper: np.ndarray,
+        records: Sequence[int] | None = None,
+        loss: str = "sum_of_squares",
+    ):
+        if loss not in LOSSES:
+            raise UsageError(f"unknown loss {loss!r}; there is: {', '.join(LOSSES)}")
+        self.runs, self.base, self.loss_name = runs, np.asarray(base, np.float64), loss
+        self.free = np.asarray(free, int)
+        self.records = list(runs.records if records is None else records)
+        self.log = runs.layout.log[self.free] & (lower[self.free] > 0)
+        self.start0 = np.array([np.concatenate([runs.record(r).q0, runs.record(r).qd0]) for r in self.records])
+        self.start_free = np.array([runs.record(r).free for r in self.records], bool)
+        rows, columns = np.nonzero(self.start_free)
+        self.start_rows, self.start_columns = rows, columns
+        reach = self._start_reach()
+        self.lower = np.concatenate([self._search(lower[self.free]), (self.start0 - reach)[rows, columns]])
+        self.upper = np.concatenate([self._search(upper[self.free]), (self.start0 + reach)[rows, columns]])
+
+    def _start_reach(self) -> np.ndarray:
+        """How far an unknown start may lie from its guess: a fifth of the travel, the travel per tenth of the run."""
+        out = []
+        for r in self.records:
+            record = self.runs.record(r)
+            e = self.runs.experiments[record.experiment]
+            nq = len(record.q0)
+            travel = np.ptp(e.y, axis=0)[:nq] if e.y.shape[1] >= nq else np.full(nq, np.ptp(e.y))
+            q = 0.2 * travel + 1e-6
+            out.append(np.concatenate([q, 10 * travel / (e.t[-1] - e.t[0]) + 2 * np.abs(record.qd0) + 1e-6]))
+        return np.array(out)
+
+    def _search(self, values: np.ndarray) -> np.ndarray:
+        return np.where(self.log, np.log(np.where(self.log, values, 1.0)), values)
+
+    @property
+    def size(self) -> int:
+        return self.lower.size
+
+    @property
+    def names(self) -> list[str]:
+        """Printed names of z."""
+        joints = self.runs.layout.chain.signature.joints
+        states = [*joints, *(f"{j} velocity" for j in joints)]
+        params = [self.runs.layout.names[i] for i in self.free]
+        return params + [
+            f"start of record {r}: {states[c]}" for r, c in zip(self.start_rows, self.start_columns, strict=True)
+        ]
+
+    def z(self, theta: np.ndarray, starts: np.ndarray | None = None) -> np.ndarray:
+        """Search vector of a full parameter vector and starts [records 2 nq]."""
+        starts = self.start0 if starts is None else starts
+        z = np.concatenate([self._search(theta[self.free]), starts[self.start_rows, self.start_columns]])
+        return np.clip(z, self.lower, self.upper)
+
+    def theta(self, z: np.ndarray) -> np.ndarray:
+        """Every number of the model at z."""
+        out = self.base.copy()
+        part = z[: self.free.size]
+        out[self.free] = np.where(self.log, np.exp(np.where(self.log, part, 0.0)), part)
+        return out
+
+    def starts(self, z: np.ndarray) -> np.ndarray:
+        """Start of each record, [records 2 nq]."""
+        out = self.start0.copy()
+        out[self.start_rows, self.start_columns] = z[self.free.size :]
+        return out
+
+    def dtheta(self, z: np.ndarray) -> np.ndarray:
+        """d theta / d z of the free parameters."""
+        return np.where(self.log, self.theta(z)[self.free], 1.0)
+
+    # ---- the one loss
+
+    @property
+    def data(self) -> Data:
+        """Everything the loss reads, as arguments of its program: nothing recompiles because a number changed."""
+        engine, records = self.runs.engine, self.records
+        count, norm = self._scales()
+        return Data(
+            engine.samples, self.base, self.free, self.log, self.start0, self.start_rows, self.start_columns,
+            engine.overrides[records], engine.where[records],
+            np.array([self.runs.record(r).count for r in records], np.int32), engine.steps[records].max(), count, norm,
+        )  # fmt: skip
+
+    def pure_losses(self, z: Float[Array, "pop size"], data: Data) -> Float[Array, " pop"]:
+        """Loss of each candidate, traceable; a candidate that diverges gets PENALTY."""
+        value = LOSSES[self.loss_name](sums(self.runs.engine, z, data), data)
+        return jnp.minimum(jnp.where(jnp.isfinite(value), value, PENALTY), PENALTY)
+
+    def _scales(self) -> tuple[np.ndarray, np.ndarray]:
+        """Per residual column: the number of samples, and the sum of squares of the measured signal."""
+        count, norm = 0.0, 0.0
+        for r in self.records:
+            record = self.runs.record(r)
+            w = self.runs.weights[record.samples] > 0
+            count = count + w.sum(0)
+            norm = norm + np.sum(np.where(w, self.runs.targets[record.samples], 0.0) ** 2, 0)
+        return np.asarray(count, float), np.asarray(norm, float)
+
+    def losses(self, z: np.ndarray) -> np.ndarray:
+        """Loss of each row of z [pop size]; the same program and numbers for every fitter."""
+        programs = self.runs.engine.programs
+        program = programs.setdefault(self.loss_name, jax.jit(self.pure_losses))
+        z = np.atleast_2d(np.asarray(z, np.float64))
+        out, data = [], self.data
+        with float64():
+            for k in range(0, len(z), LANES):  # one shape, hence one program and the same bits, for any population
+                part = z[k : k + LANES]
+                padded = np.concatenate([part, np.repeat(part[-1:], LANES - len(part), 0)])
+                out.append(np.asarray(program(padded, data))[: len(part)])
+        return np.concatenate(out)
+
+    def loss(self, z: np.ndarray) -> float:
+        """Loss of one candidate."""
+        return float(self.losses(np.asarray(z)[None])[0])
+
+    def predictions(self, z: np.ndarray) -> list[np.ndarray]:
+        """Prediction of each record at its samples, [samples columns]."""
+        lanes = np.array(self.records)
+        theta = np.tile(self.theta(z), (lanes.size, 1))
+        y = self.runs.engine.outputs(theta, self.starts(z), lanes)
+        return [self.runs.sample_prediction(r, row) for r, row in zip(self.records, y, strict=True)]
+
+
+def sums(engine: Engine, z: Float[Array, "pop size"], data: Data) -> Float[Array, "pop 3 columns"]:
+    """Per candidate and residual column: sum of (r / noise)^2, of e^2 and of |e| in units. Pure; one flat lane axis."""
+    pop, R, nfree = z.shape[0], data.where.shape[0], data.free.shape[0]
+    part = z[:, :nfree]
+    values = jnp.where(data.log, jnp.exp(jnp.where(data.log, part, 0.0)), part)
+    theta = jnp.broadcast_to(data.base, (pop, data.base.shape[0])).at[:, data.free].set(values)
+    starts = jnp.broadcast_to(data.start0, (pop, *data.start0.shape))
+    starts = starts.at[:, data.start_rows, data.start_columns].set(z[:, nfree:])
+    stated = jnp.isnan(data.stated)
+    theta = jnp.where(stated, theta[:, None], jnp.where(stated, 0.0, data.stated)).reshape(pop * R, -1)
+    starts = starts.reshape(pop * R, -1)
+    where, counts = jnp.tile(data.where, (pop, 1)), jnp.tile(data.counts, pop)
+    k = jnp.arange(engine.length)
+
+    def lane(prediction, where, count):
+        begin, _, last, lead = where
+        at = jnp.minimum(begin + k, last)
+        inside = ((k >= lead) & (k < lead + count))[:, None]
+        w = jnp.where(inside, data.samples.w[at], 0.0)
+        e = jnp.where(w > 0, prediction - data.samples.y[at], 0.0)
+        totals = jnp.stack([jnp.sum((w * e) ** 2, 0), jnp.sum(e**2, 0), jnp.sum(jnp.abs(e), 0)])
+        return jnp.where(jnp.isfinite(totals), totals, PENALTY)
+
+    def block(arrays):
+        theta, starts, where, counts = arrays
+        return jax.vmap(lane)(engine.predict(theta, starts, where, data.samples, data.steps), where, counts)
+
+    blocks = -(-pop * R // LANES)
+    pad = lambda a: jnp.concatenate([a, jnp.broadcast_to(a[-1:], (blocks * LANES - a.shape[0], *a.shape[1:]))])
+    shaped = [pad(a).reshape(blocks, LANES, *a.shape[1:]) for a in (theta, starts, where, counts)]
+    totals = jax.lax.map(block, tuple(shaped))
+    return jnp.sum(totals.reshape(blocks * LANES, 3, -1)[: pop * R].reshape(pop, R, 3, -1), 1)
+
+
+LOSSES: dict[str, Callable[[Array, Data], Array]] = {
+    # mean square of residual / noise: 1.0 is down to the noise
+    "sum_of_squares": lambda sums, data: jnp.sum(sums[:, 0], -1) / jnp.sum(data.count),
+    # paper 002, equation (6): sum over channels of |e| / |y|
+    "sum_of_norms": lambda sums, data: jnp.sum(jnp.sqrt(sums[:, 1] / jnp.maximum(data.norm, 1e-300)), -1),
+    # paper 003, equation (7): sum of absolute errors, in the channel's unit
+    "sum_of_abs": lambda sums, data: jnp.sum(sums[:, 2], -1),
+}
+
+
+class Rows(NamedTuple):
+    """Residual and Jacobian of one record of one job: r [samples columns], J [samples columns len(z_columns)]."""
+
+    job: int
+    record: int
+    r: np.ndarray
+    J: np.ndarray
+    z_columns: list[int]
+
+
+def rows(jobs: Sequence[tuple[Problem, np.ndarray]], share: float = 1.0) -> Iterator[Rows]:
+    """Residuals and Jacobians of many (problem, z) on the same runs, in one batch of lanes.
+
+    A record's residual depends on the parameters and on its own start only, so the lanes of a record carry just those
+    tangents. `share` < 1 looks at the first part of each record only.
+    """
+    runs = jobs[0][0].runs
+    size, nx = len(runs.layout), 2 * runs.layout.chain.nq
+    lanes: list[tuple[int, int, int]] = []  # job, row of its record, column of z (-1: none)
+    for j, (p, _) in enumerate(jobs):
+        for row in range(len(p.records)):
+            own = [*range(p.free.size), *(p.free.size + np.flatnonzero(p.start_rows == row))]
+            lanes += [(j, row, c) for c in (own or [-1])]
+    thetas = [p.theta(z) for p, z in jobs]
+    starts = [p.starts(z) for p, z in jobs]
+    slopes = [p.dtheta(z) for p, z in jobs]
+    n = len(lanes)
+    theta, start = np.empty((n, size)), np.empty((n, nx))
+    dtheta, dstart = np.zeros((n, size)), np.zeros((n, nx))
+    record = np.empty(n, int)
+    for k, (j, row, c) in enumerate(lanes):
+        p = jobs[j][0]
+        theta[k], start[k], record[k] = thetas[j], starts[j][row], p.records[row]
+        if 0 <= c < p.free.size:
+            dtheta[k, p.free[c]] = slopes[j][c]
+        elif c >= 0:
+            dstart[k, p.start_columns[c - p.free.size]] = 1.0
+    y, dy = runs.engine.tangents(theta, start, dtheta, dstart, record, share)
+
+    k = 0
+    while k < n:
+        j, row, _ = lanes[k]
+        until = k
+        while until < n and lanes[until][:2] == (j, row):
+            until += 1
+        number = jobs[j][0].records[row]
+        r = runs.record(number)
+        at = r.samples if share == 1 else r.samples[r.samples < r.offset + share * r.count]
+        inside, w = at - r.offset + r.lead, runs.weights[at]
+        residual = w * (y[k][inside] - runs.targets[at])
+        columns = [c for _, _, c in lanes[k:until] if c >= 0]
+        J = np.stack([w * dy[k + i][inside] for i in range(len(columns))], -1) if columns else np.zeros((*w.shape, 0))
+        yield Rows(j, number, residual, J, columns)
+        k = until
+
+
+def linearise(jobs: Sequence[tuple[Problem, np.ndarray]], share: float = 1.0) -> list[Linear]:
+    """Sum of squares, gradient and Gauss-Newton matrix of many (problem, z), in one batch of lanes."""
+    out = [[0.0, np.zeros(p.size), np.zeros((p.size, p.size)), 0] for p, _ in jobs]
+    with np.errstate(all="ignore"):
+        for part in rows(jobs, share):
+            job, r, J = out[part.job], part.r.ravel(), part.J.reshape(part.r.size, -1)
+            job[0] += float(r @ r)
+            job[1][part.z_columns] += J.T @ r
+            job[2][np.ix_(part.z_columns, part.z_columns)] += J.T @ J
+            job[3] += r.size
+    return [Linear(*job) for job in out]

@@ -1,0 +1,52 @@
+"""Report pages: one self-contained HTML file without scripts. One section is one module and its template."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from jaxid.report import answer, background, fitted, missing_force, parameters, ranking, traces
+from jaxid.report.page import render, render_fragment
+from jaxid.terminal import one_line
+
+
+if TYPE_CHECKING:
+    from jaxid.results import Diagnosis, Fit
+
+
+def write_diagnosis(diagnosis: Diagnosis, path: str | Path) -> Path:
+    """Writes the page of a diagnosis (whole or not at all) and returns its path."""
+    sections = [
+        answer.section(diagnosis),
+        traces.section(diagnosis.traces),
+        missing_force.section(diagnosis.missing_force, diagnosis.regimes),
+        ranking.section(diagnosis.which),
+        parameters.section(diagnosis.final, diagnosis.nominal),
+        background.of_diagnosis(diagnosis),
+    ]
+    return _write(render(f"{one_line(diagnosis.dataset)}: diagnosis", sections), path)
+
+
+def write_fit(fit: Fit, path: str | Path) -> Path:
+    """Writes the page of a fit (whole or not at all) and returns its path."""
+    sections = [
+        fitted.section(fit),
+        parameters.section(fit),
+        traces.section(fit.traces),
+        background.of_fit(fit),
+    ]
+    return _write(render(f"{one_line(fit.dataset)}: fit", sections), path)
+
+
+def diagnosis_fragment(diagnosis: Diagnosis) -> str:
+    """The first section of the page as an HTML fragment, for a notebook."""
+    return render_fragment([answer.section(diagnosis)])
+
+
+def _write(html: str, path: str | Path) -> Path:
+    path = Path(path)
+    path.parent.mkdir(parents=True, exist_ok=True)
+    partial = path.with_suffix(path.suffix + ".partial")
+    partial.write_text(html, encoding="utf-8")
+    partial.replace(path)
+    return path

@@ -1,0 +1,139 @@
+"""The first screen: where, which, how far, and one picture."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+from jaxid import text
+from jaxid.report import plot
+from jaxid.report.page import Section
+
+
+if TYPE_CHECKING:
+    from jaxid.results import Diagnosis, EffectEstimate, HowFar
+
+
+def section(diagnosis: Diagnosis) -> Section:
+    which, how_far = diagnosis.which, diagnosis.how_far
+    return Section(
+        "answer.html",
+        {
+            "diagnosis": diagnosis,
+            "headline": headline(diagnosis),
+            "where": where_card(diagnosis),
+            "which": which_card(diagnosis),
+            "far": far_card(diagnosis),
+            "picture": None if which.verdict == "none" else gap_picture(how_far, which.verdict),
+            "effects_added": bool(which.effects),
+            "channels": list(how_far.per_channel.items()),
+        },
+    )
+
+
+def words(effect: EffectEstimate) -> str:
+    return f"{effect.effect.replace('_', ' ')} at {effect.location}"
+
+
+def headline(diagnosis: Diagnosis) -> str:
+    which = diagnosis.which
+    names = text.listed(words(e) for e in which.effects)
+    if which.verdict == "none":
+        return "Nothing is missing: the model reaches the noise."
+    if which.verdict == "unknown":
+        return "There is a gap that no known effect explains."
+    rest = ", and something more that no known effect explains" if which.verdict == "partly" else ""
+    same = ", or an effect that looks the same in these data" if which.confusable_with else ""
+    return f"The model lacks {names}{same}{rest}."
+
+
+def where_card(diagnosis: Diagnosis) -> tuple[str, list[str]]:
+    if diagnosis.which.verdict == "none" or not diagnosis.where:
+        return "Nowhere above the noise", ["No regime of the motion stands out of what noise alone would show."]
+    first = diagnosis.where[0]
+    sentences = [text.where_sentence(f) for f in diagnosis.where[:2]]
+    if first.text:  # a sentence of its own may leave these out
+        sentences.insert(
+            1, f"{text.percent(first.share_of_gap)} of the gap, {text.times(first.times_noise_floor)} times the noise."
+        )
+    return f"{first.location}, {text.regime_words(first.regime)}", sentences
+
+
+def which_card(diagnosis: Diagnosis) -> tuple[str, list[str]]:
+    which = diagnosis.which
+    if which.verdict in ("none", "unknown"):
+        fact = "None" if which.verdict == "none" else "Unknown"
+        return fact, [which.text or text.which_sentence(which)]
+    sentences = []
+    for effect in which.effects:
+        prefix = f"{words(effect)}: " if len(which.effects) > 1 else ""
+        inside = ", ".join(f"{name} {text.value_with_std(p)}" for name, p in effect.parameters.items())
+        if inside:
+            sentences.append(prefix + inside)
+    if which.verdict == "partly":
+        sentences.append("A clear remainder is left that no known effect explains.")
+    sentences += [text.confusable_sentence(which), which.text]
+    return text.listed(words(e) for e in which.effects), [s for s in sentences if s]
+
+
+def far_card(diagnosis: Diagnosis) -> tuple[str, list[str]]:
+    how_far, verdict = diagnosis.how_far, diagnosis.which.verdict
+    if how_far.shrinkage is None or not diagnosis.which.effects:
+        fact = f"{text.times(how_far.gap_before)} × the noise"
+    else:
+        fact = f"{text.percent(how_far.shrinkage)} of the gap closed"
+    sentences = [text.how_far_sentence(how_far, verdict)]
+    if how_far.shrinkage is None or verdict == "unknown":
+        sentences.append(text.shrinkage_sentence(how_far, verdict))
+    elif how_far.shrinkage_interval_95 is None:
+        sentences.append(f"No interval: {how_far.interval_reason.rstrip('.')}.")
+    else:
+        low, high = how_far.shrinkage_interval_95
+        sentences.append(f"95 % interval: {text.percent(low)} to {text.percent(high)}.")
+    return fact, [s for s in sentences if s]
+
+
+def gap_picture(how_far: HowFar, verdict: str):
+    """Bars of the gap before, after retuning and after adding the effect, against the noise."""
+    bars = [
+        ("nominal model", how_far.gap_before, plot.VERMILLION),
+        ("nominal model, retuned", how_far.gap_retuned, plot.ORANGE),
+    ]
+    if verdict in ("named", "partly"):
+        bars.append(("with the missing effect", how_far.gap_after, plot.BLUE))
+    floor = how_far.noise_floor if 0 < how_far.noise_floor < plot.LARGEST else 1.0
+    longest = max([floor, *(plot.drawable(gap) for _, gap, _ in bars)])
+    logarithmic = longest > 15 * floor
+
+    def draw(figure):
+        axes = figure.add_subplot()
+        axes.grid(False, axis="y")
+        if logarithmic:
+            axes.set_xscale("log")
+        start = floor if logarithmic else 0.0
+        for i, (_, exact, color) in enumerate(bars):
+            gap = plot.drawable(exact)
+            axes.barh(i, gap - start, left=start, color=color, height=0.62)
+            axes.annotate(
+                text.times(exact),
+                (max(gap, start), i),
+                xytext=(5, 0),
+                textcoords="offset points",
+                va="center",
+                fontweight="bold",
+                color="#000000",
+            )
+        axes.axvline(floor, color=plot.BLACK, linestyle=(0, (4, 2)), linewidth=1.2)
+        axes.annotate(
+            "noise", (floor, -0.52), xytext=(4, 0), textcoords="offset points", va="bottom", ha="left", fontsize=8.5
+        )
+        axes.set_yticks(range(len(bars)), [name for name, _, _ in bars])
+        axes.set_ylim(len(bars) - 0.5, -0.85)
+        low = min([floor, *(gap for _, gap, _ in bars if 0 < gap < floor)])
+        axes.set_xlim(*((low / 1.25, longest * (longest / floor) ** 0.1) if logarithmic else (0.0, 1.12 * longest)))
+        axes.tick_params(axis="y", length=0)
+        axes.spines["left"].set_visible(False)
+        axes.set_xlabel("gap on report data, in multiples of the noise" + (" (logarithmic)" if logarithmic else ""))
+        if logarithmic:
+            plot.plain_log(axes.xaxis)
+
+    return plot.svg("gap", (9.2, 0.62 + 0.42 * len(bars)), draw)

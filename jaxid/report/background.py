@@ -1,0 +1,59 @@
+"""What cannot be told apart, what to record next, notes, cost and versions."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+from jaxid import text
+from jaxid.report.page import Section
+from jaxid.results import versions
+
+
+if TYPE_CHECKING:
+    from jaxid.results import Diagnosis, Fit
+
+
+def of_diagnosis(diagnosis: Diagnosis) -> Section:
+    final = diagnosis.final
+    notes = dict.fromkeys([*diagnosis.notes, *diagnosis.nominal.notes, *final.notes])
+    return Section(
+        "background.html",
+        {
+            "named": text.listed(text.effect_name(e) for e in diagnosis.which.effects),
+            "confusable": [text.effect_name(e) for e in diagnosis.which.confusable_with],
+            "next_experiment": diagnosis.next_experiment,
+            "notes": list(notes),
+            "facts": [
+                ("dataset", f"{diagnosis.dataset} (sha256 {diagnosis.dataset_sha256[:16]})"),
+                ("residual", diagnosis.residual),
+                ("fitter", final.fitter),
+                ("seed", str(diagnosis.seed)),
+                ("time", f"{text.number(diagnosis.wall_time_s)} s"),
+                *version_facts(),
+            ],
+        },
+    )
+
+
+def of_fit(fit: Fit) -> Section:
+    return Section(
+        "background.html",
+        {
+            "named": "",
+            "confusable": [],
+            "next_experiment": "",
+            "notes": list(fit.notes),
+            "facts": [
+                ("dataset", f"{fit.dataset} (sha256 {fit.dataset_sha256[:16]})"),
+                ("loss", fit.loss_name),
+                ("seed", str(fit.seed)),
+                ("evaluations", str(fit.evaluations)),
+                ("time", f"{text.number(fit.wall_time_s)} s, {text.number(fit.compile_time_s)} s of it compiling"),
+                *version_facts(),
+            ],
+        },
+    )
+
+
+def version_facts() -> list[tuple[str, str]]:
+    return [("made with", ", ".join(f"{name} {version}" for name, version in versions().items()))]

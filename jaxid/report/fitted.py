@@ -1,0 +1,56 @@
+"""The first screen of a fit: did it work, and how well does it reproduce the data."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from jaxid import text
+from jaxid.report import plot
+from jaxid.report.page import Section
+
+
+if TYPE_CHECKING:
+    from jaxid.results import Fit
+
+
+def section(fit: Fit) -> Section:
+    rows = [(split, channel, s) for split, channels in fit.scores.items() for channel, s in channels.items()]
+    rows += [("windows", channel, s) for channel, s in fit.windowed.items()]
+    return Section(
+        "fitted.html",
+        {
+            "fit": fit,
+            "headline": headline(fit),
+            "effects": text.listed(text.effect_name(e) for e in fit.effects),
+            "rows": rows,
+            "history": history_picture(fit) if len(fit.history) > 2 else None,
+        },
+    )
+
+
+def headline(fit: Fit) -> str:
+    if fit.failed:
+        return f"The fit failed: {fit.stopped_because}."
+    split = next((s for s in ("validation", "report", "fit") if fit.scores.get(s)), None)
+    if split is None:
+        return "The fit has converged." if fit.converged else "The fit has not converged."
+    channel, worst = max(fit.scores[split].items(), key=lambda item: item[1].relative_error)
+    tail = "" if fit.converged else " (not converged)"
+    return f"{channel} is reproduced to {text.number(worst.rmse)} {worst.unit} rms on {split} data{tail}."
+
+
+def history_picture(fit: Fit):
+    evaluations, losses = (np.asarray(column, float) for column in zip(*fit.history, strict=True))
+    positive = losses > 0
+
+    def draw(figure):
+        axes = figure.add_subplot()
+        axes.step(*plot.thin(evaluations[positive], losses[positive]), where="post", color=plot.BLUE)
+        axes.set_yscale("log")
+        axes.set_xlabel("evaluations of the loss")
+        axes.set_ylabel("best loss so far")
+        plot.plain_log(axes.yaxis)
+
+    return plot.svg("history", (9.2, 2.4), draw) if positive.any() else None

@@ -1,0 +1,171 @@
+"""The force that the model lacks: against velocity, position, load and time, its spectrum, and by regime."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from jaxid import text
+from jaxid.report import plot
+from jaxid.report.page import Section
+
+
+if TYPE_CHECKING:
+    from jaxid.results import MissingForce, Regime
+
+
+SHOWN = 6
+DOTS = 900
+
+
+def section(forces: Sequence[MissingForce], regimes: Sequence[Regime]) -> Section | None:
+    joints = list(dict.fromkeys(f.joint for f in forces))
+    pictures = []
+    for i, joint in enumerate(joints[:SHOWN]):
+        own = [f for f in forces if f.joint == joint]
+        pictures.append((f"Joint {joint}", picture(own, f"force-{i}")))
+    strongest = sorted(regimes, key=lambda r: -r.ratio)[:30]
+    if not pictures and not strongest:
+        return None
+    return Section(
+        "missing_force.html",
+        {
+            "pictures": pictures,
+            "hidden": max(0, len(joints) - SHOWN),
+            "regimes": regime_picture(strongest) if strongest else None,
+        },
+    )
+
+
+def picture(forces: Sequence[MissingForce], name: str):
+    """All recordings of one joint; time and spectrum show the longest one."""
+    longest = max(forces, key=lambda f: len(f.t))
+    unit, floor = longest.unit, plot.drawable(longest.floor)
+
+    def together(field: str) -> np.ndarray:
+        series = np.concatenate([plot.series(getattr(f, field)) for f in forces])
+        return series[:: max(1, len(series) // DOTS)]
+
+    before, after = together("before"), together("after")
+    against = [
+        ("qd", f"velocity ({plot.label(longest.qd_unit, 20)})"),
+        ("q", f"position ({plot.label(longest.q_unit, 20)})"),
+        ("load", f"load ({plot.label(unit, 20)})"),
+    ]
+    against = [(field, title) for field, title in against if np.ptp(together(field)) > 0]
+    bounds = plot.limits(before, after, quantile=0.005)
+
+    def draw(figure):
+        grid = figure.add_gridspec(3, 2)
+        panels = [figure.add_subplot(grid[i // 2, i % 2]) for i in range(len(against))]
+        for axes, (field, title) in zip(panels, against, strict=True):
+            x = together(field)
+            plot.dots(axes, x, before, plot.VERMILLION)
+            plot.dots(axes, x, after, plot.BLUE)
+            axes.axhspan(-2 * floor, 2 * floor, color=plot.GREY, alpha=0.3, linewidth=0)
+            axes.set_xlabel(title)
+        spectrum_axes = figure.add_subplot(grid[len(against) // 2, len(against) % 2])
+        draw_spectrum(spectrum_axes, longest)
+        over_time = figure.add_subplot(grid[2, :] if len(against) > 1 else grid[1:, :])
+        over_time.plot(*plot.thin(longest.t, plot.series(longest.before)), color=plot.VERMILLION, linewidth=0.9)
+        over_time.plot(*plot.thin(longest.t, plot.series(longest.after)), color=plot.BLUE, linewidth=0.9)
+        over_time.axhspan(-2 * floor, 2 * floor, color=plot.GREY, alpha=0.3, linewidth=0)
+        over_time.set_xlabel(f"time in {plot.label(longest.experiment)} (s)")
+        over_time.margins(x=0)
+        for axes in (*panels, over_time):
+            axes.axhline(0.0, color=plot.BLACK, linewidth=0.6)
+            axes.set_ylabel(f"missing force ({plot.label(unit, 20)})")
+            if bounds:
+                axes.set_ylim(bounds)
+        handles = [
+            *over_time.plot([], [], "o", markersize=5, color=plot.VERMILLION, label="missing in the nominal model"),
+            *over_time.plot([], [], "o", markersize=5, color=plot.BLUE, label="still missing with the effect"),
+            over_time.axhspan(
+                0, 0, color=plot.GREY, alpha=0.3, label="what noise alone would show, ±2 standard deviations"
+            ),
+        ]
+        figure.legend(handles=handles, loc="outside upper left", ncols=3, fontsize=8.5)
+
+    return plot.svg(name, (9.2, 7.6), draw)
+
+
+def draw_spectrum(axes, force: MissingForce) -> None:
+    for series, color in ((force.before, plot.VERMILLION), (force.after, plot.BLUE)):
+        frequency, density = spectrum(force.t, series)
+        if len(frequency):
+            axes.plot(frequency, density, color=color, linewidth=1.2)
+    axes.set_xscale("log")
+    axes.set_yscale("log")
+    axes.set_xlabel("frequency (Hz)")
+    axes.set_ylabel(f"spectrum ({plot.label(force.unit, 20)}/√Hz)")
+    axes.margins(x=0)
+    plot.plain_log(axes.xaxis)
+    plot.plain_log(axes.yaxis)
+
+
+def spectrum(t: np.ndarray, series: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Frequencies (Hz) and amplitude density (unit/√Hz) by Welch's method, on samples interpolated to even steps."""
+    t, series = np.asarray(t, float), plot.series(series)
+    good = np.isfinite(series)
+    t, series = t[good], series[good]
+    n = len(t)
+    if n < 64 or not t[-1] > t[0]:
+        return np.zeros(0), np.zeros(0)
+    step = (t[-1] - t[0]) / (n - 1)
+    even = np.interp(t[0] + step * np.arange(n), t, series)
+    length = n // 4
+    window = np.hanning(length)
+    starts = range(0, n - length + 1, max(1, length // 2))
+    parts = np.stack([even[s : s + length] for s in starts])
+    parts = (parts - parts.mean(axis=1, keepdims=True)) * window
+    power = np.mean(np.abs(np.fft.rfft(parts, axis=1)) ** 2, axis=0) * 2 * step / np.sum(window**2)
+    frequency = np.fft.rfftfreq(length, step)
+    positive = (frequency > 0) & (power > 0)
+    frequency, power = frequency[positive], power[positive]
+    if len(frequency) < 2:
+        return np.zeros(0), np.zeros(0)
+    # Bins of equal width on the logarithmic axis: even ones would crowd its right end and starve its left.
+    bins = np.digitize(frequency, np.geomspace(frequency[0], frequency[-1], 120))
+    count = np.bincount(bins)
+    filled = count > 0
+    mean = [np.bincount(bins, weights)[filled] / count[filled] for weights in (frequency, power)]
+    return mean[0], np.sqrt(mean[1])
+
+
+def regime_picture(regimes: Sequence[Regime]):
+    """Each regime's strength against the band that noise alone would give."""
+
+    def draw(figure):
+        axes = figure.add_subplot()
+        axes.grid(False, axis="y")
+        for i, r in enumerate(regimes):
+            low, high = map(plot.drawable, r.null)
+            ratio = plot.drawable(r.ratio)
+            axes.barh(i, high - low, left=low, height=0.6, color=plot.PALE)
+            above = ratio > high
+            axes.plot([ratio], [i], "o" if above else "D", color=plot.VERMILLION if above else plot.GREY, markersize=6)
+            axes.annotate(
+                text.number(r.ratio),
+                (max(ratio, high), i),
+                xytext=(8, 0),
+                textcoords="offset points",
+                va="center",
+                fontsize=8.5,
+            )
+        axes.set_yticks(
+            range(len(regimes)),
+            [f"{plot.label(r.joint, 20)}, {plot.label(text.regime_words(r.regime), 30)}" for r in regimes],
+        )
+        axes.set_ylim(len(regimes) - 0.4, -0.6)
+        axes.set_xlim(0, 1.12 * max([1e-3, *(plot.drawable(x) for r in regimes for x in (r.ratio, r.null[1]))]))
+        axes.set_xlabel("rms of the missing force in the regime / rms over all samples")
+        handles = [
+            *axes.plot([], [], "o", color=plot.VERMILLION, label="stands out"),
+            *axes.plot([], [], "D", color=plot.GREY, label="does not"),
+            axes.barh([0], [0], color=plot.PALE, label="what a perfect model would show (95 %)"),
+        ]
+        figure.legend(handles=handles, loc="outside upper left", ncols=3, fontsize=8.5)
+
+    return plot.svg("regimes", (9.2, 1.0 + 0.3 * len(regimes)), draw)

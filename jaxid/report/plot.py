@@ -1,0 +1,148 @@
+"""Drawing: inline SVG from matplotlib's figures, without pyplot and without leaving its settings changed."""
+
+from __future__ import annotations
+
+import io
+import re
+import warnings
+from collections.abc import Callable
+from typing import Any
+
+import matplotlib
+import numpy as np
+from markupsafe import Markup
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+from matplotlib.ticker import FuncFormatter, LogLocator, NullFormatter
+
+from jaxid.terminal import one_line
+
+
+# Okabe and Ito: told apart by colour-blind readers, and in grey.
+BLACK, ORANGE, SKY, GREEN, BLUE, VERMILLION, PURPLE = (
+    "#000000",
+    "#e69f00",
+    "#56b4e9",
+    "#009e73",
+    "#0072b2",
+    "#d55e00",
+    "#cc79a7",
+)
+GREY, PALE = "#8c8c8c", "#dddddd"
+
+LARGEST = 1e12
+POINTS = 1500  # drawn of a series, however long it is
+
+_SETTINGS: dict[Any, Any] = {
+    "axes.grid": True,
+    "axes.axisbelow": True,
+    "axes.spines.right": False,
+    "axes.spines.top": False,
+    "font.size": 9.0,
+    "font.family": "sans-serif",
+    "font.sans-serif": ["DejaVu Sans", "Helvetica", "Arial"],
+    "grid.color": "#e8e8e8",
+    "legend.frameon": False,
+    "lines.linewidth": 1.2,
+    "path.simplify": False,  # it would swallow the dots; series are thinned before they are drawn
+    "svg.fonttype": "none",
+    "text.parse_math": False,  # a channel named `$\frac{1$` is a name
+}
+
+
+def svg(name: str, size: tuple[float, float], draw: Callable[[Figure], None]) -> Markup:
+    """What `draw` draws on a figure of this size (inches), as an SVG element; the same bytes for the same data."""
+    with matplotlib.rc_context(), warnings.catch_warnings():
+        warnings.simplefilter("ignore")  # a glyph missing from matplotlib's font: the browser draws the text
+        matplotlib.rcdefaults()
+        matplotlib.rcParams.update({**_SETTINGS, "svg.hashsalt": name})
+        figure = Figure(figsize=size, layout="constrained")
+        draw(figure)
+        buffer = io.StringIO()
+        figure.savefig(buffer, format="svg", metadata={"Date": None, "Creator": None, "Format": None, "Type": None})
+    source = buffer.getvalue()
+    source = source[source.index("<svg") :]
+    source = re.sub(r"<metadata>.*?</metadata>", "", source, flags=re.DOTALL)
+    source = re.sub(r"<!--.*?-->", "", source, flags=re.DOTALL)
+    source = re.sub(r'<g id="[^"]*">', "<g>", source)
+    source = re.sub(r' d="[^"]*"', _shorter, source)
+    return Markup(re.sub(r"\n\s*", "\n", source))
+
+
+def _shorter(path: re.Match[str]) -> str:
+    return re.sub(r"(\.\d\d)\d+", r"\1", path[0]).replace(" \n", "\n")
+
+
+def drawable(value: float) -> float:
+    """A length for a bar: a model that diverged has a gap that no axis can hold (its label still tells)."""
+    return float(np.clip(np.nan_to_num(value, nan=0.0), -LARGEST, LARGEST))
+
+
+def series(values: np.ndarray) -> np.ndarray:
+    """A series that an axis can hold; what is not a number stays a gap in the line."""
+    return np.clip(np.asarray(values, float), -LARGEST, LARGEST)
+
+
+def label(text: object, length: int = 60) -> str:
+    """A name from a file, fit to stand in a picture."""
+    line = one_line(text)
+    return line if len(line) <= length else line[: length - 1] + "…"
+
+
+def with_unit(name: str, unit: str) -> str:
+    """An axis title: `q (rad)`."""
+    return f"{label(name)} ({label(unit, 20)})" if unit else label(name)
+
+
+def thin(t: np.ndarray, y: np.ndarray, points: int = POINTS) -> tuple[np.ndarray, np.ndarray]:
+    """At most about `points` samples that keep the lowest and highest of every stretch; samples not finite are gaps."""
+    t, y = np.asarray(t, float), np.asarray(y, float)
+    n = len(y)
+    if n <= points:
+        return t, y
+    edges = np.linspace(0, n, points // 2 + 1).astype(int)
+    keep = np.empty((len(edges) - 1, 2), int)
+    for i, (start, end) in enumerate(zip(edges[:-1], edges[1:], strict=True)):
+        part = y[start:end]
+        low, high = np.where(np.isfinite(part), part, np.inf), np.where(np.isfinite(part), part, -np.inf)
+        keep[i] = start + np.sort([int(np.argmin(low)), int(np.argmax(high))])
+    index = np.unique(keep)
+    return t[index], y[index]
+
+
+def dots(axes: Axes, x: np.ndarray, y: np.ndarray, color: str, size: float = 1.8, alpha: float = 0.5) -> None:
+    """Many points as one path: a marker each would make the page some ten times larger."""
+    gap = np.full(len(x), np.nan)
+    # A length of nothing is not drawn by every browser; a millionth of the axis is.
+    step = 1e-6 * (float(np.ptp(x)) or 1.0)
+    axes.plot(
+        np.stack([x, x + step, gap], axis=1).ravel(),
+        np.stack([y, y, gap], axis=1).ravel(),
+        color=color,
+        linewidth=size,
+        solid_capstyle="round",
+        alpha=alpha,
+    )
+
+
+def limits(*series: np.ndarray, quantile: float = 0.002) -> tuple[float, float] | None:
+    """Axis limits that leave out the outermost fifth of a percent at each side, so that one spike hides nothing."""
+    values = np.concatenate([np.ravel(s) for s in series]) if series else np.zeros(0)
+    values = values[np.isfinite(values)]
+    if not len(values):
+        return None
+    low, high = np.quantile(values, [quantile, 1 - quantile])
+    margin = 0.06 * (high - low) or abs(high) * 0.1 or 1.0
+    return float(low - margin), float(high + margin)
+
+
+def plain_log(axis) -> None:
+    """Numbers on a logarithmic axis written out (the usual powers of ten would need math text)."""
+    axis.set_major_locator(LogLocator(10.0, subs=(1.0, 2.0, 5.0) if _decades(axis) < 2.5 else (1.0,), numticks=12))
+    axis.set_major_formatter(FuncFormatter(lambda v, _: f"{v:g}" if 1e-3 <= v < 1e5 else f"{v:.0e}"))
+    axis.set_minor_formatter(NullFormatter())
+
+
+def _decades(axis) -> float:
+    low, high = axis.get_view_interval()
+    return float(np.log10(high / low)) if low > 0 else 10.0

@@ -1,0 +1,237 @@
+"""Residuals: what a fit makes small. Each turns runs into records of one lane program, divided by the noise, so that a mean
+square of 1.0 means "down to the noise".
+
+- `OutputError`: the free run over the whole experiment against the measured outputs.
+- `MultipleShooting`: the same over short windows, each with its own unknown start (an integrating joint drifts; after a
+  minute a gap of metres says nothing).
+- `InverseDynamics`: the torque that the measured motion lacks, drive(u) - (M qdd + bias + friction).
+"""
+
+from __future__ import annotations
+
+import abc
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from typing import ClassVar
+
+import numpy as np
+
+from jaxid import samples as recorded
+from jaxid.chain import Chain
+from jaxid.engine import Engine, Lane, simulate_lane, torque_lane
+from jaxid.errors import UsageError
+from jaxid.experiment import Dataset, Experiment
+from jaxid.layout import Layout
+from jaxid.samples import Motion, Record
+
+
+@dataclass
+class Runs:
+    """Some experiments made ready for one residual: records on a compiled engine.
+
+    `heads` are, per experiment, records of its first moments, longest first, from which a run that is not fitted estimates its
+    start.
+    """
+
+    experiments: tuple[Experiment, ...]
+    layout: Layout
+    channels: tuple[tuple[str, str], ...]  # (name, unit) of the residual's columns
+    noise: np.ndarray  # [columns]
+    engine: Engine
+    records: tuple[int, ...]
+    heads: tuple[tuple[int, ...], ...]
+    statement: str
+    weights: np.ndarray = field(init=False)
+    targets: np.ndarray = field(init=False)
+
+    def __post_init__(self):
+        self.weights = np.asarray(self.engine.samples.w)
+        self.targets = np.asarray(self.engine.samples.y)
+
+    def record(self, number: int) -> Record:
+        return self.engine.records[number]
+
+    def residual(self, number: int, prediction: np.ndarray) -> np.ndarray:
+        """Weighted residual [count columns] of one record from a lane's prediction [length columns]."""
+        r = self.record(number)
+        part = slice(r.offset, r.offset + r.count)
+        return self.weights[part] * (prediction[r.lead : r.lead + r.count] - self.targets[part])
+
+    def sample_prediction(self, number: int, prediction: np.ndarray) -> np.ndarray:
+        """Predictions at the samples of a record [samples columns]."""
+        r = self.record(number)
+        return prediction[r.samples - r.offset + r.lead]
+
+
+class Residual(abc.ABC):
+    """Abstract: how experiments become records."""
+
+    name: ClassVar[str]
+
+    @abc.abstractmethod
+    def runs(
+        self,
+        dataset: Dataset,
+        experiments: Sequence[Experiment],
+        layout: Layout,
+        noise: np.ndarray,
+        motions: Sequence[Motion] | None,
+        step: float = recorded.STEP,
+        shape: tuple[int, int] = (0, 0),
+    ) -> Runs:
+        """`noise` [ny] per output; `motions` the smoothed measured motion per experiment, where the model has one; `shape` the
+        least size of the buffers and of a lane's output."""
+
+
+@dataclass(frozen=True)
+class OutputError(Residual):
+    """Free run of the whole experiment."""
+
+    name: ClassVar[str] = "output_error"
+
+    def runs(self, dataset, experiments, layout, noise, motions, step=recorded.STEP, shape=(0, 0)):
+        samples, positions = recorded.build(dataset, experiments, layout.chain, noise, step, size=shape[0])
+        records, heads = [], []
+        for number, e in enumerate(experiments):
+            p = positions[number]
+            records.append(_record(number, e, p, 0, len(e.t), dataset, layout.chain, False))
+            nested = dict.fromkeys(max(6, head_samples(e) // k) for k in (1, 2, 4, 8, 16))
+            heads.append([_record(number, e, p, 0, n, dataset, layout.chain, False) for n in nested])
+        every = [*records, *(h for nested in heads for h in nested)]
+        engine = Engine(layout, samples, every, overrides(layout, experiments, every), simulate_lane, shape[1])
+        n = len(records)
+        ends = np.cumsum([n, *(len(nested) for nested in heads)])
+        return Runs(
+            tuple(experiments), layout, layout.chain.signature.outputs, noise, engine,
+            tuple(range(n)), tuple(tuple(range(a, b)) for a, b in zip(ends[:-1], ends[1:], strict=True)),
+            "free run over the whole experiment",
+        )  # fmt: skip
+
+
+@dataclass(frozen=True)
+class MultipleShooting(Residual):
+    """Free runs over windows of `window_s` seconds, each start estimated; windows are not forced to meet."""
+
+    name: ClassVar[str] = "multiple_shooting"
+    window_s: float | None = None
+
+    def runs(self, dataset, experiments, layout, noise, motions, step=recorded.STEP, shape=(0, 0)):
+        states = layout.chain.has_states()
+        if states and motions is None:
+            raise UsageError("windows need measured joint positions when an effect has states; use the residual output_error")
+        measured = [np.concatenate([m.q, m.qd], 1) for m in motions] if states and motions else None
+        samples, positions = recorded.build(dataset, experiments, layout.chain, noise, step, measured, shape[0])
+        records = []
+        for number, e in enumerate(experiments):
+            length = self.window_s or default_window(e)
+            edges = np.searchsorted(e.t, np.arange(e.t[0], e.t[-1] - 0.5 * length, length))
+            for a, b in zip(edges, [*edges[1:], len(e.t)], strict=True):
+                records.append(_record(number, e, positions[number], int(a), int(b), dataset, layout.chain, states))
+        engine = Engine(layout, samples, records, overrides(layout, experiments, records), simulate_lane)
+        every = tuple(range(len(records)))
+        return Runs(
+            tuple(experiments), layout, layout.chain.signature.outputs, noise, engine, every, (),
+            f"windows of {length:.3g} s, each with its own start",
+        )  # fmt: skip
+
+
+@dataclass(frozen=True)
+class InverseDynamics(Residual):
+    """Torque residual of the measured motion.
+
+    Positions are filtered without phase at `cutoff_hz` and differentiated; the residual is low-passed and taken at every
+    `decimate`-th sample (both sides of the equation pass the same filter, which keeps the estimate unbiased by it).
+    """
+
+    name: ClassVar[str] = "inverse_dynamics"
+    cutoff_hz: float | None = None
+    decimate: int | None = None
+
+    def runs(self, dataset, experiments, layout, noise, motions, step=recorded.STEP, shape=(0, 0)):
+        from jaxid.torque import decimated_torque_lane, torque_setting
+
+        chain = layout.chain
+        setting = torque_setting(dataset, experiments, chain, noise, self.cutoff_hz, self.decimate)
+        samples, positions = recorded.build(
+            dataset, experiments, chain, np.ones(len(setting.noise)), 1e9, setting.motion, shape[0]
+        )
+        w = np.zeros_like(samples.w)
+        records = []
+        for number, e in enumerate(experiments):
+            p = positions[number]
+            kept = p[setting.ends[number] : len(p) - setting.ends[number] : setting.decimate]
+            w[kept] = 1 / setting.noise
+            record = _record(number, e, p, 0, len(e.t), dataset, chain, False)
+            records.append(Record(**{**record.__dict__, "samples": kept, "free": np.zeros_like(record.free)}))
+        samples = samples._replace(y=np.zeros_like(samples.y), w=w)
+        lane: Lane = decimated_torque_lane(setting.taps) if setting.decimate > 1 else torque_lane
+        engine = Engine(layout, samples, records, overrides(layout, experiments, records), lane, shape[1])
+        every = tuple(range(len(records)))
+        return Runs(
+            tuple(experiments), layout, chain.signature.inputs, setting.noise, engine, every, (), setting.statement
+        )
+
+
+def default_window(e: Experiment) -> float:
+    """Window length, s: an eighth of the run, at least 50 samples: long against the joint's time constant (a short window
+    cannot see a wrong friction law), short against the drift of a free run."""
+    step = float(np.median(np.diff(e.t)))
+    return max(float(e.t[-1] - e.t[0]) / 8, 50 * step)
+
+
+def head_samples(e: Experiment) -> int:
+    """How many samples a run that is not fitted may use to estimate its start: 20, and at least 0.1 s, or as stated."""
+    if e.initial_window_s is not None:
+        return max(4, int(np.searchsorted(e.t, e.t[0] + e.initial_window_s, side="right")))
+    return min(len(e.t), max(20, int(np.searchsorted(e.t, e.t[0] + 0.1 - 1e-9, side="left"))))
+
+
+def overrides(layout: Layout, experiments: Sequence[Experiment], records: Sequence[Record]) -> np.ndarray:
+    """Constants that experiments state themselves, [records size], nan elsewhere."""
+    out = np.full((len(records), len(layout)), np.nan)
+    for row, record in zip(out, records, strict=True):
+        for name, value in experiments[record.experiment].constants.items():
+            row[layout.index(name)] = value
+    return out
+
+
+def _record(
+    number: int, e: Experiment, p: np.ndarray, a: int, b: int, dataset: Dataset, chain: Chain, burn: bool
+) -> Record:
+    """Samples a ... b of an experiment as a record; its start from the statement of the experiment or its first samples."""
+    from jaxid.signals import start_state
+
+    nq = chain.nq
+    free = np.ones(2 * nq, bool)
+    q0, qd0 = np.zeros(nq), np.zeros(nq)
+    outputs = [n for n, _ in chain.signature.outputs]
+    _, iy = recorded.columns(dataset, chain)
+    if outputs == list(chain.signature.joints):
+        until = min(len(e.t), a + head_samples(e))
+        q0, qd0, _ = start_state(e.t[a:until], e.y[a:until][:, iy], e.t[until - 1] - e.t[a])
+        q0, qd0 = np.atleast_1d(q0).copy(), np.atleast_1d(qd0).copy()
+    if a == 0 and e.at_rest:
+        qd0[:], free[nq:] = 0.0, False
+    if a == 0 and e.initial is not None:
+        for j, joint in enumerate(chain.signature.joints):
+            for target, known, keys in ((q0, free[:nq], _keys("q", joint, nq, j)), (qd0, free[nq:], _keys("qd", joint, nq, j))):
+                for key in keys:
+                    if key in e.initial:
+                        target[j], known[j] = e.initial[key], False
+    lead = 0
+    if burn and a > 0:
+        lead = int(p[a] - p[max(0, a - 500)])
+    return Record(number, int(p[a]), int(p[b - 1] - p[a] + 1), int(p[0]), int(p[-1]), lead, q0, qd0, free, p[a:b])
+
+
+def _keys(symbol: str, joint: str, nq: int, j: int) -> list[str]:
+    """Names under which a dataset may state a joint's start: q, q2, or the joint's own name (and its velocity)."""
+    keys = [symbol] if nq == 1 else [f"{symbol}{j + 1}"]
+    if symbol == "q":
+        keys.append(joint)
+    elif joint == "position":
+        keys.append("velocity")
+    return keys
+
+
+RESIDUALS: dict[str, type[Residual]] = {r.name: r for r in (OutputError, MultipleShooting, InverseDynamics)}

@@ -1,0 +1,397 @@
+"""What a fit and a diagnosis return: plain data that prints, saves itself as JSON and draws its report."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+
+SCHEMA = 1
+
+
+@dataclass(frozen=True)
+class Estimate:
+    """One fitted parameter. `std` is None and `identifiable` False where the data do not determine it."""
+
+    value: float
+    std: float | None
+    unit: str
+    lower: float
+    upper: float
+    at_bound: bool = False
+    identifiable: bool = True
+
+    def to_dict(self) -> dict[str, Any]:
+        return {
+            "value": self.value,
+            "std": self.std,
+            "unit": self.unit,
+            "lower": self.lower,
+            "upper": self.upper,
+            "at_bound": self.at_bound,
+            "identifiable": self.identifiable,
+        }
+
+
+@dataclass(frozen=True)
+class EffectEstimate:
+    """An effect at a location with its fitted parameters."""
+
+    effect: str
+    location: str
+    parameters: dict[str, Estimate] = field(default_factory=dict)
+
+    def to_dict(self) -> dict[str, Any]:
+        return {
+            "effect": self.effect,
+            "location": self.location,
+            "parameters": {k: v.to_dict() for k, v in self.parameters.items()},
+        }
+
+    def __str__(self) -> str:
+        return f"{self.effect} at {self.location}"
+
+
+@dataclass(frozen=True)
+class Score:
+    """How well a channel is reproduced by the free run (torque for inverse dynamics)."""
+
+    rmse: float
+    nrmse: float
+    relative_error: float
+    unit: str
+
+    def to_dict(self) -> dict[str, Any]:
+        return {"rmse": self.rmse, "nrmse": self.nrmse, "relative_error": self.relative_error, "unit": self.unit}
+
+
+@dataclass(frozen=True)
+class Trace:
+    """One output channel of one experiment: measured and simulated, for pictures."""
+
+    experiment: str
+    split: str
+    channel: str
+    unit: str
+    t: np.ndarray
+    measured: np.ndarray
+    simulated: dict[str, np.ndarray]  # label -> series, for instance "nominal", "with dead_zone at tau"
+    noise: float
+
+
+@dataclass(frozen=True)
+class Fit:
+    """The result of every fitter: parameters with uncertainty, scores on fit and validation data, and what it cost."""
+
+    model: str
+    effects: tuple[EffectEstimate, ...]
+    fitter: str
+    residual: str
+    loss_name: str
+    seed: int
+    converged: bool
+    failed: bool
+    stopped_because: str
+    loss: float
+    parameters: dict[str, Estimate]
+    scores: dict[str, dict[str, Score]]  # split -> channel -> score
+    windowed: dict[str, Score]
+    evaluations: int
+    wall_time_s: float
+    compile_time_s: float
+    dataset: str
+    dataset_sha256: str
+    notes: tuple[str, ...] = ()
+    correlated: tuple[tuple[str, ...], ...] = ()  # groups of parameters the data determine only together
+    history: tuple[tuple[int, float], ...] = ()  # (evaluations, best loss so far)
+    traces: tuple[Trace, ...] = ()
+    theta: np.ndarray = field(default_factory=lambda: np.zeros(0))  # every number of the model, in the order of its layout
+
+    def to_dict(self) -> dict[str, Any]:
+        return {
+            "schema": SCHEMA,
+            "kind": "fit",
+            "model": self.model,
+            "effects": [e.to_dict() for e in self.effects],
+            "fitter": self.fitter,
+            "residual": self.residual,
+            "loss_name": self.loss_name,
+            "seed": self.seed,
+            "converged": self.converged,
+            "stopped_because": self.stopped_because,
+            "loss": self.loss,
+            "parameters": {k: v.to_dict() for k, v in self.parameters.items()},
+            **{split: {c: s.to_dict() for c, s in rows.items()} for split, rows in self.scores.items()},
+            "windowed": {c: s.to_dict() for c, s in self.windowed.items()},
+            "correlated": [list(g) for g in self.correlated],
+            "evaluations": self.evaluations,
+            "wall_time_s": self.wall_time_s,
+            "compile_time_s": self.compile_time_s,
+            "dataset": self.dataset,
+            "dataset_sha256": self.dataset_sha256,
+            "versions": versions(),
+            "notes": list(self.notes),
+        }
+
+    def report(self, path: str | Path) -> Path:
+        """Writes the report page (one self-contained HTML file) and returns its path."""
+        from jaxid.report import write_fit
+
+        return write_fit(self, Path(path))
+
+
+@dataclass(frozen=True)
+class Finding:
+    """One place where the gap lies. `times_noise_floor` is the missing signal there over its own noise."""
+
+    channel: str
+    location: str
+    regime: str
+    window_s: tuple[float, float]
+    share_of_gap: float
+    times_noise_floor: float
+    text: str
+
+    def to_dict(self) -> dict[str, Any]:
+        return {
+            "channel": self.channel,
+            "location": self.location,
+            "regime": self.regime,
+            "window_s": list(self.window_s),
+            "share_of_gap": self.share_of_gap,
+            "times_noise_floor": self.times_noise_floor,
+            "text": self.text,
+        }
+
+
+@dataclass(frozen=True)
+class Regime:
+    """Strength of the missing force in one regime of one joint, against what noise alone would give."""
+
+    joint: str
+    regime: str
+    ratio: float  # rms of the missing force in this regime / rms over all samples
+    null: tuple[float, float]  # the same ratio for a perfect model, 2.5 % and 97.5 %
+    samples: int
+
+
+@dataclass(frozen=True)
+class MissingForce:
+    """Generalised force that the model lacks at one joint, along one experiment (torque residual, filtered)."""
+
+    joint: str
+    unit: str  # of the force
+    q_unit: str
+    qd_unit: str
+    experiment: str
+    t: np.ndarray
+    q: np.ndarray
+    qd: np.ndarray
+    load: np.ndarray
+    before: np.ndarray
+    after: np.ndarray
+    floor: float  # one standard deviation of what noise alone would show
+
+
+@dataclass(frozen=True)
+class Ranked:
+    """One candidate after its refit: gaps in multiples of the noise on validation data, and the evidence for it."""
+
+    effect: str
+    location: str
+    validation_gap: float
+    bic: float
+    evidence: float  # validation log-likelihood gained over the nominal model, per independent block
+    text: str
+
+    def to_dict(self) -> dict[str, Any]:
+        return {
+            "effect": self.effect,
+            "location": self.location,
+            "validation_gap": self.validation_gap,
+            "bic": self.bic,
+            "evidence": self.evidence,
+            "text": self.text,
+        }
+
+
+@dataclass(frozen=True)
+class Which:
+    verdict: str  # named | partly | none | unknown
+    effects: tuple[EffectEstimate, ...]
+    confusable_with: tuple[EffectEstimate, ...]
+    ranking: tuple[Ranked, ...]
+    text: str = ""
+
+    def to_dict(self) -> dict[str, Any]:
+        return {
+            "verdict": self.verdict,
+            "effects": [e.to_dict() for e in self.effects],
+            "confusable_with": [{"effect": e.effect, "location": e.location} for e in self.confusable_with],
+            "ranking": [r.to_dict() for r in self.ranking],
+            "text": self.text,
+        }
+
+
+@dataclass(frozen=True)
+class ChannelGap:
+    unit: str
+    rmse_before: float
+    rmse_retuned: float
+    rmse_after: float
+    noise: float
+    noise_source: str
+
+    def to_dict(self) -> dict[str, Any]:
+        return {
+            "unit": self.unit,
+            "rmse_before": self.rmse_before,
+            "rmse_retuned": self.rmse_retuned,
+            "rmse_after": self.rmse_after,
+            "noise": self.noise,
+            "noise_source": self.noise_source,
+        }
+
+
+@dataclass(frozen=True)
+class HowFar:
+    """Gaps on report data, as multiples of the noise floor (1 = down to the noise)."""
+
+    gap_before: float
+    gap_retuned: float
+    gap_after: float
+    noise_floor: float
+    shrinkage: float | None
+    shrinkage_interval_95: tuple[float, float] | None
+    interval_reason: str
+    per_channel: dict[str, ChannelGap]
+    text: str = ""
+
+    def to_dict(self) -> dict[str, Any]:
+        return {
+            "gap_before": self.gap_before,
+            "gap_retuned": self.gap_retuned,
+            "gap_after": self.gap_after,
+            "noise_floor": self.noise_floor,
+            "shrinkage": self.shrinkage,
+            "shrinkage_interval_95": None if self.shrinkage_interval_95 is None else list(self.shrinkage_interval_95),
+            "interval_reason": self.interval_reason,
+            "per_channel": {k: v.to_dict() for k, v in self.per_channel.items()},
+            "text": self.text,
+        }
+
+
+@dataclass(frozen=True)
+class Diagnosis:
+    """Where the simulator is wrong, which effect is missing, how far the gap shrinks once it is added."""
+
+    model: str
+    dataset: str
+    dataset_sha256: str
+    seed: int
+    residual: str
+    where: tuple[Finding, ...]
+    which: Which
+    how_far: HowFar
+    next_experiment: str
+    wall_time_s: float
+    nominal: Fit
+    final: Fit
+    traces: tuple[Trace, ...] = ()
+    missing_force: tuple[MissingForce, ...] = ()
+    regimes: tuple[Regime, ...] = ()
+    notes: tuple[str, ...] = ()
+
+    def to_dict(self) -> dict[str, Any]:
+        return {
+            "schema": SCHEMA,
+            "kind": "diagnosis",
+            "model": self.model,
+            "dataset": self.dataset,
+            "dataset_sha256": self.dataset_sha256,
+            "seed": self.seed,
+            "residual": self.residual,
+            "where": [f.to_dict() for f in self.where],
+            "which": self.which.to_dict(),
+            "how_far": self.how_far.to_dict(),
+            "next_experiment": self.next_experiment,
+            "parameters": {k: v.to_dict() for k, v in self.final.parameters.items()},
+            "wall_time_s": self.wall_time_s,
+            "notes": list(self.notes),
+            "versions": versions(),
+        }
+
+    def report(self, path: str | Path) -> Path:
+        """Writes the report page (one self-contained HTML file) and returns its path."""
+        from jaxid.report import write_diagnosis
+
+        return write_diagnosis(self, Path(path))
+
+    def _repr_html_(self) -> str:
+        from jaxid.report import diagnosis_fragment
+
+        return diagnosis_fragment(self)
+
+
+@dataclass(frozen=True)
+class Simulation:
+    """Free runs of a model on a dataset's inputs: per experiment `t` and the outputs, and the rmse per channel."""
+
+    model: str
+    runs: tuple[dict[str, np.ndarray], ...]
+    rmse: tuple[dict[str, float], ...]
+    units: dict[str, str]
+    notes: tuple[str, ...] = ()
+
+    def to_dict(self) -> dict[str, Any]:
+        return {
+            "schema": SCHEMA,
+            "kind": "simulation",
+            "model": self.model,
+            "rmse": list(self.rmse),
+            "units": self.units,
+            "notes": list(self.notes),
+        }
+
+
+def save_json(result: Fit | Diagnosis | Simulation, path: str | Path) -> Path:
+    """Writes a result as JSON, whole or not at all (temporary file, then rename)."""
+    path = Path(path)
+    path.parent.mkdir(parents=True, exist_ok=True)
+    partial = path.with_suffix(path.suffix + ".partial")
+    partial.write_text(json.dumps(finite(result.to_dict()), indent=1, allow_nan=False) + "\n", encoding="utf-8")
+    partial.replace(path)
+    return path
+
+
+def finite(value: Any) -> Any:
+    """The same nested data as JSON can hold: NumPy numbers become Python's, a number that is not finite becomes null."""
+    if isinstance(value, dict):
+        return {str(k): finite(v) for k, v in value.items()}
+    if isinstance(value, list | tuple):
+        return [finite(v) for v in value]
+    if isinstance(value, np.ndarray):
+        return finite(value.tolist())
+    if isinstance(value, bool | np.bool_):
+        return bool(value)
+    if isinstance(value, int | np.integer):
+        return int(value)
+    if isinstance(value, float | np.floating):
+        return float(value) if np.isfinite(value) else None
+    return value
+
+
+def versions() -> dict[str, str]:
+    from importlib.metadata import PackageNotFoundError, version
+
+    out = {}
+    for name in ("jaxid", "jax", "numpy", "scipy"):
+        try:
+            out[name] = version(name)
+        except PackageNotFoundError:
+            out[name] = "not installed"
+    return out

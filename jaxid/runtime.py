@@ -1,0 +1,55 @@
+"""What a command sets up before JAX is imported. `import jaxid` alone sets none of it."""
+
+from __future__ import annotations
+
+import os
+import sys
+from pathlib import Path
+from typing import Any
+
+
+# XLA on the CPU runs small while loops op by op on one thread; with this limit the loop over samples counts as small.
+LOOP_FLAG = "--xla_backend_extra_options=xla_cpu_small_while_loop_byte_threshold=100000000"
+
+
+class Interrupted(KeyboardInterrupt):
+    """Ctrl-C during a fit or a diagnosis; `partial` is the result finished so far, which a command saves."""
+
+    def __init__(self, partial: Any = None):
+        super().__init__("interrupted")
+        self.partial = partial
+
+
+def prepare() -> None:
+    """Sets XLA's flags, the platform and the compilation cache by environment variables; values already set win.
+
+    Call it before JAX is imported. `JAXID_XLA=0` leaves XLA's flags alone; `JAXID_CACHE_DIR` moves the cache; a
+    cache folder that cannot be written is left out silently.
+    """
+    flags = os.environ.get("XLA_FLAGS", "")
+    if os.environ.get("JAXID_XLA") != "0" and "xla_backend_extra_options" not in flags:
+        os.environ["XLA_FLAGS"] = f"{flags} {LOOP_FLAG}".strip()
+    os.environ.setdefault("JAX_PLATFORMS", "cpu")
+    folder = cache_folder()
+    if folder is not None:
+        os.environ.setdefault("JAX_COMPILATION_CACHE_DIR", str(folder))
+        os.environ.setdefault("JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS", "0")
+        os.environ.setdefault("JAX_PERSISTENT_CACHE_MIN_ENTRY_SIZE_BYTES", "-1")
+
+
+def cache_folder() -> Path | None:
+    """The folder of the compilation cache, made if missing; None where it cannot be written."""
+    try:
+        folder = Path(os.environ.get("JAXID_CACHE_DIR") or _user_cache() / "jaxid")
+        folder.mkdir(parents=True, exist_ok=True)
+    except (OSError, RuntimeError):  # RuntimeError: no home folder
+        return None
+    return folder if os.access(folder, os.W_OK) else None
+
+
+def _user_cache() -> Path:
+    if sys.platform == "win32":
+        return Path(os.environ.get("LOCALAPPDATA") or Path.home() / "AppData" / "Local")
+    if sys.platform == "darwin":
+        return Path.home() / "Library" / "Caches"
+    return Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache")

@@ -1,0 +1,140 @@
+"""Velocities and accelerations from measured positions, without a shift in time. Every result comes with a sentence
+that says what was done, for the report. Signals are `[time]` or `[time n]`, times in s, frequencies in Hz.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+
+ORDER = 4
+UNIFORM = 0.01  # steps that differ by less than this share of their median count as uniform
+
+
+def zero_phase(t: np.ndarray, x: np.ndarray, cutoff_hz: float, order: int = ORDER) -> np.ndarray:
+    """`x` through a Butterworth low-pass, forwards and backwards (no phase; -6 dB at the cutoff).
+
+    Irregularly sampled signals are filtered on a uniform grid of the median step and brought back by splines.
+    Raises `ValueError` for a cutoff that is not between 0 and half the sampling frequency, or too few samples.
+    """
+    grid, values, uniform = _on_grid(t, x)
+    filtered = _filtered(grid, values, cutoff_hz, order)
+    return filtered if uniform else _spline(grid, filtered, t)
+
+
+def differentiate(
+    t: np.ndarray, q: np.ndarray, cutoff_hz: float, order: int = ORDER
+) -> tuple[np.ndarray, np.ndarray, np.ndarray, str]:
+    """Filtered `q`, its velocity and its acceleration at `t`, and the sentence.
+
+    Central differences of the zero-phase filtered signal. All three have the length of `q`; the first and last
+    `filter_ends(t, cutoff_hz)` samples suffer from the ends and should not be used.
+    """
+    grid, values, uniform = _on_grid(t, q)
+    smooth = _filtered(grid, values, cutoff_hz, order)
+    step = float(grid[1] - grid[0])
+    qd = np.gradient(smooth, step, axis=0)
+    qdd = np.gradient(qd, step, axis=0)
+    qdd[1:-1] = (smooth[2:] - 2 * smooth[1:-1] + smooth[:-2]) / step**2
+    if not uniform:
+        smooth, qd, qdd = (_spline(grid, x, t) for x in (smooth, qd, qdd))
+    return (
+        smooth,
+        qd,
+        qdd,
+        _statement(t, cutoff_hz, order, uniform) + ", then central differences" + _ends_text(t, cutoff_hz),
+    )
+
+
+def filter_ends(t: np.ndarray, cutoff_hz: float) -> int:
+    """How many samples at each end the filter spoils: two periods of the cutoff, at most a tenth of the record."""
+    step = float(np.median(np.diff(t)))
+    return min(int(np.ceil(2 / (cutoff_hz * step) - 1e-6)), len(t) // 10)
+
+
+def decimate(t: np.ndarray, x: np.ndarray, factor: int) -> tuple[np.ndarray, np.ndarray, str]:
+    """Every `factor`-th time and sample after a zero-phase low-pass at 0.8 of the new Nyquist frequency; the sentence.
+
+    Apply it to both sides of an equation alike. `factor` 1 returns the signals as they are.
+    """
+    if factor < 1:
+        raise ValueError(f"factor is {factor}; it is a whole number of at least 1")
+    if factor == 1:
+        return np.asarray(t, dtype=float), np.asarray(x, dtype=float), "not decimated"
+    cutoff = 0.8 * 0.5 / (factor * float(np.median(np.diff(t))))
+    filtered = zero_phase(t, x, cutoff)
+    return (
+        np.asarray(t)[::factor],
+        filtered[::factor],
+        f"decimated by {factor} after a zero-phase low-pass at {cutoff:.4g} Hz",
+    )
+
+
+def start_state(
+    t: np.ndarray, q: np.ndarray, window_s: float | None = None, degree: int = 2
+) -> tuple[np.ndarray, np.ndarray, str]:
+    """Position and velocity at `t[0]` from a polynomial through the first samples; the sentence.
+
+    The window is `window_s`, by default 20 samples and at least 0.1 s. Returns `q0 [n]` and `qd0 [n]` (scalars as
+    0-d arrays for `q [time]`).
+    """
+    t, q = np.asarray(t, dtype=float), np.asarray(q, dtype=float)
+    span = window_s if window_s is not None else max(0.1, float(t[min(20, len(t)) - 1] - t[0]))
+    count = max(degree + 2, int(np.searchsorted(t, t[0] + span, side="right")))
+    if len(t) < count:
+        raise ValueError(f"{len(t)} samples are too few for a polynomial of degree {degree}")
+    scale = float(t[count - 1] - t[0])
+    basis = np.vander((t[:count] - t[0]) / scale, degree + 1, increasing=True)
+    coefficients = np.linalg.lstsq(basis, q[:count].reshape(count, -1), rcond=None)[0]
+    q0, qd0 = coefficients[0].reshape(q.shape[1:]), coefficients[1].reshape(q.shape[1:]) / scale
+    return (
+        q0,
+        qd0,
+        f"start state from a polynomial of degree {degree} through the first {count} samples ({scale:.3g} s)",
+    )
+
+
+def _on_grid(t: np.ndarray, x: np.ndarray) -> tuple[np.ndarray, np.ndarray, bool]:
+    t, x = np.asarray(t, dtype=float), np.asarray(x, dtype=float)
+    if t.ndim != 1 or len(t) != len(x) or len(t) < 4:
+        raise ValueError(
+            f"t {t.shape} and a signal {x.shape}; expected [time] and [time] or [time n], at least 4 samples"
+        )
+    step = np.diff(t)
+    median = float(np.median(step))
+    if np.min(step) <= 0:
+        raise ValueError("time does not increase")
+    if np.max(np.abs(step - median)) <= UNIFORM * median:
+        return t[0] + (t[-1] - t[0]) / (len(t) - 1) * np.arange(len(t)), x, True
+    grid = np.linspace(t[0], t[-1], max(len(t), round((t[-1] - t[0]) / median) + 1))
+    return grid, _spline(t, x, grid), False
+
+
+def _spline(t: np.ndarray, x: np.ndarray, at: np.ndarray) -> np.ndarray:
+    from scipy.interpolate import CubicSpline
+
+    return CubicSpline(t, x, axis=0)(at)
+
+
+def _filtered(grid: np.ndarray, x: np.ndarray, cutoff_hz: float, order: int) -> np.ndarray:
+    from scipy.signal import butter, sosfiltfilt
+
+    rate = 1 / float(grid[1] - grid[0])
+    if not 0 < cutoff_hz < rate / 2:
+        raise ValueError(f"cutoff {cutoff_hz:g} Hz is not between 0 and half the sampling frequency, {rate / 2:g} Hz")
+    sections = np.asarray(butter(order, cutoff_hz, fs=rate, output="sos"))
+    # Padding by about two periods of the cutoff; SciPy's own default is a few samples and rings at low cutoffs.
+    pad = min(len(x) - 1, max(3 * (2 * len(sections) + 1), int(np.ceil(2 * rate / cutoff_hz))))
+    return np.asarray(sosfiltfilt(sections, x, axis=0, padlen=pad))
+
+
+def _statement(t: np.ndarray, cutoff_hz: float, order: int, uniform: bool) -> str:
+    grid = "" if uniform else f" on a uniform grid of {np.median(np.diff(t)):.4g} s (sampling is irregular)"
+    return (
+        f"zero-phase Butterworth low-pass of order {order}, run forwards and backwards, cutoff {cutoff_hz:g} Hz{grid}"
+    )
+
+
+def _ends_text(t: np.ndarray, cutoff_hz: float) -> str:
+    count = filter_ends(t, cutoff_hz)
+    return f"; {count} samples at each end left out ({count * np.median(np.diff(t)):.3g} s)"

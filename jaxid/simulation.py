@@ -1,0 +1,70 @@
+"""Free runs of a model with given parameters on the inputs of a dataset."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+
+from jaxid import samples
+from jaxid.binding import bind
+from jaxid.errors import UsageError
+from jaxid.estimation import Bench, estimate_starts, free_runs, scored
+from jaxid.experiment import Dataset
+from jaxid.results import Simulation
+
+
+def simulate_dataset(content: Mapping[str, Any], dataset: Dataset, model: object) -> Simulation:
+    """See `jaxid.simulate`. A run without a stated start estimates it from its first samples, which leave the rmse."""
+    effects = content.get("effects", [])
+    parameters = content.get("parameters", {})
+    if not isinstance(parameters, Mapping) or not isinstance(effects, list | tuple):
+        raise UsageError('parameters must look like {"parameters": {"inertia": {"value": 0.08}}, "effects": []}')
+    binding = bind(model or content.get("model"), dataset, effects=[_label(e) for e in effects], splits=False)
+    theta = binding.theta.copy()
+    for name, value in parameters.items():
+        theta[binding.layout.index(name)] = _number(name, value)
+    for e in effects:
+        for field, value in (e.get("parameters", {}) if isinstance(e, Mapping) else {}).items():
+            indices = [i for i in binding.layout.of_effect(e["effect"], e.get("location")) if binding.layout.entries[i].field == field]
+            if not indices:
+                raise UsageError(f"effect {e['effect']} has no parameter {field!r}")
+            theta[indices] = _number(f"{e['effect']}.{field}", value)
+    bench = Bench(binding)
+    runs: dict[str, dict[str, np.ndarray]] = {}
+    rmse: dict[str, dict[str, float]] = {}
+    _, iy = samples.columns(binding.dataset, binding.chain)
+    for split in dict.fromkeys(e.split for e in dataset.experiments):
+        predictions = free_runs(bench, split, [theta], estimate_starts(bench, split, [theta]))[0]
+        for e, y in zip(binding.experiments(split), predictions, strict=True):
+            names = [n for n, _ in binding.chain.signature.outputs]
+            runs[e.name] = {"t": e.t, **{n: y[:, c] for c, n in enumerate(names)}}
+            keep = scored(e, "simulate")
+            rmse[e.name] = {
+                n: float(np.sqrt(np.mean((y[keep, c] - e.y[keep, iy[c]]) ** 2))) for c, n in enumerate(names)
+            }
+    order = [e.name for e in dataset.experiments]
+    return Simulation(
+        binding.chain.mechanism.name,
+        tuple(runs[n] for n in order),
+        tuple(rmse[n] for n in order),
+        dict(binding.chain.signature.outputs),
+        dataset.notes,
+    )
+
+
+def _label(effect: Any) -> str:
+    if isinstance(effect, str):
+        return effect
+    if not isinstance(effect, Mapping) or "effect" not in effect:
+        raise UsageError('an effect must look like {"effect": "dead_zone", "location": "tau", "parameters": {...}}')
+    place = effect.get("location")
+    return effect["effect"] + (f"@{place}" if place else "")
+
+
+def _number(name: str, value: Any) -> float:
+    value = value.get("value") if isinstance(value, Mapping) else value
+    if isinstance(value, bool) or not isinstance(value, int | float) or not np.isfinite(value):
+        raise UsageError(f"parameter {name}: {value!r} is not a finite number")
+    return float(value)

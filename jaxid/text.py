@@ -1,0 +1,253 @@
+"""Results in words: the numbers, sentences and tables that the terminal and the report share."""
+
+from __future__ import annotations
+
+import math
+import shutil
+import textwrap
+from collections.abc import Iterable, Sequence
+from typing import TYPE_CHECKING
+
+from jaxid.terminal import one_line
+
+
+if TYPE_CHECKING:
+    from jaxid.results import Diagnosis, EffectEstimate, Estimate, Finding, Fit, HowFar, Simulation, Which
+
+
+def number(value: float | None, digits: int = 3) -> str:
+    """A number with `digits` significant digits; a dash where there is none."""
+    if value is None or not math.isfinite(value):
+        return "–"
+    if value == 0:
+        return "0"
+    if 1e-4 <= abs(value) < 1e5:
+        decimals = max(0, digits - 1 - math.floor(math.log10(abs(value))))
+        return f"{value:.{decimals}f}"
+    return f"{value:.{digits - 1}e}"
+
+
+def short(value: float | None) -> str:
+    """A number that is exact as written (a bound, a time): no zeros at its end."""
+    return "–" if value is None or math.isnan(value) else f"{value:.4g}".replace("inf", "∞")
+
+
+def times(multiple: float | None) -> str:
+    """A multiple of the noise, as exact as a person reads it."""
+    if multiple is None or not math.isfinite(multiple):
+        return "–"
+    return (
+        f"{multiple:.2f}" if abs(multiple) < 2 else f"{multiple:.1f}" if abs(multiple) < 9.95 else number(multiple, 2)
+    )
+
+
+def percent(fraction: float | None) -> str:
+    """A fraction in percent, with the digits that still tell 99.8 from 99.98 and 0.1 from 0.01."""
+    if fraction is None or not math.isfinite(fraction):
+        return "–"
+    rest = min(abs(fraction), abs(1 - abs(fraction)))
+    decimals = 0 if rest > 0.05 or rest == 0 else 1 if rest >= 1e-3 else 2
+    return f"{100 * fraction:.{decimals}f} %"
+
+
+def value_with_std(estimate: Estimate, unit: bool = True) -> str:
+    """`0.0812 ± 0.0004 kg m^2`, rounded to two digits of the standard deviation."""
+    value, std = estimate.value, estimate.std
+    tail = f" {one_line(estimate.unit)}" if unit and estimate.unit else ""
+    if std is None or not math.isfinite(std) or std <= 0 or not math.isfinite(value):
+        return number(value) + tail
+    exponent = math.floor(math.log10(std)) - 1
+    if -7 <= exponent <= 3 and abs(value) < 1e6:
+        decimals = max(0, -exponent)
+        return f"{value:.{decimals}f} ± {std:.{decimals}f}{tail}"
+    digits = 2 if value == 0 else max(2, math.floor(math.log10(abs(value))) - exponent + 1)
+    return f"{value:.{min(digits, 15) - 1}e} ± {std:.1e}{tail}"
+
+
+def remark(estimate: Estimate) -> str:
+    """What has to be said about a fitted parameter beyond its number, or nothing."""
+    if not estimate.identifiable:
+        return "not determined by these data"
+    if estimate.at_bound:
+        return "at its bound"
+    return ""
+
+
+def effect_name(effect: EffectEstimate) -> str:
+    return one_line(f"{effect.effect} at {effect.location}")
+
+
+def effect_with_parameters(effect: EffectEstimate) -> str:
+    """`dead_zone at tau (width 0.312 ± 0.004 N m)`."""
+    inside = ", ".join(f"{one_line(name)} {value_with_std(p)}" for name, p in effect.parameters.items())
+    return effect_name(effect) + (f" ({inside})" if inside else "")
+
+
+def listed(names: Iterable[str]) -> str:
+    """`a`, `a and b`, `a, b and c`."""
+    names = list(names)
+    return names[0] if len(names) == 1 else f"{', '.join(names[:-1])} and {names[-1]}" if names else ""
+
+
+def regime_words(regime: str) -> str:
+    return one_line(regime).replace("_", " ")
+
+
+def where_sentence(finding: Finding) -> str:
+    """The finding's own sentence, or one made from its numbers."""
+    if finding.text:
+        return one_line(finding.text)
+    start, end = finding.window_s
+    return (
+        f"At {one_line(finding.location)} during {regime_words(finding.regime)}"
+        f" (seen in {one_line(finding.channel)}, strongest from {short(start)} to {short(end)} s):"
+        f" {percent(finding.share_of_gap)} of the gap, {times(finding.times_noise_floor)} times the noise."
+    )
+
+
+def which_sentence(which: Which) -> str:
+    """The verdict in plain words."""
+    names = listed(effect_with_parameters(e) for e in which.effects)
+    if which.verdict == "named":
+        return f"The model lacks {names}."
+    if which.verdict == "partly":
+        return f"The model lacks {names}, and something more that no known effect explains."
+    if which.verdict == "none":
+        return "Nothing is missing: the model already reaches the noise."
+    return "There is a gap, and no known effect explains most of it."
+
+
+def confusable_sentence(which: Which) -> str:
+    if not which.confusable_with:
+        return ""
+    return f"These data cannot tell it from {listed(effect_name(e) for e in which.confusable_with)}."
+
+
+def how_far_sentence(how_far: HowFar, verdict: str) -> str:
+    """The gaps in multiples of the noise."""
+    before, retuned, after = (times(g) for g in (how_far.gap_before, how_far.gap_retuned, how_far.gap_after))
+    if verdict == "none":
+        return f"What is left is {before} times the noise; 1 is the noise itself."
+    if verdict == "unknown":
+        return f"The gap is {before} times the noise, {retuned} after retuning the model's own parameters."
+    return (
+        f"The gap falls from {before} to {after} times the noise ({retuned} if the old parameters are retuned alone)."
+    )
+
+
+def shrinkage_sentence(how_far: HowFar, verdict: str) -> str:
+    """The share of the gap that is closed with its interval, or why there is none."""
+    if verdict == "unknown":
+        return ""
+    if how_far.shrinkage is None:
+        return (
+            f"No shrinkage is given: {one_line(how_far.interval_reason).rstrip('.')}."
+            if how_far.interval_reason
+            else ""
+        )
+    head = f"{percent(how_far.shrinkage)} of the gap is closed on data never fitted nor chosen on"
+    if how_far.shrinkage_interval_95 is None:
+        reason = one_line(how_far.interval_reason).rstrip(".")
+        return f"{head} (no interval: {reason})." if reason else f"{head}."
+    low, high = how_far.shrinkage_interval_95
+    return f"{head} (95 % interval {percent(low)} to {percent(high)})."
+
+
+def channel_sentence(how_far: HowFar, name: str, verdict: str) -> str:
+    """A channel's error in its unit."""
+    gap = how_far.per_channel[name]
+    unit = one_line(gap.unit)
+    after = f" → {number(gap.rmse_after)}" if verdict in ("named", "partly") else ""
+    return (
+        f"{one_line(name)}: rms error {number(gap.rmse_before)}{after} {unit}"
+        f" (noise {number(gap.noise, 2)} {unit}, {one_line(gap.noise_source)})"
+    )
+
+
+def table(header: Sequence[str], rows: Sequence[Sequence[str]]) -> str:
+    """Left-aligned columns, two spaces apart."""
+    cells = [[one_line(c) for c in row] for row in (header, *rows)]
+    widths = [max(len(row[i]) for row in cells) for i in range(len(header))]
+    return "\n".join("  ".join(c.ljust(w) for c, w in zip(row, widths, strict=True)).rstrip() for row in cells)
+
+
+def paragraph(label: str, sentences: Iterable[str]) -> str:
+    """Sentences wrapped to the terminal, each on a line of its own behind one label."""
+    lines = []
+    for sentence in filter(None, sentences):
+        lines.append(wrapped(sentence, f"{'' if lines else label:10}", " " * 10))
+    return "\n".join(lines)
+
+
+def wrapped(sentence: str, first: str = "", others: str = "") -> str:
+    width = max(40, min(shutil.get_terminal_size((100, 24)).columns, 110))
+    return "\n".join(textwrap.wrap(one_line(sentence), width, initial_indent=first, subsequent_indent=others))
+
+
+def diagnosis_text(diagnosis: Diagnosis) -> str:
+    """About ten lines: where, which, how far, what next."""
+    which, how_far = diagnosis.which, diagnosis.how_far
+    channels = list(how_far.per_channel)[:3]
+    parts = [
+        f"{one_line(diagnosis.dataset)}, model {one_line(diagnosis.model)}",
+        "" if which.verdict == "none" else paragraph("WHERE", (where_sentence(f) for f in diagnosis.where[:2])),
+        paragraph("WHICH", [which_sentence(which), confusable_sentence(which)]),
+        paragraph(
+            "HOW FAR",
+            [
+                how_far_sentence(how_far, which.verdict),
+                shrinkage_sentence(how_far, which.verdict),
+                *(channel_sentence(how_far, name, which.verdict) for name in channels),
+            ],
+        ),
+        paragraph("NEXT", [diagnosis.next_experiment]),
+    ]
+    return "\n".join(filter(None, parts))
+
+
+def parameter_rows(fit: Fit) -> list[tuple[str, Estimate]]:
+    """The model's parameters, then those of its effects as `effect@location.parameter`."""
+    rows = list(fit.parameters.items())
+    for effect in fit.effects:
+        rows += [(f"{effect.effect}@{effect.location}.{name}", p) for name, p in effect.parameters.items()]
+    return rows
+
+
+def fit_text(fit: Fit) -> str:
+    """Parameters, scores and cost of a fit."""
+    names = [fit.model, *(effect_name(e) for e in fit.effects)]
+    state = "failed" if fit.failed else "converged" if fit.converged else "not converged"
+    parts = [
+        wrapped(
+            f"{fit.dataset}, model {listed(names)}: {fit.fitter} on {fit.residual}, {state} ({fit.stopped_because}),"
+            f" loss {number(fit.loss)} (1 = down to the noise)"
+        ),
+        table(
+            ("parameter", "value", "unit", ""),
+            [(name, value_with_std(p, unit=False), p.unit, remark(p)) for name, p in parameter_rows(fit)],
+        ),
+    ]
+    scores = [
+        (split, channel, f"{number(s.rmse)} {s.unit}", percent(s.nrmse), percent(s.relative_error))
+        for split, channels in fit.scores.items()
+        for channel, s in channels.items()
+    ]
+    if scores:
+        parts.append(table(("data", "channel", "rms error", "of its std", "relative"), scores))
+    parts += [f"The data determine only together: {one_line(', '.join(group))}" for group in fit.correlated]
+    parts += [paragraph("note", [note]) for note in fit.notes]
+    parts.append(
+        f"{fit.evaluations} evaluations, {number(fit.wall_time_s)} s, {number(fit.compile_time_s)} s of it compiling"
+    )
+    return "\n".join(parts)
+
+
+def simulation_text(simulation: Simulation) -> str:
+    """The rms error of every run."""
+    rows = [
+        (f"run_{i}", channel, f"{number(rmse)} {simulation.units.get(channel, '')}")
+        for i, channels in enumerate(simulation.rmse, start=1)
+        for channel, rmse in channels.items()
+    ]
+    head = f"model {one_line(simulation.model)}, {len(simulation.runs)} runs simulated"
+    return "\n".join([head, table(("run", "channel", "rms error"), rows), *map(one_line, simulation.notes)])

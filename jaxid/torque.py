@@ -1,0 +1,97 @@
+"""The settings of inverse dynamics: filtered motion, decimation, and the noise of the torque residual."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from jaxid.chain import Chain
+from jaxid.engine import Lane, torque_lane
+from jaxid.errors import UsageError
+from jaxid.experiment import Dataset, Experiment
+from jaxid.samples import columns, content_cutoff
+
+
+@dataclass(frozen=True)
+class TorqueSetting:
+    motion: list[np.ndarray]  # per run (q, qd, qdd) [time 3 nq]
+    ends: list[int]  # samples to leave out at each end of a run
+    decimate: int
+    taps: np.ndarray
+    noise: np.ndarray  # [nq]
+    cutoff_hz: float
+    statement: str
+
+
+def torque_setting(
+    dataset: Dataset,
+    experiments: Sequence[Experiment],
+    chain: Chain,
+    noise: np.ndarray,
+    cutoff_hz: float | None,
+    decimate: int | None,
+) -> TorqueSetting:
+    """Filter and decimation: the cutoff a tenth of the sampling rate (or where the content of noisy positions ends),
+    decimation to 2.5 times less than the cutoff allows. Noise of the residual: that of the input at high frequency."""
+    from jaxid.signals import differentiate, filter_ends
+
+    iu, iy = columns(dataset, chain)
+    if tuple(n for n, _ in chain.signature.outputs) != chain.signature.joints:
+        raise UsageError(f"inverse dynamics needs every joint position measured ({', '.join(chain.signature.joints)})")
+    first = experiments[0]
+    rate = 1 / float(np.median(np.diff(first.t)))
+    if cutoff_hz is None:
+        content = max(content_cutoff(first.t, first.y[:, i], s) for i, s in zip(iy, noise, strict=True))
+        cutoff_hz = min(rate / 10, max(content, 2.0))
+    if decimate is None:
+        decimate = max(1, int(rate / (0.4 * cutoff_hz)))
+    motion, ends = [], []
+    statement = ""
+    for e in experiments:
+        q, qd, qdd, statement = differentiate(e.t, e.y[:, iy], cutoff_hz)
+        motion.append(np.concatenate([q, qd, qdd], 1))
+        ends.append(filter_ends(e.t, cutoff_hz))
+    taps = np.ones(1)
+    if decimate > 1:
+        from scipy.signal import firwin
+
+        taps = firwin(10 * decimate + 1, 0.8 / decimate)
+        statement += f"; residual low-passed at {0.4 * rate / decimate:.3g} Hz and taken at every {decimate}th sample"
+    level = np.ones(chain.nq)
+    for j, i in enumerate(iu):
+        u = np.concatenate([np.diff(e.u[:, i], 3) for e in experiments]) / np.sqrt(20.0)
+        white = 1.4826 * float(np.median(np.abs(u)))
+        span = float(np.percentile(np.abs(np.concatenate([e.u[:, i] for e in experiments])), 99))
+        level[j] = max(white * np.sqrt(np.sum(taps**2)), 1e-3 * span, 1e-12)
+    return TorqueSetting(motion, ends, decimate, taps, level, cutoff_hz, statement)
+
+
+def decimated_torque_lane(taps: np.ndarray) -> Lane:
+    """`torque_lane` followed by a zero-phase low-pass over time."""
+    kernel = np.asarray(taps)
+
+    def lane(chain, samples, where, start, steps, length, reach, burn):
+        missing = torque_lane(chain, samples, where, start, steps, length, reach, burn)
+        inside = jnp.arange(length)[:, None] <= where[2] - where[0]
+        smooth = jax.vmap(lambda column: jnp.convolve(column, jnp.asarray(kernel), mode="same"), 1, 1)
+        return smooth(jnp.where(inside, missing, 0.0))
+
+    lane.taps = kernel  # type: ignore[attr-defined]
+    return lane
+
+
+def measured_torque(dataset: Dataset, runs) -> np.ndarray:
+    """Measured joint torque at the residual's samples, through the same low-pass, [samples nq]."""
+    taps = getattr(runs.engine.lane, "taps", np.ones(1))
+    iu, _ = columns(dataset, runs.layout.chain)
+    out = []
+    for number in runs.records:
+        record = runs.record(number)
+        u = runs.experiments[record.experiment].u[:, iu]
+        smooth = np.stack([np.convolve(c, taps, mode="same") for c in u.T], -1)
+        out.append(smooth[record.samples - record.first])
+    return np.concatenate(out)

@@ -1,0 +1,34 @@
+"""One joint without gravity: a drive, a slide, a spindle. Rotary (`tau` -> `q`) or linear (`force` -> `position`)."""
+
+from __future__ import annotations
+
+from typing import ClassVar
+
+import jax.numpy as jnp
+from jaxtyping import Array
+
+from jaxid.mechanism import Rigid, Signature
+from jaxid.models.effects import ConstantTorque, CoulombFriction, ViscousFriction
+from jaxid.parameter import param
+
+
+class Joint(Rigid):
+    """inertia qdd = u - friction - offset."""
+
+    name: ClassVar[str] = "joint"
+    signatures: ClassVar = (
+        Signature((("tau", "N m"),), (("q", "rad"),), ("q",)),
+        Signature((("force", "N"),), (("position", "m"),), ("position",), linear=True),
+    )
+    builtin: ClassVar = (
+        (ViscousFriction, {"coefficient": "viscous"}),
+        (CoulombFriction, {"level": "coulomb"}),
+        (ConstantTorque, {"torque": "offset"}),
+    )
+    equations: ClassVar[str] = "inertia qdd + viscous qd + coulomb sign(qd) + offset = u"
+    source: ClassVar[str] = "Janot, Gautier, Brunot, Data Set and Reference Models of EMPS, 2019 (sign conventions)"
+
+    inertia: Array = param(0.1, 1e-7, 1e5, unit="{I}", meaning="moving inertia or mass", log=True)
+
+    def matrices(self, q, qd):
+        return self.inertia[None, None], jnp.zeros_like(q)

@@ -1,0 +1,32 @@
+"""A driven or free pendulum; q = 0 hangs down."""
+
+from __future__ import annotations
+
+from typing import ClassVar
+
+from jaxtyping import Array
+
+from jaxid.arithmetic import sin
+from jaxid.mechanism import Rigid, Signature
+from jaxid.models.effects import ConstantTorque, CoulombFriction, ViscousFriction
+from jaxid.parameter import param
+
+
+class Pendulum(Rigid):
+    """inertia qdd + gravity_torque sin q = u - friction - offset."""
+
+    name: ClassVar[str] = "pendulum"
+    signatures: ClassVar = (Signature((("tau", "N m"),), (("q", "rad"),), ("q",)),)
+    builtin: ClassVar = (
+        (ViscousFriction, {"coefficient": "viscous"}),
+        (CoulombFriction, {"level": "coulomb"}),
+        (ConstantTorque, {"torque": "offset"}),
+    )
+    equations: ClassVar[str] = "inertia qdd + gravity_torque sin(q) + viscous qd + coulomb sign(qd) + offset = tau"
+    source: ClassVar[str] = "textbook"
+
+    inertia: Array = param(0.08, 1e-6, 1e4, unit="kg m^2", meaning="inertia about the pivot", log=True)
+    gravity_torque: Array = param(1.5, 0.0, 1e5, unit="N m", meaning="m g l: gravity torque at q = 90 deg", scale=0.1)
+
+    def matrices(self, q, qd):
+        return self.inertia[None, None], self.gravity_torque * sin(q)

@@ -1,0 +1,280 @@
+"""Separately written equations for the tests: mechanisms, friction, drives, and an event-exact simulator (SciPy).
+
+Nothing here imports the product. Dry friction is integrated in modes (a joint slides one way, the other way, or sticks); the
+moments at which a joint stops or breaks away are located by the integrator, so there is no step to converge in.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from scipy.integrate import solve_ivp
+
+
+Plant = Callable[[np.ndarray, np.ndarray], tuple[np.ndarray, np.ndarray]]
+
+
+# ---- mechanisms: (q, v) -> mass matrix, everything else that stands on its side of the equation
+
+
+def pendulum(inertia: float = 0.08, gravity_torque: float = 1.5) -> Plant:
+    M = np.array([[inertia]])
+    return lambda q, v: (M, gravity_torque * np.sin(q))
+
+
+def joint(inertia: float = 0.1) -> Plant:
+    M = np.array([[inertia]])
+    return lambda q, v: (M, np.zeros(1))
+
+
+def planar_arm(
+    m1=4.0, m2=2.5, c1=0.25, c2=0.2, I1=0.12, I2=0.05, l1=0.5, gravity=9.81
+) -> Plant:  # fmt: skip
+    """Two links by virtual power: M = sum m J'J + I w'w, bias = sum m J'(Jdot v + g)."""
+
+    def plant(q, v):
+        a, b = q[0], q[0] + q[1]
+        along = lambda r, x: r * np.array([np.cos(x), np.sin(x)])  # derivative of (sin x, -cos x)
+        inward = lambda r, x: r * np.array([-np.sin(x), np.cos(x)])
+        zero = np.zeros(2)
+        J1 = np.stack([along(c1, a), zero], 1)
+        J2 = np.stack([along(l1, a) + along(c2, b), along(c2, b)], 1)
+        spin = v[0] + v[1]
+        d1 = inward(c1, a) * v[0] ** 2
+        d2 = inward(l1, a) * v[0] ** 2 + inward(c2, b) * spin**2
+        up = np.array([0.0, gravity])
+        M = m1 * J1.T @ J1 + m2 * J2.T @ J2 + np.array([[I1 + I2, I2], [I2, I2]])
+        return M, m1 * J1.T @ (d1 + up) + m2 * J2.T @ (d2 + up)
+
+    return plant
+
+
+def spring_cart(mass: float = 2.0, stiffness: float = 40.0) -> Plant:
+    M = np.array([[mass]])
+    return lambda q, v: (M, stiffness * q)
+
+
+PLANTS: dict[str, Callable[..., Plant]] = {"pendulum": pendulum, "joint": joint, "planar_arm": planar_arm}
+
+
+# ---- drive and friction
+
+
+@dataclass(frozen=True)
+class Truth:
+    """What acts besides the mechanism; each number for all joints or one per joint, 0 where it is absent."""
+
+    viscous: Any = 0.0
+    coulomb: Any = 0.0
+    dry_asymmetry: Any = 0.0
+    viscous_asymmetry: Any = 0.0
+    stribeck: Any = 0.0
+    stribeck_speed: Any = 1.0
+    load: Any = 0.0
+    drag: Any = 0.0
+    offset: Any = 0.0
+    dead_zone: Any = 0.0
+    delay: float = 0.0
+    other_hold: float = 0.0
+    lag_s: float = 0.0
+
+    def smooth(self, v: np.ndarray) -> np.ndarray:
+        """Torque against motion that is continuous in v."""
+        return self.viscous * v + self.viscous_asymmetry * abs(v) + self.drag * abs(v) * v + self.offset
+
+    def dry(self, v: np.ndarray, drive: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Levels of dry friction (backwards, forwards)."""
+        level = self.coulomb + self.stribeck * np.exp(-((v / self.stribeck_speed) ** 2)) + self.load * abs(drive)
+        return np.maximum(level - self.dry_asymmetry, 0), np.maximum(level + self.dry_asymmetry, 0)
+
+    @property
+    def is_dry(self) -> bool:
+        return any(np.any(x) for x in (self.coulomb, self.stribeck, self.load, self.dry_asymmetry))
+
+
+#: effect -> {its parameter: name in Truth}
+EFFECTS: dict[str, dict[str, str]] = {
+    "dead_zone": {"width": "dead_zone"},
+    "viscous_friction": {"coefficient": "viscous"},
+    "coulomb_friction": {"level": "coulomb"},
+    "asymmetric_friction": {"dry": "dry_asymmetry", "viscous": "viscous_asymmetry"},
+    "stribeck_friction": {"extra": "stribeck", "speed": "stribeck_speed"},
+    "load_dependent_friction": {"mu": "load"},
+    "quadratic_drag": {"coefficient": "drag"},
+    "constant_torque": {"torque": "offset"},
+    "input_delay": {"delay": "delay"},
+    "input_hold": {"share": "other_hold"},
+}
+
+
+@dataclass(frozen=True)
+class Piece:
+    """A stretch of time over which the torque at the joints is one smooth function."""
+
+    begin: float
+    end: float
+    torque: Callable[[float], np.ndarray]
+
+
+def drive(t: np.ndarray, u: np.ndarray, truth: Truth, hold: str = "zero") -> list[Piece]:
+    """Torque of the recorded command u [time nu] after hold, delay, lag and dead zone, exact in time."""
+    shares = {"zero": 1 - truth.other_hold, "linear": truth.other_hold}
+    if hold == "linear":
+        shares = {"zero": truth.other_hold, "linear": 1 - truth.other_hold}
+    edges = t
+    if truth.delay > 0:
+        later = t + truth.delay
+        near = np.min(np.abs(later[:, None] - t[None]), 1) < 1e-12
+        edges = np.union1d(t, later[(later < t[-1]) & ~near])
+    out, lagged = [], u[0].astype(float)
+    for a, b in zip(edges[:-1], edges[1:], strict=True):
+        k = int(np.searchsorted(t, (a + b) / 2 - truth.delay, side="right")) - 1
+        if k < 0:
+            base, slope, origin = u[0], 0 * u[0], 0.0
+        else:
+            origin = t[k] + truth.delay
+            base = u[k].astype(float)
+            slope = shares["linear"] * (u[min(k + 1, len(u) - 1)] - u[k]) / (t[min(k + 1, len(t) - 1)] - t[k])
+
+        def line(x, base=base, slope=slope, origin=origin):
+            return base + slope * (x - origin)
+
+        command = line
+        if truth.lag_s > 0:  # first order, exact for a constant command
+
+            def command(x, z=lagged, u=base, a=a):
+                return u + (z - u) * np.exp(-(x - a) / truth.lag_s)
+
+            lagged = command(b)
+        w = truth.dead_zone
+        out.append(Piece(a, b, lambda x, c=command: c(x) - np.minimum(np.maximum(c(x), -w), w)))
+    return out
+
+
+# ---- the simulator
+
+
+def simulate(
+    plant: Plant,
+    truth: Truth,
+    t: np.ndarray,
+    u: np.ndarray,
+    q0: Any = None,
+    v0: Any = None,
+    *,
+    hold: str = "zero",
+    nq: int | None = None,
+    rtol: float = 1e-10,
+    atol: float = 1e-13,
+) -> tuple[np.ndarray, np.ndarray]:
+    """Joint positions and velocities [time nq] at the samples; u [time nu], no column for free motion."""
+    n = nq or u.shape[1]
+    u = np.zeros((len(t), n)) if u.shape[1] == 0 else u
+    q = np.zeros(n) if q0 is None else np.array(q0, float).reshape(n)
+    v = np.zeros(n) if v0 is None else np.array(v0, float).reshape(n)
+    mode = np.sign(v).astype(int)
+    at = {float(x): i for i, x in enumerate(t)}
+    Q, V = np.empty((len(t), n)), np.empty((len(t), n))
+    Q[0], V[0] = q, v
+    for piece in drive(t, u, truth, hold):
+        q, v, mode = _through(plant, truth, piece, q, v, mode, rtol, atol)
+        if piece.end in at:
+            Q[at[piece.end]], V[at[piece.end]] = q, v
+    return Q, V
+
+
+def _acceleration(plant, truth, tau, q, v, mode):
+    """Acceleration in a mode, and the friction that sticking joints need."""
+    M, bias = plant(q, v)
+    minus, plus = truth.dry(v, tau)
+    rest = tau - bias - truth.smooth(v)
+    slides = mode != 0
+    a = np.zeros(len(q))
+    if slides.all():
+        a = np.linalg.solve(M, rest - np.where(mode > 0, plus, -minus))
+    elif slides.any():
+        r = rest - np.where(mode > 0, plus, -minus)
+        a[slides] = np.linalg.solve(M[np.ix_(slides, slides)], r[slides])
+    return a, rest - M @ a, minus, plus
+
+
+def _settled(plant, truth, tau, q, v, mode):
+    """Modes that hold from here on: joints at rest leave if friction cannot hold them."""
+    mode = np.array(mode)
+    for _ in range(8):
+        _, need, minus, plus = _acceleration(plant, truth, tau, q, v, mode)
+        leaves = (mode == 0) & ((need > plus) | (need < -minus))
+        if not leaves.any():
+            break
+        mode[leaves] = np.sign(need[leaves]).astype(int)
+    return mode
+
+
+def _through(plant, truth, piece, q, v, mode, rtol, atol):
+    n, t = len(q), piece.begin
+    if not truth.is_dry:
+        f = lambda x, s: np.concatenate([s[n:], _acceleration(plant, truth, piece.torque(x), s[:n], s[n:], np.ones(n))[0]])
+        s = solve_ivp(f, (t, piece.end), np.concatenate([q, v]), "DOP853", rtol=rtol, atol=atol).y[:, -1]
+        return s[:n], s[n:], np.ones(n, int)
+    for attempt in range(40):
+        mode = _settled(plant, truth, piece.torque(t), q, v, mode)
+        if not mode.any() and truth.other_hold == 0 and truth.lag_s == 0 and np.all(v == 0):
+            return q, v, mode  # everything sticks under a constant torque
+        held = mode.copy()
+
+        def f(x, s, held=held):
+            a = _acceleration(plant, truth, piece.torque(x), s[:n], s[n:], held)[0]
+            return np.concatenate([np.where(held != 0, s[n:], 0.0), a])
+
+        events = []
+        for j in range(n):
+            if held[j]:
+                event: Any = lambda x, s, j=j: s[n + j] * held[j]
+            else:
+
+                def event(x, s, j=j, held=held):
+                    _, need, minus, plus = _acceleration(plant, truth, piece.torque(x), s[:n], s[n:], held)
+                    return min(plus[j] - need[j], need[j] + minus[j])
+
+            event.terminal, event.direction = True, -1
+            events.append(event)
+        found = solve_ivp(
+            f, (t, piece.end), np.concatenate([q, v]), "DOP853", rtol=rtol, atol=atol, events=events if attempt < 39 else None
+        )
+        t, s = float(found.t[-1]), found.y[:, -1]
+        q, v = s[:n].copy(), s[n:].copy()
+        v[held == 0] = 0.0
+        if found.status != 1:
+            return q, v, held
+        for j, when in enumerate(found.t_events):
+            if len(when) and held[j]:
+                v[j], mode[j] = 0.0, 0
+            elif len(when):
+                _, need, _, _ = _acceleration(plant, truth, piece.torque(t), q, v, held)
+                mode[j] = int(np.sign(need[j]))
+        if t >= piece.end - 1e-14:
+            return q, v, mode
+    return q, v, mode
+
+
+# ---- signals and recordings
+
+
+def multisine(t: np.ndarray, amplitudes: Any, seed: int = 0, periods: float = 1.0, lines: int = 6) -> np.ndarray:
+    """A command [time nu] of some sines with random phases, `periods` of the lowest in the record."""
+    rng = np.random.default_rng(seed)
+    u = np.zeros((len(t), len(amplitudes)))
+    for j, amplitude in enumerate(amplitudes):
+        for k in range(1, lines + 1):
+            f = k * periods / (t[-1] - t[0]) * rng.uniform(0.7, 1.3)
+            u[:, j] += amplitude * np.sin(2 * np.pi * f * t + rng.uniform(0, 2 * np.pi)) / np.sqrt(lines)
+    return u
+
+
+def measured(q: np.ndarray, noise: float, seed: int, resolution: float = 0.0) -> np.ndarray:
+    """A recording of q by a noisy encoder."""
+    y = q + noise * np.random.default_rng(seed).standard_normal(q.shape)
+    return np.round(y / resolution) * resolution if resolution else y

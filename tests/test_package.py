@@ -1,0 +1,195 @@
+"""The package as it is installed and imported."""
+
+from __future__ import annotations
+
+import importlib
+import json
+import os
+import re
+import subprocess
+import sys
+import tomllib
+import zipfile
+from pathlib import Path
+
+import pytest
+
+import jaxid
+
+
+ROOT = Path(__file__).parents[1]
+CONFIG = tomllib.loads((ROOT / "pyproject.toml").read_text())
+SETUPTOOLS = CONFIG["tool"]["setuptools"]
+
+
+def run(code: str, **environment: str) -> str:
+    result = subprocess.run(
+        [sys.executable, "-c", code], cwd=ROOT, env={**os.environ, **environment}, capture_output=True, text=True
+    )
+    assert result.returncode == 0, result.stderr
+    return result.stdout.strip()
+
+
+def test_every_folder_with_code_is_packaged():
+    folders = {
+        str(file.parent.relative_to(ROOT))
+        for top in ("jaxid", "models", "fitters")
+        for file in (ROOT / top).rglob("*.py")
+        if "__pycache__" not in file.parts
+    }
+    assert folders == set(SETUPTOOLS["package-dir"].values())
+    assert set(SETUPTOOLS["packages"]) == set(SETUPTOOLS["package-dir"])
+
+
+def test_every_configured_folder_exists():
+    folders = [*CONFIG["tool"]["pyright"]["include"], *CONFIG["tool"]["pytest"]["ini_options"]["testpaths"]]
+    assert [f for f in folders if not (ROOT / f).is_dir()] == []
+
+
+def test_stubs_name_every_sub_package():
+    """Type checkers see jaxid.models through these; without one they see nothing and say nothing."""
+    for name in SETUPTOOLS["packages"]:
+        folder = SETUPTOOLS["package-dir"][name]
+        if folder.startswith("jaxid"):
+            continue
+        stub = ROOT / "jaxid" / folder
+        candidates = [stub.with_suffix(".pyi"), stub / "__init__.pyi"]
+        assert any(c.is_file() for c in candidates), f"no stub for {name}"
+
+
+@pytest.mark.parametrize("name", ["models", "fitters"])
+def test_bare_import_is_refused(name):
+    with pytest.raises(ImportError, match=f"jaxid.{name}"):
+        importlib.import_module(name)
+    sys.modules.pop(name, None)
+
+
+def test_public_names():
+    assert len(jaxid.__all__) <= 20
+    assert jaxid.__all__ == sorted(jaxid.__all__)
+    for name in jaxid.__all__:
+        assert getattr(jaxid, name) is not None
+        assert name in dir(jaxid)
+    with pytest.raises(AttributeError, match="nonsense"):
+        jaxid.nonsense  # noqa: B018
+
+
+def test_no_module_hides_a_public_function():
+    """A module jaxid/fit.py would replace the function jaxid.fit as soon as it is imported."""
+    modules = {p.stem for p in (ROOT / "jaxid").iterdir() if p.suffix == ".py" or p.is_dir()}
+    assert modules & (set(jaxid.__all__) - {"models", "fitters"}) == set()
+
+
+def test_import_loads_nothing_heavy():
+    heavy = ("jax", "scipy", "matplotlib", "numpy", "pydantic", "pandas", "pyarrow", "rich", "jinja2")
+    loaded = run(f"import sys, jaxid; print([m for m in {heavy!r} if m in sys.modules])")
+    assert loaded == "[]"
+
+
+def test_import_changes_no_setting():
+    code = """
+import json, locale, os, signal, sys, warnings
+import jax, matplotlib, numpy
+def state():
+    return [
+        dict(os.environ),
+        list(map(str, warnings.filters)),
+        sys.getrecursionlimit(),
+        locale.setlocale(locale.LC_ALL),
+        str(signal.getsignal(signal.SIGINT)),
+        repr(numpy.geterr()),
+        repr(numpy.get_printoptions()),
+        {k: repr(v) for k, v in jax.config.values.items()},
+        {k: repr(v) for k, v in matplotlib.rcParams.items()},
+    ]
+before = state()
+import jaxid
+for name in jaxid.__all__:
+    getattr(jaxid, name)
+after = state()
+print(json.dumps([i for i, (a, b) in enumerate(zip(before, after)) if a != b]))
+"""
+    assert json.loads(run(code)) == []
+
+
+def test_lazy_submodules():
+    assert run("import jaxid; print(jaxid.models.__name__, jaxid.fitters.__name__)") == "jaxid.models jaxid.fitters"
+
+
+def test_prepare_sets_the_environment(tmp_path):
+    code = (
+        "import json, os; from jaxid.runtime import prepare; prepare(); prepare(); print(json.dumps(dict(os.environ)))"
+    )
+    plain = {"XLA_FLAGS": "--xla_x=1", "JAXID_CACHE_DIR": str(tmp_path / "cache"), "JAXID_XLA": "1"}
+    for name in ("JAX_COMPILATION_CACHE_DIR", "JAX_PLATFORMS"):
+        plain[name] = os.environ.get(name, "")
+    code = "import os; [os.environ.pop(n) for n in ('JAX_COMPILATION_CACHE_DIR', 'JAX_PLATFORMS')];" + code
+    after = json.loads(run(code, **plain))
+    assert after["XLA_FLAGS"].startswith("--xla_x=1 --xla_backend_extra_options=")
+    assert after["XLA_FLAGS"].count("xla_backend_extra_options") == 1
+    assert after["JAX_PLATFORMS"] == "cpu"
+    assert after["JAX_COMPILATION_CACHE_DIR"] == str(tmp_path / "cache")
+    assert (tmp_path / "cache").is_dir()
+
+    off = json.loads(run(code, **{**plain, "JAXID_XLA": "0", "JAXID_CACHE_DIR": "/dev/null/nowhere"}))
+    assert off["XLA_FLAGS"] == "--xla_x=1"
+    assert "JAX_COMPILATION_CACHE_DIR" not in off
+
+
+def test_files_stay_readable():
+    long = {
+        str(p.relative_to(ROOT)): n
+        for top in ("jaxid", "models", "fitters")
+        for p in (ROOT / top).rglob("*.py")
+        if (n := len(p.read_text(encoding="utf-8").splitlines())) > 450
+    }
+    assert long == {}
+    assert len((ROOT / "CONTRIBUTING.md").read_text().splitlines()) <= 60
+
+
+def test_documents_link_only_to_what_exists():
+    for document in ("README.md", "CONTRIBUTING.md"):
+        content = (ROOT / document).read_text(encoding="utf-8")
+        for target in re.findall(r"\]\((?!https?:|#|mailto:)([^)#]+)", content):
+            assert (ROOT / target).exists(), f"{document} links to {target}"
+
+
+@pytest.mark.slow
+def test_wheel_content(tmp_path):
+    """Built from a copy, so that no build folder is left in the checkout."""
+    import shutil
+
+    pytest.importorskip("setuptools", minversion="77")
+    source = tmp_path / "source"
+    skip = shutil.ignore_patterns("__pycache__", "*.egg-info")
+    source.mkdir()
+    for top in ("jaxid", "models", "fitters"):
+        shutil.copytree(ROOT / top, source / top, ignore=skip)
+    for file in ("pyproject.toml", "README.md", "LICENSE"):
+        shutil.copy(ROOT / file, source)
+    build = "from setuptools import build_meta; print(build_meta.build_wheel('.'))"
+    result = subprocess.run([sys.executable, "-c", build], cwd=source, capture_output=True, text=True)
+    assert result.returncode == 0, result.stderr
+    wheel = zipfile.ZipFile(next(source.glob("*.whl")))
+    names = set(wheel.namelist())
+    for expected in (
+        "jaxid/cli.py",
+        "jaxid/py.typed",
+        "jaxid/report/page.html",
+        "jaxid/report/style.css",
+        "jaxid/models/__init__.py",
+        "jaxid/models/effects/__init__.py",
+        "jaxid/fitters/__init__.py",
+    ):
+        assert expected in names
+    assert not [n for n in names if n.endswith(".pyi") or n.startswith(("models/", "fitters/", "tests/"))]
+    installed = tmp_path / "installed"
+    wheel.extractall(installed)
+    code = (
+        f"import sys; sys.path.insert(0, {str(installed)!r}); import jaxid, jaxid.models.effects, jaxid.fitters;"
+        "print(jaxid.__file__, jaxid.models.__file__, len(jaxid.__path__))"
+    )
+    result = subprocess.run([sys.executable, "-c", code], cwd=tmp_path, capture_output=True, text=True)
+    assert result.returncode == 0, result.stderr
+    package, models, entries = result.stdout.split()
+    assert package.startswith(str(installed)) and models.startswith(str(installed)) and entries == "1"

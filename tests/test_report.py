@@ -1,0 +1,215 @@
+"""The report page: complete, self-contained, reproducible, harmless."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from html.parser import HTMLParser
+
+import numpy as np
+import pytest
+
+from jaxid import text
+from jaxid.report import diagnosis_fragment, plot, write_diagnosis, write_fit
+from jaxid.report.missing_force import spectrum
+from jaxid.results import Estimate, HowFar
+from report_sample import hostile, sample_diagnosis, sample_fit
+
+
+class Page(HTMLParser):
+    """Elements and attributes as a browser sees them."""
+
+    def __init__(self, source: str):
+        super().__init__()
+        self.elements: list[tuple[str, dict[str, str | None]]] = []
+        self.words: list[str] = []
+        self.feed(source)
+        self.text = " ".join(" ".join(self.words).split())
+
+    def handle_starttag(self, tag, attrs):
+        self.elements.append((tag, dict(attrs)))
+
+    def handle_data(self, data):
+        self.words.append(data)
+
+
+def assert_harmless(source: str) -> Page:
+    page = Page(source)
+    tags = {tag for tag, _ in page.elements}
+    assert not tags & {"script", "iframe", "object", "embed", "link", "img", "form", "base", "a", "foreignobject"}
+    for tag, attributes in page.elements:
+        for name, value in attributes.items():
+            assert not name.startswith("on"), (tag, name)
+            if name in ("href", "xlink:href", "src"):
+                assert (value or "").startswith("#"), (tag, value)
+    assert "@import" not in source
+    assert not any(c in source for c in "\x1b\u202e\x00")
+    return page
+
+
+def test_diagnosis_page(tmp_path):
+    path = sample_diagnosis(36000).report(tmp_path / "sub" / "report.html")
+    source = path.read_text(encoding="utf-8")
+    assert len(source) < 2e6
+    page = assert_harmless(source)
+    for words in (
+        "The model lacks coulomb friction at q",
+        "level 0.1123 ± 0.0016 N m",
+        "99.8 % of the gap closed",
+        "99.2 % to 99.93 %",
+        "stribeck_friction at q",
+        "Record slow motion",
+        "velocity (rad/s)",
+        "measured − model",
+        "not determined by these data",
+        "at its bound",
+        "Without repeats the noise is the sensor's alone.",
+    ):
+        assert words in page.text, words
+    assert [tag for tag, _ in page.elements].count("svg") == 6
+    assert list(path.parent.iterdir()) == [path]  # no partial file is left
+
+
+def test_pages_are_reproducible(tmp_path):
+    first = write_diagnosis(sample_diagnosis(), tmp_path / "a.html").read_bytes()
+    assert write_diagnosis(sample_diagnosis(), tmp_path / "b.html").read_bytes() == first
+
+
+def test_fit_page(tmp_path):
+    page = assert_harmless(write_fit(sample_fit(), tmp_path / "fit.html").read_text(encoding="utf-8"))
+    assert "q is reproduced to 0.000440 rad rms on validation data." in page.text
+    assert "0.08123 ± 0.00042" in page.text
+
+
+def test_failed_fit_page(tmp_path):
+    failed = replace(
+        sample_fit(),
+        failed=True,
+        converged=False,
+        stopped_because="every start diverged",
+        loss=float("nan"),
+        scores={},
+        traces=(),
+        history=(),
+        parameters={},
+        correlated=(),
+    )
+    page = assert_harmless(write_fit(failed, tmp_path / "fit.html").read_text(encoding="utf-8"))
+    assert "The fit failed: every start diverged." in page.text
+
+
+@pytest.mark.parametrize("verdict", ["named", "partly", "none", "unknown"])
+def test_every_verdict(tmp_path, verdict):
+    d = sample_diagnosis()
+    if verdict in ("none", "unknown"):
+        far = HowFar(12.0, 11.0, 11.0, 1.0, None, None, "fewer than 8 independent blocks", d.how_far.per_channel)
+        d = replace(d, which=replace(d.which, verdict=verdict, effects=(), confusable_with=()), how_far=far)
+    else:
+        d = replace(d, which=replace(d.which, verdict=verdict))
+    page = assert_harmless(d.report(tmp_path / "r.html").read_text(encoding="utf-8"))
+    assert {
+        "named": "The model lacks",
+        "partly": "something more that no known effect explains",
+        "none": "Nothing is missing",
+        "unknown": "no known effect explains",
+    }[verdict] in page.text
+    lines = text.diagnosis_text(d).splitlines()
+    assert 4 <= len(lines) <= 16
+    assert ("WHERE" in text.diagnosis_text(d)) == (verdict != "none")
+
+
+def test_empty_diagnosis(tmp_path):
+    """Nothing to draw is no error."""
+    d = sample_diagnosis()
+    d = replace(d, traces=(), missing_force=(), regimes=(), where=(), notes=(), which=replace(d.which, ranking=()))
+    assert_harmless(d.report(tmp_path / "r.html").read_text(encoding="utf-8"))
+
+
+@pytest.mark.parametrize("value", [np.nan, np.inf, 0.0, 1e300])
+def test_numbers_that_are_hard_to_draw(tmp_path, value):
+    d = sample_diagnosis()
+    far = replace(d.how_far, gap_before=value, gap_after=value, gap_retuned=value)
+    ranking = tuple(replace(r, validation_gap=value, evidence=value, bic=value) for r in d.which.ranking)
+    traces = tuple(
+        replace(t, simulated={k: np.full_like(s, value) for k, s in t.simulated.items()}, noise=value) for t in d.traces
+    )
+    forces = tuple(replace(m, before=np.full_like(m.before, value), floor=value) for m in d.missing_force)
+    regimes = tuple(replace(r, ratio=value) for r in d.regimes)
+    which = replace(d.which, ranking=ranking)
+    d = replace(d, how_far=far, traces=traces, missing_force=forces, regimes=regimes, which=which)
+    assert_harmless(d.report(tmp_path / "r.html").read_text(encoding="utf-8"))
+
+
+def test_hostile_names_are_text(tmp_path):
+    source = hostile(sample_diagnosis()).report(tmp_path / "r.html").read_text(encoding="utf-8")
+    page = assert_harmless(source)
+    assert "<script>alert(1)</script>$\\frac{1$" in page.text
+    assert "\x1b" not in text.diagnosis_text(hostile(sample_diagnosis()))
+
+
+def test_fragment_for_notebooks():
+    html = sample_diagnosis()._repr_html_()
+    assert html == diagnosis_fragment(sample_diagnosis())
+    assert_harmless(html)
+    assert "<html" not in html and "coulomb friction at q" in html
+
+
+def test_drawing_leaves_matplotlib_alone():
+    import sys
+
+    import matplotlib
+
+    def settings():  # asking for the backend would load pyplot to choose one
+        return {name: repr(matplotlib.rcParams[name]) for name in matplotlib.rcParams if not name.startswith("backend")}
+
+    before, had_pyplot = settings(), "matplotlib.pyplot" in sys.modules
+    diagnosis_fragment(sample_diagnosis())
+    assert settings() == before
+    assert ("matplotlib.pyplot" in sys.modules) == had_pyplot
+
+
+def test_thinning_keeps_extremes():
+    t = np.arange(36000.0)
+    y = np.zeros(36000)
+    y[12345], y[20001], y[30000] = 7.0, -9.0, np.nan
+    thin_t, thin_y = plot.thin(t, y)
+    assert len(thin_t) <= plot.POINTS and np.all(np.diff(thin_t) > 0)
+    assert np.nanmax(thin_y) == 7.0 and np.nanmin(thin_y) == -9.0
+    assert plot.thin(t[:100], y[:100])[0] is not None
+
+
+def test_spectrum_of_white_noise_is_its_density():
+    rng = np.random.default_rng(0)
+    frequency, density = spectrum(np.arange(40000) * 1e-3, 0.5 * rng.standard_normal(40000))
+    # One-sided: variance 0.25 spread evenly up to 500 Hz.
+    assert np.sqrt(np.mean(density[20:] ** 2)) == pytest.approx(np.sqrt(0.25 / 500), rel=0.05)
+
+
+@pytest.mark.parametrize(
+    ("value", "std", "expected"),
+    [
+        (0.08123, 0.00042, "0.08123 ± 0.00042"),
+        (203.5, 3.4, "203.5 ± 3.4"),
+        (2.1e11, 3e9, "2.100e+11 ± 3.0e+09"),
+        (1.0, None, "1.00"),
+        (1.0, float("nan"), "1.00"),
+        (0.0, 0.1, "0.00 ± 0.10"),
+    ],
+)
+def test_value_with_std(value, std, expected):
+    assert text.value_with_std(Estimate(value, std, "", 0.0, 1.0)) == expected
+
+
+@pytest.mark.parametrize(
+    ("fraction", "expected"),
+    [
+        (0.998, "99.8 %"),
+        (0.9998, "99.98 %"),
+        (0.62, "62 %"),
+        (0.0011, "0.1 %"),
+        (0.0, "0 %"),
+        (1.0, "100 %"),
+        (-0.2, "-20 %"),
+    ],
+)
+def test_percent(fraction, expected):
+    assert text.percent(fraction) == expected
