@@ -16,7 +16,7 @@ import numpy as np
 
 FOLDER = Path(__file__).parent / "servo_pendulum"
 RATE = 250  # samples a second
-STEPS = 40  # of the simulator, each sample
+STEPS = 100  # of the simulator, each sample
 NOISE = 2.0e-4  # rad, of the encoder before it rounds
 RESOLUTION = 2 * np.pi / 2**14  # rad
 
@@ -39,7 +39,7 @@ MACHINE = f"""
   <worldbody>
     <body>
       <joint name="q" type="hinge" axis="0 1 0" damping="{DAMPING}" frictionloss="{DRY}"
-             solreffriction="0.0004 1" solimpfriction="0.999 0.999 0.001"/>
+             solreffriction="0.0001 1" solimpfriction="0.999 0.999 0.001"/>
       <inertial pos="0 0 -0.2" mass="{GRAVITY_TORQUE / 9.81 / 0.2}"
                 diaginertia="0.02 {INERTIA - GRAVITY_TORQUE / 9.81 * 0.2} 0.02"/>
     </body>
@@ -103,8 +103,8 @@ def excitations() -> dict[str, tuple[str, np.ndarray, np.ndarray]]:
     mixed = 0.6 * multisine(t10, rng, 1.6, 0.3, 2.0) + 0.5 * steps(t10, rng, 1.2)
     return {
         "multisine": ("fit", t10, multisine(t10, rng, 1.6)),
-        "steps": ("fit", t10, steps(t10, rng, 1.4)),
-        "chirp": ("validation", t9, chirp(t9, 1.3)),
+        "steps": ("fit", t10, steps(t10, rng, 0.9)),
+        "chirp": ("validation", t9, chirp(t9, 1.0)),
         "mixed": ("report", t10, mixed),
     }
 

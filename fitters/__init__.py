@@ -5,9 +5,20 @@ if __name__ != "jaxid.fitters":
     raise ImportError("import jaxid.fitters, not fitters")
 
 from .de import DifferentialEvolution
+from .linear import InstrumentalVariables, LeastSquares, WeightedLeastSquares
 from .lm import descend, LevenbergMarquardt, Path, search
 
 
-FITTERS = (LevenbergMarquardt, DifferentialEvolution)
+FITTERS = (LevenbergMarquardt, DifferentialEvolution, LeastSquares, WeightedLeastSquares, InstrumentalVariables)
 
-__all__ = ["FITTERS", "DifferentialEvolution", "LevenbergMarquardt", "Path", "descend", "search"]
+__all__ = [
+    "FITTERS",
+    "DifferentialEvolution",
+    "InstrumentalVariables",
+    "LeastSquares",
+    "LevenbergMarquardt",
+    "Path",
+    "WeightedLeastSquares",
+    "descend",
+    "search",
+]

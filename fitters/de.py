@@ -60,9 +60,7 @@ class DifferentialEvolution(AbstractPopulation):
 
     def tell(self, state, candidates, losses):
         better = losses <= state.losses
-        return State(
-            jnp.where(better[:, None], candidates, state.population), jnp.where(better, losses, state.losses)
-        )
+        return State(jnp.where(better[:, None], candidates, state.population), jnp.where(better, losses, state.losses))
 
     def best(self, state):
         i = jnp.argmin(state.losses)

@@ -15,7 +15,7 @@ import numpy as np
 
 from jaxid.errors import UsageError
 from jaxid.fitter import AbstractFitter, Minimum, sampling_box
-from jaxid.problem import Linear, Problem, linearise
+from jaxid.problem import Linear, linearise, Problem
 
 
 class LevenbergMarquardt(AbstractFitter):
@@ -159,7 +159,7 @@ def _accept(path: Path, trial: np.ndarray, new: Linear, tolerance: float) -> Non
     gained = path.cost - cost if finite else -np.inf
     if finite and gained > 0:
         rho = gained / max(predicted, 1e-300)
-        path.mu *= max(1 / 3, 1 - (2 * min(max(rho, 0.0), 1.0) - 1) ** 3)
+        path.mu *= float(max(1 / 3, 1 - (2 * min(max(rho, 0.0), 1.0) - 1) ** 3))
         path.nu = 2.0
         small = gained <= tolerance * path.cost and predicted <= 100 * tolerance * path.cost
         path.z, path.cost, path.gradient, path.hessian = trial, cost, new.gradient, new.hessian
@@ -181,6 +181,7 @@ def _step(path: Path) -> np.ndarray:
     lower, upper = path.problem.lower, path.problem.upper
     free = ~(((z <= lower) & (g > 0)) | ((z >= upper) & (g < 0)))
     diagonal = np.diag(H) + 1e-300
+    dz = np.zeros_like(z)
     for _ in range(3):  # a variable that the step would push out is held there and the rest solved again
         index = np.flatnonzero(free)
         if not index.size:

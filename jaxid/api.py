@@ -5,14 +5,13 @@ from __future__ import annotations
 from collections.abc import Iterable, Mapping
 from typing import Any
 
-
-from jaxid import catalogue
-from jaxid.binding import Binding, bind
-from jaxid.errors import UsageError, nearest
+from jaxid import catalogue, closed_loop as closed_loop  # registers its residual
+from jaxid.binding import bind, Binding
+from jaxid.errors import nearest, UsageError
 from jaxid.experiment import Dataset
 from jaxid.fitter import AbstractFitter, Progress
 from jaxid.problem import LOSSES
-from jaxid.residual import RESIDUALS, Residual
+from jaxid.residual import Residual, RESIDUALS
 from jaxid.results import Diagnosis, Fit, Simulation
 
 
@@ -48,6 +47,7 @@ def _fit(binding: Binding, fitter, residual, loss, seed: int, budget: int | None
     if budget is not None and budget < 1:
         raise UsageError(f"a budget of {budget} evaluations is none; give at least 1")
     chosen = resolve_fitter(fitter, loss)
+    residual = residual or getattr(chosen, "residual_name", None)
     return fit_binding(binding, chosen, resolve_residual(residual), loss, seed, budget, progress)
 
 
@@ -93,5 +93,3 @@ def resolve_residual(residual: Residual | str | None) -> Residual | None:
             raise UsageError(f"there is no residual {residual!r}{nearest(residual, RESIDUALS)}")
         return RESIDUALS[residual]()
     return residual
-
-

@@ -13,7 +13,7 @@ from jaxtyping import Array, Float
 
 
 @jax.custom_jvp
-def fence(x: Float[Array, "..."]) -> Float[Array, "..."]:
+def fence(x: Float[Array, ...]) -> Float[Array, ...]:
     """x unchanged, but computed once however many readers it has (a division is not copied into consumers)."""
     return x / (1 + 0 * x)
 
@@ -23,7 +23,7 @@ def _fence_jvp(primals, tangents):
     return fence(primals[0]), fence(tangents[0])
 
 
-def dot(a: Float[Array, "n m"], x: Float[Array, "m *k"]) -> Float[Array, "n *k"]:
+def dot(a: Float[Array, "n m"], x: Float[Array, ...]) -> Float[Array, ...]:
     """Matrix times vector or matrix as products and sums."""
     return jnp.sum(a * x, -1) if x.ndim == 1 else jnp.sum(a[:, :, None] * x[None], 1)
 

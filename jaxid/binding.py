@@ -10,8 +10,8 @@ import jax.numpy as jnp
 import numpy as np
 
 from jaxid import catalogue, samples
-from jaxid.chain import Chain, Effect
-from jaxid.errors import UsageError, nearest
+from jaxid.chain import Chain, Effect, neutral
+from jaxid.errors import nearest, UsageError
 from jaxid.experiment import Dataset, Experiment
 from jaxid.layout import Layout
 from jaxid.mechanism import Mechanism, Signature
@@ -118,7 +118,7 @@ def bind(
     present = {e.name for e in nominal.effects}
     extra = [k for k, _ in added if k.name not in present]
     extra += [k for k in candidates if k.name not in present and k not in extra]
-    chain = nominal.with_effects(*(k() for k in dict.fromkeys(extra)))
+    chain = nominal.with_effects(*(neutral(k) for k in dict.fromkeys(extra)))
     layout = Layout(chain)
     noise = noise_floor(dataset)
     names = [n for n, _ in chain.signature.outputs]

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import Any, NamedTuple
 
-from jaxid.errors import UsageError, nearest
+from jaxid.errors import nearest, UsageError
 
 
 class ParameterInfo(NamedTuple):
@@ -159,16 +159,20 @@ def describe_effect(name: str) -> EffectInfo:
 
     kind = effect_class(name)
     family, port, locations = next(_PORTS[b.__name__] for b in kind.__mro__ if b.__name__ in _PORTS)
-    units = {"{F}": "N m or N", "{X}": "rad or m", "{I}": "kg m^2 or kg", "{u}": "unit of the input", "{y}": "unit of the output"}
+    units = {
+        "{F}": "N m or N",
+        "{X}": "rad or m",
+        "{I}": "kg m^2 or kg",
+        "{u}": "unit of the input",
+        "{y}": "unit of the output",
+    }
     parameters = []
     for field, spec in specs(kind).items():
         unit = spec.unit
         for token, text in units.items():
             unit = unit.replace(token, f"({text})" if unit != token else text)
         parameters.append(ParameterInfo(field, unit, spec.value, str(spec.lower), str(spec.upper), spec.meaning))
-    return EffectInfo(
-        name, _text(kind), family, port, kind.equation, kind.signature, kind.source, locations, tuple(parameters)
-    )
+    return EffectInfo(name, _text(kind), family, port, kind.equation, kind.signature, kind.source, locations, tuple(parameters))
 
 
 def describe_fitter(name: str) -> FitterInfo:

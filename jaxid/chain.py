@@ -108,6 +108,11 @@ class OutputEffect(Effect):
     def start(self, y: Float[Array, " ny"]) -> Any: ...
 
 
+def neutral(kind: Callable[..., Effect]) -> Effect:
+    """An effect that does nothing: every parameter at its default."""
+    return kind()
+
+
 class Carry(NamedTuple):
     """State of a simulation between steps: mechanism, effects, and two predictors (dry torque, acceleration)."""
 
@@ -167,15 +172,11 @@ class Chain(eqx.Module):
         return self._with([*self.without(*(e.name for e in effects)).effects, *effects])
 
     def _with(self, effects: Iterable[Effect]) -> Chain:
-        return Chain(
-            self.mechanism, effects, signature=self.signature, smoothing_velocity=self.smoothing_velocity
-        )
+        return Chain(self.mechanism, effects, signature=self.signature, smoothing_velocity=self.smoothing_velocity)
 
     def smoothed(self, smoothing_velocity: float) -> Chain:
         """The same model with dry friction smoothed as tanh(qd / smoothing_velocity); 0 restores true sticking."""
-        return Chain(
-            self.mechanism, self.effects, signature=self.signature, smoothing_velocity=smoothing_velocity
-        )
+        return Chain(self.mechanism, self.effects, signature=self.signature, smoothing_velocity=smoothing_velocity)
 
     # ---- one step
 

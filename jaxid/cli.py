@@ -145,9 +145,7 @@ def diagnose(dataset, out, model, max_effects, effects, without, residual, seed,
 
 @cli.command()
 @DATASET
-@click.option(
-    "--parameters", "parameters", required=True, type=click.Path(path_type=Path), metavar="FIT.json", help="A fit."
-)
+@click.option("--parameters", "parameters", required=True, type=click.Path(path_type=Path), metavar="FIT.json", help="A fit.")
 @OUT
 @MODEL
 @output_options
@@ -264,9 +262,7 @@ def writable_folder(out: Path) -> None:
         probe.touch()
         probe.unlink()
     except OSError as error:
-        raise UsageError(
-            f"--out {out}: cannot write there ({error.strerror}); name a folder that is writable"
-        ) from error
+        raise UsageError(f"--out {out}: cannot write there ({error.strerror}); name a folder that is writable") from error
 
 
 def read_parameters(path: Path) -> dict[str, Any]:

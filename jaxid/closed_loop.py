@@ -18,11 +18,11 @@ import numpy as np
 from jaxid import controller as feedback, samples as recorded
 from jaxid.chain import Carry, Chain, Command
 from jaxid.controller import Law, law_of, Memory, Reading
-from jaxid.engine import Engine, Lane
+from jaxid.engine import _blocks_of, Engine, Lane
 from jaxid.errors import UsageError
 from jaxid.experiment import Dataset, Experiment
 from jaxid.layout import Layout
-from jaxid.residual import overrides, Residual, RESIDUALS, Runs, whole_run
+from jaxid.residual import _record, overrides, Residual, RESIDUALS, Runs
 from jaxid.samples import Samples
 
 
@@ -41,8 +41,6 @@ def closed_loop_lane(law: Law, signals: str = "outputs") -> Lane:
 
 @functools.cache
 def _lane(law: Law, signals: str) -> Lane:
-    from jaxid.engine import blocks_of
-
     n = len(law.kp)
 
     def reading(row) -> Reading:
@@ -65,14 +63,12 @@ def _lane(law: Law, signals: str) -> Lane:
 
         q, qd, u = start[:n], start[n : 2 * n], samples.u[begin]
         carry = chain.start(q, qd, u), feedback.begin(law, q, qd, u, reading(samples.x[begin]))
-        return blocks_of(step, carry, steps, length, 2 * n if signals == "both" else n)
+        return _blocks_of(step, carry, steps, length, 2 * n if signals == "both" else n)
 
     return lane
 
 
-def reference_data(
-    law: Law, experiments: Sequence[Experiment], samples: Samples, positions: Sequence[np.ndarray]
-) -> np.ndarray:
+def reference_data(law: Law, experiments: Sequence[Experiment], samples: Samples, positions: Sequence[np.ndarray]) -> np.ndarray:
     """What the controller is told at every step of the buffers, [n 3 nq + 1]: reference, its rate, disturbance, and 1 where
     the controller samples. The rate is the difference to the controller's previous sample."""
     n = len(law.kp)
@@ -124,7 +120,7 @@ class ClosedLoopOutputError(Residual):
         shifted = {"input_delay", "input_hold"} & {e.name for e in chain.effects}
         if shifted:
             raise UsageError(f"closed_loop does not simulate {' and '.join(sorted(shifted))}: use output_error for them")
-        step = min(step, law.sample_time * (1 + 1e-6))
+        step = min(step, 1.01 * law.sample_time)
         samples, positions = recorded.build(dataset, experiments, chain, noise, step, size=shape[0])
         iu, _ = recorded.columns(dataset, chain)
         levels = input_noise(experiments, iu)
@@ -137,9 +133,14 @@ class ClosedLoopOutputError(Residual):
             "both": (np.concatenate([samples.y, u], 1), np.concatenate([samples.w, wu], 1)),
         }[self.signals]
         samples = samples._replace(y=y, w=w, x=reference_data(law, experiments, samples, positions))
-        records = [whole_run(i, e, positions[i], dataset, chain) for i, e in enumerate(experiments)]
+        records = [_record(i, e, positions[i], 0, len(e.t), dataset, chain, False) for i, e in enumerate(experiments)]
         engine = Engine(
-            layout, samples, records, overrides(layout, experiments, records), closed_loop_lane(law, self.signals), shape[1]
+            layout,
+            samples,
+            records,
+            overrides(layout, experiments, records),
+            closed_loop_lane(law, self.signals),
+            shape[1],
         )
         columns = {
             "outputs": (chain.signature.outputs, noise),
@@ -167,14 +168,20 @@ def input_noise(experiments: Sequence[Experiment], inputs: Sequence[int]) -> np.
 def simulate_closed_loop(
     dataset: Dataset, experiments: Sequence[Experiment], layout: Layout, theta: np.ndarray, noise: np.ndarray
 ) -> list[tuple[np.ndarray, np.ndarray]]:
-    """Positions [time nq] and inputs [time nq] of the model with numbers `theta` under the dataset's controller, per run."""
+    """Positions [time nq] and inputs [time nq] of the model with numbers `theta` under the dataset's controller, per run.
+
+    `noise` [ny]. Starts that nobody states are fitted to the first tenth of each run.
+    """
+    from jaxid.fitters import descend
+    from jaxid.problem import Problem
+
     runs = ClosedLoopOutputError("both").runs(dataset, experiments, layout, noise, None)
-    lanes = np.array(runs.records)
-    starts = np.array([np.concatenate([runs.record(r).q0, runs.record(r).qd0]) for r in lanes])
-    rows = runs.engine.outputs(np.tile(theta, (lanes.size, 1)), starts, lanes)
+    problem = Problem(runs, theta, [], theta, theta)
+    z = problem.z(theta)
+    if problem.size:
+        z = descend([(problem, z)], 8, 1e-6, 0.1)[0].z
     n = layout.chain.nq
-    both = [runs.sample_prediction(r, row) for r, row in zip(lanes, rows, strict=True)]
-    return [(b[:, :n], b[:, n:]) for b in both]
+    return [(both[:, :n], both[:, n:]) for both in problem.predictions(z)]
 
 
 RESIDUALS[ClosedLoopOutputError.name] = ClosedLoopOutputError

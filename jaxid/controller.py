@@ -189,9 +189,7 @@ def _word(settings: Mapping[str, Any], key: str) -> str:
     return value
 
 
-def _channels(
-    dataset: Dataset, settings: Mapping[str, Any], key: str, signature: Signature, required: bool
-) -> tuple[str, ...]:
+def _channels(dataset: Dataset, settings: Mapping[str, Any], key: str, signature: Signature, required: bool) -> tuple[str, ...]:
     """Auxiliary channels per joint: as stated, else by the naming convention of references, else "" where not required."""
     have = [c.name for c in dataset.channels if c.role == "auxiliary"]
     stated, n = settings.get(key), len(signature.joints)

@@ -94,10 +94,7 @@ def from_arrays(
     if isinstance(controller, Controller):
         controller = {"kind": controller.kind, **controller.settings}
     raw |= {"controller": controller} if controller is not None else {}
-    tables = [
-        table_of_arrays(entry["file"], {"t": time, **values})
-        for entry, (time, values) in zip(entries, runs, strict=True)
-    ]
+    tables = [table_of_arrays(entry["file"], {"t": time, **values}) for entry, (time, values) in zip(entries, runs, strict=True)]
 
     def open_table(index: int, entry: ExperimentEntry) -> Table:
         return tables[index]

@@ -26,9 +26,7 @@ from jaxid.units import Conversion, conversion, si_unit, UnitError
 OpenTable = Callable[[int, ExperimentEntry], Table | Problem]
 
 
-def assemble(
-    document: Document, places: Places, open_table: OpenTable, *, check_model: bool, sha256: Callable[[], str]
-):
+def assemble(document: Document, places: Places, open_table: OpenTable, *, check_model: bool, sha256: Callable[[], str]):
     """The dataset, or `DatasetError` with every fault of the description, the model and the samples."""
     problems = list(document.problems)
     info = _model_info(document, places, problems) if check_model else None
@@ -73,10 +71,7 @@ def _each_once(problems: list[Problem]) -> list[Problem]:
             kept[key] = problem
         elif problem.file != kept[key].file and problem.file not in more.setdefault(key, []):
             more[key].append(problem.file)
-    return [
-        replace(p, message=f"{p.message}, nor in {', '.join(more[key])}") if more.get(key) else p
-        for key, p in kept.items()
-    ]
+    return [replace(p, message=f"{p.message}, nor in {', '.join(more[key])}") if more.get(key) else p for key, p in kept.items()]
 
 
 def _origin(header: Header) -> dict[str, Any] | str | None:
@@ -129,20 +124,14 @@ def _roles(document: Document, places: Places, *, known_model: bool) -> list[Pro
             problems.append(places.problem(("channels",), 'there is no channel with role = "input"', remedy))
         elif "input" in roles and free:
             remedy = 'Give the input channels role = "auxiliary", or remove free = true'
-            problems.append(
-                places.problem(("model", "free"), "free motion has no input, but there is an input channel", remedy)
-            )
+            problems.append(places.problem(("model", "free"), "free motion has no input, but there is an input channel", remedy))
     if "experiments" in document.sound:
         if not document.experiments:
             message = "there are no experiments"
-            problems.append(
-                places.problem(("experiments",), message, "Add [[experiments]] with a `file` and a `split`")
-            )
+            problems.append(places.problem(("experiments",), message, "Add [[experiments]] with a `file` and a `split`"))
         elif all(e.split != "fit" for e in document.experiments.values()):
             message = 'no experiment has split = "fit"'
-            problems.append(
-                places.problem(("experiments",), message, 'Give at least one run to the fit: split = "fit"')
-            )
+            problems.append(places.problem(("experiments",), message, 'Give at least one run to the fit: split = "fit"'))
     return problems
 
 
@@ -161,9 +150,7 @@ def _references(document: Document, places: Places) -> list[Problem]:
             known = [k for k, c in document.channels.items() if c.role == role]
             if channel not in known:
                 message = f"{channel!r} is no {role} channel{nearest(channel, known)}"
-                problems.append(
-                    places.problem(("experiments", index, role), message, f'Name a channel with role = "{role}"')
-                )
+                problems.append(places.problem(("experiments", index, role), message, f'Name a channel with role = "{role}"'))
     return problems
 
 
@@ -216,9 +203,7 @@ def _fits_model(document: Document, readings: list[Reading], places: Places, inf
     return best or []
 
 
-def _signature_faults(
-    have: dict[str, Reading], signature: Any, free: bool, places: Places, model: str
-) -> list[Problem]:
+def _signature_faults(have: dict[str, Reading], signature: Any, free: bool, places: Places, model: str) -> list[Problem]:
     problems = []
     needed = [(n, u, "output") for n, u in signature.outputs]
     needed += [] if free else [(n, u, "input") for n, u in signature.inputs]
@@ -247,9 +232,7 @@ def _signature_faults(
     return problems
 
 
-def _samples(
-    document: Document, readings: list[Reading], open_table: OpenTable, problems: list[Problem]
-) -> list[Harvest]:
+def _samples(document: Document, readings: list[Reading], open_table: OpenTable, problems: list[Problem]) -> list[Harvest]:
     names = _names(document.experiments)
     time = document.header.time if document.header is not None else "t"
     units = {r.name: r.conversion for r in readings}

@@ -70,9 +70,7 @@ def _description(folder: Path) -> tuple[bytes, str, dict[str, Any]]:
         line = re.search(r"at line (\d+)", str(error))
         message = str(error).split(" (at ")[0].strip().rstrip(".") or type(error).__name__
         row = int(line[1]) if line else None
-        raise _refuse(
-            file, f"not readable as TOML: {message[:1].lower()}{message[1:]}", "Correct the line", row
-        ) from None
+        raise _refuse(file, f"not readable as TOML: {message[:1].lower()}{message[1:]}", "Correct the line", row) from None
 
 
 class _Folder:
@@ -94,15 +92,11 @@ class _Folder:
             path = self.folder / file
             outside = ".." in parts or Path(file).is_absolute() or file[1:2] == ":" or file[:1] == "\\"
             if outside or not path.resolve().is_relative_to(self.folder.resolve()):
-                return self.places.problem(
-                    key, f"{file!r} lies outside the folder", "Move the file into the dataset's folder"
-                )
+                return self.places.problem(key, f"{file!r} lies outside the folder", "Move the file into the dataset's folder")
             if path.is_dir():
                 return self.places.problem(key, f"{file!r} is a folder", "Name a CSV or Parquet file")
             if path.suffix.lower() not in SUFFIXES:
-                return self.places.problem(
-                    key, f"{file!r} is neither .csv nor .parquet", "Convert it to CSV or Parquet"
-                )
+                return self.places.problem(key, f"{file!r} is neither .csv nor .parquet", "Convert it to CSV or Parquet")
             if not path.is_file():
                 there = [p.name for p in sorted(self.folder.iterdir()) if p.suffix.lower() in SUFFIXES][:12]
                 hint = f" (there is: {', '.join(there)})" if there else ""
@@ -122,9 +116,7 @@ class _Folder:
         return digest.hexdigest()
 
 
-def save_dataset(
-    dataset: Dataset, folder: str | os.PathLike[str], *, format: str = "parquet", overwrite: bool = False
-) -> Path:
+def save_dataset(dataset: Dataset, folder: str | os.PathLike[str], *, format: str = "parquet", overwrite: bool = False) -> Path:
     """Writes `dataset.toml` and `run_1.parquet` … (or `.csv`), in SI; `load_dataset` reads an equal dataset from it.
 
     The folder appears complete or not at all. An existing folder with other content is left alone unless `overwrite`.

@@ -36,9 +36,7 @@ class Reading:
             return None if value is None else value * self.conversion.factor
 
         entry = self.entry
-        return Channel(
-            self.name, entry.role, self.conversion.si, width(entry.noise_std), width(entry.resolution), entry.hold
-        )
+        return Channel(self.name, entry.role, self.conversion.si, width(entry.noise_std), width(entry.resolution), entry.hold)
 
     def convert(self, raw: np.ndarray) -> np.ndarray:
         with np.errstate(over="ignore", invalid="ignore"):
@@ -186,9 +184,7 @@ def _channel(table: Table, reading: Reading, index: np.ndarray, harvest: Harvest
     if not np.isfinite(values).all():
         first = int(index[np.flatnonzero(~np.isfinite(values))[0]])
         text = f"{table.place(first)} is too large after scale, offset and unit"
-        harvest.problems.append(
-            Problem(table.file, table.row(first), reading.column, text, "Correct scale, offset or unit")
-        )
+        harvest.problems.append(Problem(table.file, table.row(first), reading.column, text, "Correct scale, offset or unit"))
         return None
     still = np.ptp(values) == 0
     if reading.entry.role == "output" and not still:
@@ -226,9 +222,7 @@ def _time(
     if len(gaps) and not entry.split_at_gaps:
         sample = int(index[gaps[0] + 1])
         width = step[gaps[0]]
-        text = (
-            f"a gap of {width:.4g} s before {table.place(sample)}, {width / median:.0f} median steps of {median:.4g} s"
-        )
+        text = f"a gap of {width:.4g} s before {table.place(sample)}, {width / median:.0f} median steps of {median:.4g} s"
         if len(gaps) > 1:
             text += f"; {len(gaps)} gaps in all"
         remedy = "Choose a part with `rows` or `window_s`, or say split_at_gaps = true"
@@ -292,9 +286,7 @@ def read_response(table: Table, entry: ExperimentEntry, name: str, units: dict[s
             sample = int(index[np.flatnonzero(bad)[0]])
             least = "above 0" if key == keys[0] else "at least 0"
             text = f"{table.place(sample)} is {values[bad][0]:g}; {key} must be {least}"
-            harvest.problems.append(
-                Problem(table.file, table.row(sample), named[key], text, "Correct or remove the row")
-            )
+            harvest.problems.append(Problem(table.file, table.row(sample), named[key], text, "Correct or remove the row"))
     if harvest.problems:
         return harvest
     factor = units[entry.output or ""].factor / units[entry.input or ""].factor

@@ -129,9 +129,7 @@ class PriorEntry(_Strict):
     def _ordered(self) -> PriorEntry:
         given = [v for v in (self.lower, self.value, self.upper) if v is not None]
         if given != sorted(given) or (self.lower is not None and self.lower == self.upper):
-            raise ValueError(
-                "lower, value and upper must rise in this order (a known value belongs in [model.constants])"
-            )
+            raise ValueError("lower, value and upper must rise in this order (a known value belongs in [model.constants])")
         return self
 
 
@@ -262,9 +260,7 @@ def read_document(raw: Mapping[str, Any], places: Places) -> Document:
     if sections.get("model") is not None:
         document.model = _entry(ModelEntry, sections["model"], ("model",), places, document, "model")
     if sections.get("controller") is not None:
-        document.controller = _entry(
-            ControllerEntry, sections["controller"], ("controller",), places, document, "controller"
-        )
+        document.controller = _entry(ControllerEntry, sections["controller"], ("controller",), places, document, "controller")
     return document
 
 

@@ -39,9 +39,7 @@ def with_splits(dataset: Dataset) -> Dataset:
     return replace(dataset, experiments=tuple(runs), notes=(*dataset.notes, *notes)) if notes else dataset
 
 
-def _cut(
-    runs: list[Experiment], first: str, second: str, share: float, rule: str, notes: list[str]
-) -> list[Experiment]:
+def _cut(runs: list[Experiment], first: str, second: str, share: float, rule: str, notes: list[str]) -> list[Experiment]:
     """Each run of split `first` in two; the later part becomes `second`."""
     cut: list[Experiment] = []
     told: list[str] = []

@@ -124,9 +124,7 @@ def table_of_arrays(name: str, columns: Mapping[str, Any]) -> Table:
         array = np.asarray(values)
         if array.ndim != 1:
             problems.append(
-                Problem(
-                    name, None, column, f"an array of shape {array.shape}", "Give one number a sample: shape [time]"
-                )
+                Problem(name, None, column, f"an array of shape {array.shape}", "Give one number a sample: shape [time]")
             )
         elif array.dtype.kind == "c":
             problems.append(Problem(name, None, column, "complex numbers", "Give real numbers"))
@@ -136,9 +134,7 @@ def table_of_arrays(name: str, columns: Mapping[str, Any]) -> Table:
     for column, length in lengths.items():
         if first is not None and length != lengths[first]:
             problems.append(
-                Problem(
-                    name, None, column, f"{length} samples, but {first!r} has {lengths[first]}", "Give equal lengths"
-                )
+                Problem(name, None, column, f"{length} samples, but {first!r} has {lengths[first]}", "Give equal lengths")
             )
     if problems:
         return Table(name, {}, 0, problems=problems)
@@ -207,9 +203,7 @@ def _read_csv(file: str, content: bytes) -> Table:
             lines.append(fields)
             rows.append(reader.line_num)
     except csv.Error as error:
-        return _broken(
-            file, reader.line_num, f"not readable as CSV ({error})", "Check the quotes in and before this row"
-        )
+        return _broken(file, reader.line_num, f"not readable as CSV ({error})", "Check the quotes in and before this row")
     while lines and not any(f.strip() for f in lines[-1]):
         lines.pop()
         rows.pop()

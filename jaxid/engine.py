@@ -21,7 +21,7 @@ from jaxtyping import Array, Float, Int
 from jaxid.chain import Carry, Chain, Command
 from jaxid.layout import Layout
 from jaxid.precision import float64
-from jaxid.samples import BLOCK, Record, Samples, bucket
+from jaxid.samples import BLOCK, bucket, Record, Samples
 
 
 #: Lanes of one block: enough for vector code, few enough to stay in the cache.

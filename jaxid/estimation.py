@@ -11,7 +11,6 @@ import numpy as np
 
 from jaxid import samples
 from jaxid.binding import Binding
-from jaxid.errors import UsageError
 from jaxid.experiment import Experiment
 from jaxid.fitter import AbstractFitter, Minimum, Progress
 from jaxid.problem import Problem
@@ -44,7 +43,13 @@ class Bench:
             b = self.binding
             experiments = b.experiments(split)
             self._runs[key] = residual.runs(
-                b.dataset, experiments, b.layout, b.sigma, b.motions_of(experiments), self.step, self._shape_of(residual)
+                b.dataset,
+                experiments,
+                b.layout,
+                b.sigma,
+                b.motions_of(experiments),
+                self.step,
+                self._shape_of(residual),
             )
         return self._runs[key]
 
@@ -55,7 +60,7 @@ class Bench:
         self,
         residual: Residual,
         split: str,
-        free: Sequence[int],
+        free: Sequence[int] | np.ndarray,
         theta: np.ndarray,
         records: Sequence[int] | None = None,
         loss: str = "sum_of_squares",
@@ -98,9 +103,7 @@ def estimate_starts(bench: Bench, split: str, thetas: Sequence[np.ndarray]) -> n
     return starts_and_information(bench, split, thetas)[0]
 
 
-def starts_and_information(
-    bench: Bench, split: str, thetas: Sequence[np.ndarray]
-) -> tuple[np.ndarray, list[list[np.ndarray]]]:
+def starts_and_information(bench: Bench, split: str, thetas: Sequence[np.ndarray]) -> tuple[np.ndarray, list[list[np.ndarray]]]:
     """The same, and per theta and run how much the first moments tell about the unknown part of the start (J'J).
 
     The start is fitted on the longest of some nested first stretches that the model follows to within twice the noise: with a
@@ -179,7 +182,9 @@ def score(y: np.ndarray, error: np.ndarray, unit: str) -> Score:
     return Score(rmse, rmse / max(float(np.std(y)), 1e-300), rmse / max(float(np.sqrt(np.mean(y**2))), 1e-300), unit)
 
 
-def torque_scores(bench: Bench, residual: Residual, split: str, theta: np.ndarray, free: Sequence[int]) -> dict[str, Score]:
+def torque_scores(
+    bench: Bench, residual: Residual, split: str, theta: np.ndarray, free: Sequence[int] | np.ndarray
+) -> dict[str, Score]:
     """The same for inverse dynamics: filtered torque against what the model needs for the measured motion."""
     problem = bench.problem(residual, split, free, theta)
     runs = problem.runs
@@ -211,9 +216,7 @@ def estimates(binding: Binding, problem: Problem, z: np.ndarray, cov: Covariance
     return out
 
 
-def named_estimates(
-    binding: Binding, found: dict[int, Estimate]
-) -> tuple[dict[str, Estimate], tuple[EffectEstimate, ...]]:
+def named_estimates(binding: Binding, found: dict[int, Estimate]) -> tuple[dict[str, Estimate], tuple[EffectEstimate, ...]]:
     """Estimates of the model's own parameters by id, and of added effects by effect and location."""
     builtin = {kind.name for kind, _ in binding.chain.mechanism.builtin}
     own: dict[str, Estimate] = {}
@@ -246,41 +249,35 @@ def fit_binding(
     """The whole of `jaxid.fit` once model and data are bound."""
     began = time.perf_counter()
     residual = residual or default_residual(binding)
-    step, compile_time, notes = samples.STEP, 0.0, []
-    for halvings in range(4):
+    step, compile_time, notes, found = samples.STEP, 0.0, [], []
+    while True:
         bench = Bench(binding, step)
-        free = binding.free
-        guesses = start_values(bench, free, seed)
-        problem = bench.problem(residual, "fit", free, guesses[0], loss=loss)
+        guesses = found or start_values(bench, binding.free, seed)
+        problem = bench.problem(residual, "fit", binding.free, guesses[0], loss=loss)
         key = jax.random.key(seed)
         result = fitter.minimise(problem, [problem.z(g) for g in guesses], key, budget, progress)
         compile_time += bench.compile_time()
-        moved = step_error(bench, problem, result.z) if not isinstance(residual, InverseDynamics) else 0.0
-        if result.failed or moved <= STEP_SHARE:
+        if result.failed or isinstance(residual, InverseDynamics) or step <= samples.STEP / 8:
             break
-        step /= 2
-        if halvings < 3:
-            notes.append(f"halving the step moved the simulation by {moved:.2g} of the noise or gap: refitted at {step:.3g} s")
-    return assemble(
-        bench, problem, result, residual, fitter.name, seed, compile_time, time.perf_counter() - began, notes
-    )
+        moved = step_error(bench, problem, result.z, residual)
+        if moved <= STEP_SHARE:
+            break
+        step, found = step / 2, [problem.theta(result.z)]
+        notes.append(f"halving the step moved the simulation by {moved:.2g} of the noise or gap: refitted at {step:.3g} s")
+    return assemble(bench, problem, result, residual, fitter.name, seed, compile_time, time.perf_counter() - began, notes)
 
 
-def step_error(bench: Bench, problem: Problem, z: np.ndarray) -> float:
+def step_error(bench: Bench, problem: Problem, z: np.ndarray, residual: Residual = OutputError()) -> float:
     """How much the simulation at z moves when the step is halved, over the larger of noise and gap (rms, worst column)."""
     finer = Bench(bench.binding, bench.step / 2)
-    if isinstance(problem.runs.statement, str) and problem.runs.statement.startswith("windows"):
-        return 0.0
-    runs = finer.runs(OutputError(), "fit")
+    runs = finer.runs(residual, "fit")
     lanes = np.array(problem.records)
     theta = np.tile(problem.theta(z), (lanes.size, 1))
     fine = runs.engine.outputs(theta, problem.starts(z), lanes)
     worst = 0.0
     coarse = problem.predictions(z)
     move = np.concatenate([runs.sample_prediction(r, row) - c for r, row, c in zip(lanes, fine, coarse, strict=True)])
-    gap = np.concatenate(
-        [c - problem.runs.targets[problem.runs.record(r).samples] for r, c in zip(lanes, coarse, strict=True)]
-    )
+    gap = np.concatenate([c - problem.runs.targets[problem.runs.record(r).samples] for r, c in zip(lanes, coarse, strict=True)])
     size = np.maximum(np.sqrt(np.mean(gap**2, 0)), problem.runs.noise)
     worst = float(np.max(np.sqrt(np.mean(move**2, 0)) / size))
     return worst if np.isfinite(worst) else 0.0
@@ -307,15 +304,13 @@ def assemble(
             result.stopped_because, result.loss, {}, {}, {}, result.evaluations, wall_time, compile_time,
             binding.dataset.name, binding.dataset.sha256, tuple(notes), history=tuple(result.history), theta=theta,
         )  # fmt: skip
-    cov = covariance(problem, result.z)
+    cov = getattr(result, "covariance", None) or covariance(problem, result.z)
     found = estimates(binding, problem, result.z, cov)
     own, added = named_estimates(binding, found)
     names = problem.names
     groups = tuple(tuple(names[i] for i in g) for g in cov.groups)
     notes.append(cov.statement)
-    notes += [
-        f"{binding.layout.names[i]} ended at its bound ({e.value:.4g} {e.unit})" for i, e in found.items() if e.at_bound
-    ]
+    notes += [f"{binding.layout.names[i]} ended at its bound ({e.value:.4g} {e.unit})" for i, e in found.items() if e.at_bound]
     notes += [f"{names}: {n.text}" for names, n in binding.noise.items()]
 
     table: dict[str, dict[str, Score]] = {}
@@ -349,8 +344,7 @@ def window_scores(binding: Binding, problem: Problem, z: np.ndarray) -> dict[str
     at = np.concatenate([problem.runs.record(r).samples for r in problem.records])
     y = problem.runs.targets[at]
     return {
-        name: score(y[:, c], predictions[:, c] - y[:, c], unit)
-        for c, (name, unit) in enumerate(binding.chain.signature.outputs)
+        name: score(y[:, c], predictions[:, c] - y[:, c], unit) for c, (name, unit) in enumerate(binding.chain.signature.outputs)
     }
 
 

@@ -161,5 +161,3 @@ def reflected(key: PRNGKeyArray, z: Array, lower: Array, upper: Array) -> Array:
     """What lies outside the bounds goes to a random place inside; nan too."""
     inside = (z >= lower) & (z <= upper)
     return jnp.where(inside, z, lower + (upper - lower) * jax.random.uniform(key, z.shape))
-
-

@@ -68,17 +68,21 @@ def solve_dry(
     starts from. `smoothing_velocity` 0 means true sticking: a sticking joint gets velocity exactly 0.0.
     """
     nq = v0.shape[0]
-    law = _slide_or_stick if smoothing_velocity == 0 else (lambda *a: _smoothed(*a, smoothing_velocity))
 
-    def sweep(lam: list[Array]) -> tuple[list[Array], list[Array], list[Array]]:
-        lam, w, mean = list(lam), list(free), list(free)
+    def law(v0: Array, free: Array, minus: Array, plus: Array) -> tuple[Array, Array]:
+        if smoothing_velocity == 0:
+            return _slide_or_stick(v0, free, minus, plus)
+        return _smoothed(v0, free, minus, plus, smoothing_velocity)
+
+    def sweep(old: Vector) -> tuple[Vector, Vector, Vector]:
+        lam, w, mean = list(old), list(free), list(free)
         for j in range(nq):
             alone = free[j] - sum((A[j, k] * lam[k] for k in range(nq) if k != j), jnp.zeros(()))
             w[j], mean[j] = law(v0[j], alone, A[j, j] * level_minus[j], A[j, j] * level_plus[j])
             lam[j] = (alone - w[j]) / A[j, j]
-        return lam, w, mean
+        return jnp.stack(lam), jnp.stack(w), jnp.stack(mean)
 
-    first = tuple(jnp.stack(part) for part in sweep(list(lam)))
+    first = sweep(lam)
     if nq == 1:
         return first
 
@@ -90,7 +94,7 @@ def solve_dry(
 
     def again(carry):
         count, old, _ = carry
-        new = tuple(jnp.stack(part) for part in sweep(list(old[0])))
+        new = sweep(old[0])
         return count + 1, new, jnp.max(jnp.abs(new[1] - old[1]))
 
     return jax.lax.while_loop(unsettled, again, (1, first, jnp.full((), jnp.inf)))[1]

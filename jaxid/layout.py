@@ -10,7 +10,7 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from jaxid.chain import Chain, Effect
-from jaxid.errors import UsageError, nearest
+from jaxid.errors import nearest, UsageError
 from jaxid.parameter import ParameterSpec, Reference, resolve, specs
 
 
@@ -75,9 +75,7 @@ class Layout:
         return [
             i
             for i, e in enumerate(self.entries)
-            if e.owner >= 0
-            and self.chain.effects[e.owner].name == effect
-            and (location is None or e.location == location)
+            if e.owner >= 0 and self.chain.effects[e.owner].name == effect and (location is None or e.location == location)
         ]
 
     def boxes(self, references: Sequence[Reference]) -> tuple[np.ndarray, np.ndarray, np.ndarray]:

@@ -13,7 +13,6 @@ from typing import Any, NamedTuple
 
 import equinox as eqx
 import jax
-import jax.numpy as jnp
 from jaxtyping import Array, Float
 
 from jaxid.arithmetic import dot, inverse
@@ -96,9 +95,7 @@ class Rigid(Mechanism):
     """Abstract: M(q) qdd + bias(q, qd) = tau, stepped by the classical Runge-Kutta scheme. Write `matrices`, nothing else."""
 
     @abc.abstractmethod
-    def matrices(
-        self, q: Float[Array, " nq"], qd: Float[Array, " nq"]
-    ) -> tuple[Float[Array, "nq nq"], Float[Array, " nq"]]:
+    def matrices(self, q: Float[Array, " nq"], qd: Float[Array, " nq"]) -> tuple[Float[Array, "nq nq"], Float[Array, " nq"]]:
         """Mass matrix and bias (Coriolis, centrifugal, gravity, springs)."""
 
     def start(self, q, qd):

@@ -11,5 +11,7 @@ def float64() -> AbstractContextManager:
 
     switch = getattr(jax, "enable_x64", None)
     if switch is None:  # JAX before 0.8
-        from jax.experimental import enable_x64 as switch
+        import jax.experimental
+
+        switch = getattr(jax.experimental, "enable_x64")  # noqa: B009
     return switch(True)

@@ -15,7 +15,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from jaxid.engine import LANES, Engine
+from jaxid.engine import Engine, LANES
 from jaxid.errors import UsageError
 from jaxid.precision import float64
 from jaxid.residual import Runs
@@ -65,7 +65,7 @@ class Problem:
         self,
         runs: Runs,
         base: np.ndarray,
-        free: Sequence[int],
+        free: Sequence[int] | np.ndarray,
         lower: np.ndarray,
         upper: np.ndarray,
         records: Sequence[int] | None = None,
@@ -110,9 +110,7 @@ class Problem:
         joints = self.runs.layout.chain.signature.joints
         states = [*joints, *(f"{j} velocity" for j in joints)]
         params = [self.runs.layout.names[i] for i in self.free]
-        return params + [
-            f"start of record {r}: {states[c]}" for r, c in zip(self.start_rows, self.start_columns, strict=True)
-        ]
+        return params + [f"start of record {r}: {states[c]}" for r, c in zip(self.start_rows, self.start_columns, strict=True)]
 
     def z(self, theta: np.ndarray, starts: np.ndarray | None = None) -> np.ndarray:
         """Search vector of a full parameter vector and starts [records 2 nq]."""

@@ -23,6 +23,7 @@ from jaxid.errors import UsageError
 from jaxid.experiment import Dataset, Experiment
 from jaxid.layout import Layout
 from jaxid.samples import Motion, Record
+from jaxid.torque import decimated_torque_lane, torque_setting, TorqueSetting
 
 
 @dataclass
@@ -41,6 +42,8 @@ class Runs:
     records: tuple[int, ...]
     heads: tuple[tuple[int, ...], ...]
     statement: str
+    dataset: Dataset | None = None  # where the residual was made from, and with which filter: for instruments
+    setting: TorqueSetting | None = None
     weights: np.ndarray = field(init=False)
     targets: np.ndarray = field(init=False)
 
@@ -121,7 +124,7 @@ class MultipleShooting(Residual):
             raise UsageError("windows need measured joint positions when an effect has states; use the residual output_error")
         measured = [np.concatenate([m.q, m.qd], 1) for m in motions] if states and motions else None
         samples, positions = recorded.build(dataset, experiments, layout.chain, noise, step, measured, shape[0])
-        records = []
+        records, length = [], 0.0
         for number, e in enumerate(experiments):
             length = self.window_s or default_window(e)
             edges = np.searchsorted(e.t, np.arange(e.t[0], e.t[-1] - 0.5 * length, length))
@@ -148,8 +151,6 @@ class InverseDynamics(Residual):
     decimate: int | None = None
 
     def runs(self, dataset, experiments, layout, noise, motions, step=recorded.STEP, shape=(0, 0)):
-        from jaxid.torque import decimated_torque_lane, torque_setting
-
         chain = layout.chain
         setting = torque_setting(dataset, experiments, chain, noise, self.cutoff_hz, self.decimate)
         samples, positions = recorded.build(
@@ -168,8 +169,9 @@ class InverseDynamics(Residual):
         engine = Engine(layout, samples, records, overrides(layout, experiments, records), lane, shape[1])
         every = tuple(range(len(records)))
         return Runs(
-            tuple(experiments), layout, chain.signature.inputs, setting.noise, engine, every, (), setting.statement
-        )
+            tuple(experiments), layout, chain.signature.inputs, setting.noise, engine, every, (), setting.statement,
+            dataset, setting,
+        )  # fmt: skip
 
 
 def default_window(e: Experiment) -> float:
@@ -195,9 +197,7 @@ def overrides(layout: Layout, experiments: Sequence[Experiment], records: Sequen
     return out
 
 
-def _record(
-    number: int, e: Experiment, p: np.ndarray, a: int, b: int, dataset: Dataset, chain: Chain, burn: bool
-) -> Record:
+def _record(number: int, e: Experiment, p: np.ndarray, a: int, b: int, dataset: Dataset, chain: Chain, burn: bool) -> Record:
     """Samples a ... b of an experiment as a record; its start from the statement of the experiment or its first samples."""
     from jaxid.signals import start_state
 
@@ -214,7 +214,10 @@ def _record(
         qd0[:], free[nq:] = 0.0, False
     if a == 0 and e.initial is not None:
         for j, joint in enumerate(chain.signature.joints):
-            for target, known, keys in ((q0, free[:nq], _keys("q", joint, nq, j)), (qd0, free[nq:], _keys("qd", joint, nq, j))):
+            for target, known, keys in (
+                (q0, free[:nq], _keys("q", joint, nq, j)),
+                (qd0, free[nq:], _keys("qd", joint, nq, j)),
+            ):
                 for key in keys:
                     if key in e.initial:
                         target[j], known[j] = e.initial[key], False

@@ -9,9 +9,8 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
-import jax
 import numpy as np
 
 from jaxid.chain import Chain
@@ -27,14 +26,14 @@ BLOCK = 256
 class Samples(NamedTuple):
     """Buffers over all steps of all runs. `w` is 1 / noise at a sample and 0 between; `x` the smoothed measured motion."""
 
-    t: np.ndarray | jax.Array  # [n]
-    h: np.ndarray | jax.Array  # [n]
-    u: np.ndarray | jax.Array  # [n nu] mean input over the step, stated hold
-    other: np.ndarray | jax.Array  # [n nu] the same under the other hold
-    total: np.ndarray | jax.Array  # [n nu] integral of u from the run's beginning to the step's
-    y: np.ndarray | jax.Array  # [n ny]
-    w: np.ndarray | jax.Array  # [n ny]
-    x: np.ndarray | jax.Array  # [n k] measured motion where a residual needs it: (q, qd) or (q, qd, qdd)
+    t: Any  # [n]
+    h: Any  # [n]
+    u: Any  # [n nu] mean input over the step, stated hold
+    other: Any  # [n nu] the same under the other hold
+    total: Any  # [n nu] integral of u from the run's beginning to the step's
+    y: Any  # [n ny]
+    w: Any  # [n ny]
+    x: Any  # [n k] measured motion where a residual needs it: (q, qd) or (q, qd, qdd)
 
 
 @dataclass(frozen=True)
@@ -101,8 +100,8 @@ def build(
 ) -> tuple[Samples, list[np.ndarray]]:
     """Buffers for these runs, and per run the positions of its samples.
 
-    `noise` is one standard deviation per output [ny]; `measured` the smoothed motion of each run at its samples [time k]; `size` the
-    least size of the buffers, so that other runs share one program.
+    `noise` is one standard deviation per output [ny]; `measured` the smoothed motion of each run at its samples
+    [time k]; `size` the least size of the buffers, so that other runs share one program.
     """
     iu, iy = columns(dataset, chain)
     linear = np.array([dataset.inputs[i].hold == "linear" for i in iu], bool)
@@ -132,9 +131,7 @@ def build(
             m = measured[number]
             x = np.append(m[:-1][owner] + (inside / divided[owner])[:, None] * np.diff(m, axis=0)[owner], m[-1:], 0)
         tail = lambda a: np.concatenate([a, a[-1:]])
-        for part, a in zip(
-            parts, (np.append(t, e.t[-1]), tail(h), tail(stated), tail(other), total, y, w, x), strict=True
-        ):
+        for part, a in zip(parts, (np.append(t, e.t[-1]), tail(h), tail(stated), tail(other), total, y, w, x), strict=True):
             part.append(a)
         positions.append(first + start)
         first += n
@@ -201,7 +198,11 @@ def references(
         tiny = 1e-9
         out.append(
             Reference(
-                max(torque, tiny), max(float(np.percentile(np.abs(qd), 99)), tiny), max(float(np.ptp(q)), tiny), duration, step
+                max(torque, tiny),
+                max(float(np.percentile(np.abs(qd), 99)), tiny),
+                max(float(np.ptp(q)), tiny),
+                duration,
+                step,
             )
         )
     return out

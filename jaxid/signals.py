@@ -97,9 +97,7 @@ def start_state(
 def _on_grid(t: np.ndarray, x: np.ndarray) -> tuple[np.ndarray, np.ndarray, bool]:
     t, x = np.asarray(t, dtype=float), np.asarray(x, dtype=float)
     if t.ndim != 1 or len(t) != len(x) or len(t) < 4:
-        raise ValueError(
-            f"t {t.shape} and a signal {x.shape}; expected [time] and [time] or [time n], at least 4 samples"
-        )
+        raise ValueError(f"t {t.shape} and a signal {x.shape}; expected [time] and [time] or [time n], at least 4 samples")
     step = np.diff(t)
     median = float(np.median(step))
     if np.min(step) <= 0:
@@ -130,9 +128,7 @@ def _filtered(grid: np.ndarray, x: np.ndarray, cutoff_hz: float, order: int) -> 
 
 def _statement(t: np.ndarray, cutoff_hz: float, order: int, uniform: bool) -> str:
     grid = "" if uniform else f" on a uniform grid of {np.median(np.diff(t)):.4g} s (sampling is irregular)"
-    return (
-        f"zero-phase Butterworth low-pass of order {order}, run forwards and backwards, cutoff {cutoff_hz:g} Hz{grid}"
-    )
+    return f"zero-phase Butterworth low-pass of order {order}, run forwards and backwards, cutoff {cutoff_hz:g} Hz{grid}"
 
 
 def _ends_text(t: np.ndarray, cutoff_hz: float) -> str:

@@ -27,7 +27,9 @@ def simulate_dataset(content: Mapping[str, Any], dataset: Dataset, model: object
         theta[binding.layout.index(name)] = _number(name, value)
     for e in effects:
         for field, value in (e.get("parameters", {}) if isinstance(e, Mapping) else {}).items():
-            indices = [i for i in binding.layout.of_effect(e["effect"], e.get("location")) if binding.layout.entries[i].field == field]
+            indices = [
+                i for i in binding.layout.of_effect(e["effect"], e.get("location")) if binding.layout.entries[i].field == field
+            ]
             if not indices:
                 raise UsageError(f"effect {e['effect']} has no parameter {field!r}")
             theta[indices] = _number(f"{e['effect']}.{field}", value)
@@ -41,9 +43,7 @@ def simulate_dataset(content: Mapping[str, Any], dataset: Dataset, model: object
             names = [n for n, _ in binding.chain.signature.outputs]
             runs[e.name] = {"t": e.t, **{n: y[:, c] for c, n in enumerate(names)}}
             keep = scored(e, "simulate")
-            rmse[e.name] = {
-                n: float(np.sqrt(np.mean((y[keep, c] - e.y[keep, iy[c]]) ** 2))) for c, n in enumerate(names)
-            }
+            rmse[e.name] = {n: float(np.sqrt(np.mean((y[keep, c] - e.y[keep, iy[c]]) ** 2))) for c, n in enumerate(names)}
     order = [e.name for e in dataset.experiments]
     return Simulation(
         binding.chain.mechanism.name,

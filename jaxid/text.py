@@ -36,9 +36,7 @@ def times(multiple: float | None) -> str:
     """A multiple of the noise, as exact as a person reads it."""
     if multiple is None or not math.isfinite(multiple):
         return "–"
-    return (
-        f"{multiple:.2f}" if abs(multiple) < 2 else f"{multiple:.1f}" if abs(multiple) < 9.95 else number(multiple, 2)
-    )
+    return f"{multiple:.2f}" if abs(multiple) < 2 else f"{multiple:.1f}" if abs(multiple) < 9.95 else number(multiple, 2)
 
 
 def percent(fraction: float | None) -> str:
@@ -130,9 +128,7 @@ def how_far_sentence(how_far: HowFar, verdict: str) -> str:
         return f"What is left is {before} times the noise; 1 is the noise itself."
     if verdict == "unknown":
         return f"The gap is {before} times the noise, {retuned} after retuning the model's own parameters."
-    return (
-        f"The gap falls from {before} to {after} times the noise ({retuned} if the old parameters are retuned alone)."
-    )
+    return f"The gap falls from {before} to {after} times the noise ({retuned} if the old parameters are retuned alone)."
 
 
 def shrinkage_sentence(how_far: HowFar, verdict: str) -> str:
@@ -140,11 +136,7 @@ def shrinkage_sentence(how_far: HowFar, verdict: str) -> str:
     if verdict == "unknown":
         return ""
     if how_far.shrinkage is None:
-        return (
-            f"No shrinkage is given: {one_line(how_far.interval_reason).rstrip('.')}."
-            if how_far.interval_reason
-            else ""
-        )
+        return f"No shrinkage is given: {one_line(how_far.interval_reason).rstrip('.')}." if how_far.interval_reason else ""
     head = f"{percent(how_far.shrinkage)} of the gap is closed on data never fitted nor chosen on"
     if how_far.shrinkage_interval_95 is None:
         reason = one_line(how_far.interval_reason).rstrip(".")
@@ -236,9 +228,7 @@ def fit_text(fit: Fit) -> str:
         parts.append(table(("data", "channel", "rms error", "of its std", "relative"), scores))
     parts += [f"The data determine only together: {one_line(', '.join(group))}" for group in fit.correlated]
     parts += [paragraph("note", [note]) for note in fit.notes]
-    parts.append(
-        f"{fit.evaluations} evaluations, {number(fit.wall_time_s)} s, {number(fit.compile_time_s)} s of it compiling"
-    )
+    parts.append(f"{fit.evaluations} evaluations, {number(fit.wall_time_s)} s, {number(fit.compile_time_s)} s of it compiling")
     return "\n".join(parts)
 
 

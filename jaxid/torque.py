@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 from collections.abc import Sequence
 from dataclasses import dataclass
 
@@ -25,6 +26,8 @@ class TorqueSetting:
     noise: np.ndarray  # [nq]
     cutoff_hz: float
     statement: str
+    inputs: list[int]  # columns of u and y that the model uses
+    outputs: list[int]
 
 
 def torque_setting(
@@ -42,13 +45,13 @@ def torque_setting(
     iu, iy = columns(dataset, chain)
     if tuple(n for n, _ in chain.signature.outputs) != chain.signature.joints:
         raise UsageError(f"inverse dynamics needs every joint position measured ({', '.join(chain.signature.joints)})")
-    first = experiments[0]
+    first = (dataset.split("fit") or experiments)[0]  # one rule for all splits
     rate = 1 / float(np.median(np.diff(first.t)))
     if cutoff_hz is None:
         content = max(content_cutoff(first.t, first.y[:, i], s) for i, s in zip(iy, noise, strict=True))
         cutoff_hz = min(rate / 10, max(content, 2.0))
     if decimate is None:
-        decimate = max(1, int(rate / (0.4 * cutoff_hz)))
+        decimate = max(1, round(rate / (0.4 * cutoff_hz)))
     motion, ends = [], []
     statement = ""
     for e in experiments:
@@ -59,7 +62,7 @@ def torque_setting(
     if decimate > 1:
         from scipy.signal import firwin
 
-        taps = firwin(10 * decimate + 1, 0.8 / decimate)
+        taps = np.asarray(firwin(10 * decimate + 1, 0.8 / decimate), np.float64)
         statement += f"; residual low-passed at {0.4 * rate / decimate:.3g} Hz and taken at every {decimate}th sample"
     level = np.ones(chain.nq)
     for j, i in enumerate(iu):
@@ -67,12 +70,17 @@ def torque_setting(
         white = 1.4826 * float(np.median(np.abs(u)))
         span = float(np.percentile(np.abs(np.concatenate([e.u[:, i] for e in experiments])), 99))
         level[j] = max(white * np.sqrt(np.sum(taps**2)), 1e-3 * span, 1e-12)
-    return TorqueSetting(motion, ends, decimate, taps, level, cutoff_hz, statement)
+    return TorqueSetting(motion, ends, decimate, taps, level, cutoff_hz, statement, iu, iy)
 
 
 def decimated_torque_lane(taps: np.ndarray) -> Lane:
-    """`torque_lane` followed by a zero-phase low-pass over time."""
-    kernel = np.asarray(taps)
+    """`torque_lane` followed by a zero-phase low-pass over time; equal filters share one lane, hence one program."""
+    return _decimated(tuple(float(x) for x in taps))
+
+
+@functools.cache
+def _decimated(taps: tuple[float, ...]) -> Lane:
+    kernel = np.array(taps)
 
     def lane(chain, samples, where, start, steps, length, reach, burn):
         missing = torque_lane(chain, samples, where, start, steps, length, reach, burn)

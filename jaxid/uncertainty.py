@@ -135,7 +135,7 @@ def _whiteness(series: list[np.ndarray], lags: int = 20) -> tuple[bool, int]:
         total += lags
         below = np.flatnonzero(np.abs(rho) < max(0.05, 2 / np.sqrt(n)))
         memory = max(memory, int(below[0]) if below.size else n // 4)
-    return (total == 0 or statistic < chi2.ppf(0.999, total)), memory
+    return total == 0 or bool(statistic < chi2.ppf(0.999, total)), memory
 
 
 def _long_run(scores: list[tuple[list[int], np.ndarray]], n: int, memory: int) -> np.ndarray:

@@ -16,11 +16,11 @@ class Joint(Rigid):
     """inertia qdd = u - friction - offset."""
 
     name: ClassVar[str] = "joint"
-    signatures: ClassVar = (
+    signatures: ClassVar[tuple[Signature, ...]] = (
         Signature((("tau", "N m"),), (("q", "rad"),), ("q",)),
         Signature((("force", "N"),), (("position", "m"),), ("position",), linear=True),
     )
-    builtin: ClassVar = (
+    builtin: ClassVar[tuple[tuple[type, dict[str, str]], ...]] = (
         (ViscousFriction, {"coefficient": "viscous"}),
         (CoulombFriction, {"level": "coulomb"}),
         (ConstantTorque, {"torque": "offset"}),

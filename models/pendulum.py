@@ -16,8 +16,8 @@ class Pendulum(Rigid):
     """inertia qdd + gravity_torque sin q = u - friction - offset."""
 
     name: ClassVar[str] = "pendulum"
-    signatures: ClassVar = (Signature((("tau", "N m"),), (("q", "rad"),), ("q",)),)
-    builtin: ClassVar = (
+    signatures: ClassVar[tuple[Signature, ...]] = (Signature((("tau", "N m"),), (("q", "rad"),), ("q",)),)
+    builtin: ClassVar[tuple[tuple[type, dict[str, str]], ...]] = (
         (ViscousFriction, {"coefficient": "viscous"}),
         (CoulombFriction, {"level": "coulomb"}),
         (ConstantTorque, {"torque": "offset"}),

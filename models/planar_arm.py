@@ -17,10 +17,13 @@ class PlanarArm(Rigid):
     """Masses m, distances c from the joint to the centre of mass along the link, inertias I about the centre of mass."""
 
     name: ClassVar[str] = "planar_arm"
-    signatures: ClassVar = (
+    signatures: ClassVar[tuple[Signature, ...]] = (
         Signature((("tau1", "N m"), ("tau2", "N m")), (("q1", "rad"), ("q2", "rad")), ("q1", "q2")),
     )
-    builtin: ClassVar = ((ViscousFriction, {"coefficient": "viscous"}), (CoulombFriction, {"level": "coulomb"}))
+    builtin: ClassVar[tuple[tuple[type, dict[str, str]], ...]] = (
+        (ViscousFriction, {"coefficient": "viscous"}),
+        (CoulombFriction, {"level": "coulomb"}),
+    )
     equations: ClassVar[str] = (
         "M(q) qdd + C(q, qd) qd + g(q) + viscous qd + coulomb sign(qd) = tau, with k = m2 l1 c2:\n"
         "M11 = I1 + m1 c1^2 + m2 l1^2 + M22 + 2 k cos q2, M12 = M22 + k cos q2, M22 = I2 + m2 c2^2\n"

@@ -14,6 +14,9 @@ import numpy as np
 from scipy.integrate import solve_ivp
 
 
+#: Longest step while dry friction acts, s: two events of one joint inside a step would go unseen.
+LONGEST_STEP = 1e-3
+
 Plant = Callable[[np.ndarray, np.ndarray], tuple[np.ndarray, np.ndarray]]
 
 
@@ -242,7 +245,14 @@ def _through(plant, truth, piece, q, v, mode, rtol, atol):
             event.terminal, event.direction = True, -1
             events.append(event)
         found = solve_ivp(
-            f, (t, piece.end), np.concatenate([q, v]), "DOP853", rtol=rtol, atol=atol, events=events if attempt < 39 else None
+            f,
+            (t, piece.end),
+            np.concatenate([q, v]),
+            "DOP853",
+            rtol=rtol,
+            atol=atol,
+            events=events if attempt < 39 else None,
+            max_step=LONGEST_STEP,
         )
         t, s = float(found.t[-1]), found.y[:, -1]
         q, v = s[:n].copy(), s[n:].copy()

@@ -123,10 +123,7 @@ def sample_diagnosis(samples: int = 4000) -> Diagnosis:
             (
                 Ranked("coulomb_friction", "q", 1.04, -5123.0, 41.2, "Takes the gap to the noise."),
                 Ranked("stribeck_friction", "q", 1.04, -5110.4, 41.1, "As good; the data hold no slow motion."),
-                *(
-                    Ranked(e, loc, gap, -4000.0 - 10 * i, evidence, s)
-                    for i, (e, loc, gap, evidence, s) in enumerate(others)
-                ),
+                *(Ranked(e, loc, gap, -4000.0 - 10 * i, evidence, s) for i, (e, loc, gap, evidence, s) in enumerate(others)),
             ),
         ),
         how_far=HowFar(
@@ -144,9 +141,7 @@ def sample_diagnosis(samples: int = 4000) -> Diagnosis:
         nominal=nominal,
         final=final,
         traces=sample_traces(samples, ("nominal model", "with coulomb_friction at q")),
-        missing_force=(
-            MissingForce("q", "N m", "rad", "rad/s", "step_2", t, q, qd, 1.2 * np.sin(q), before, rest, 0.012),
-        ),
+        missing_force=(MissingForce("q", "N m", "rad", "rad/s", "step_2", t, q, qd, 1.2 * np.sin(q), before, rest, 0.012),),
         regimes=(
             Regime("q", "velocity_reversal", 2.4, (0.8, 1.2), 410),
             Regime("q", "low_speed", 1.6, (0.85, 1.15), 820),
@@ -159,9 +154,7 @@ def sample_diagnosis(samples: int = 4000) -> Diagnosis:
 
 def sample_simulation() -> Simulation:
     t = np.linspace(0.0, 1.0, 11)
-    return Simulation(
-        "pendulum", ({"t": t, "q": np.sin(t)}, {"t": t, "q": np.cos(t)}), ({"q": 1e-3}, {"q": 2e-3}), {"q": "rad"}
-    )
+    return Simulation("pendulum", ({"t": t, "q": np.sin(t)}, {"t": t, "q": np.cos(t)}), ({"q": 1e-3}, {"q": 2e-3}), {"q": "rad"})
 
 
 def hostile(diagnosis: Diagnosis) -> Diagnosis:
@@ -182,9 +175,7 @@ def hostile(diagnosis: Diagnosis) -> Diagnosis:
         next_experiment=bad,
         nominal=nominal,
         final=nominal,
-        traces=tuple(
-            replace(x, experiment=bad, channel=bad, unit=bad, simulated={bad: x.measured}) for x in diagnosis.traces
-        ),
+        traces=tuple(replace(x, experiment=bad, channel=bad, unit=bad, simulated={bad: x.measured}) for x in diagnosis.traces),
         missing_force=tuple(replace(m, joint=bad, unit=bad, experiment=bad) for m in diagnosis.missing_force),
         regimes=tuple(replace(r, joint=bad, regime=bad) for r in diagnosis.regimes),
         notes=(bad,),

@@ -186,9 +186,7 @@ def link_outside(f: Folder) -> None:
 
 
 EXPERIMENT = '[[experiments]]\nfile = "fit.csv"\n'
-RESPONSE = (
-    '[[experiments]]\nfile = "frf.csv"\nkind = "frequency_response"\ninput = "tau"\noutput = "q"\nsplit = "report"\n'
-)
+RESPONSE = '[[experiments]]\nfile = "frf.csv"\nkind = "frequency_response"\ninput = "tau"\noutput = "q"\nsplit = "report"\n'
 
 
 def response(head: str = "omega,gain,phase", row: str = "2.0,0.5,-0.1", more: str = "") -> Callable[[Folder], object]:
@@ -517,9 +515,7 @@ PIECES = [b"", b"[", b"]", b'"', b"\n", b",", b";", b"=", b"\x00", b"\xff", b"na
 
 
 @given(data=st.data())
-@settings(
-    max_examples=150, deadline=None, suppress_health_check=[HealthCheck.too_slow, HealthCheck.function_scoped_fixture]
-)
+@settings(max_examples=150, deadline=None, suppress_health_check=[HealthCheck.too_slow, HealthCheck.function_scoped_fixture])
 def test_random_damage_is_refused_or_harmless(tmp_path_factory, pendulum, data):
     folder = Folder(tmp_path_factory.mktemp("damage") / "d")
     folder.fit = folder.fit[:40]

@@ -189,9 +189,7 @@ def datasets(draw) -> Dataset:
     free = draw(st.booleans())
     inputs = () if free else (Channel("tau", "input", "N m", hold=draw(st.sampled_from(["zero", "linear"]))),)
     width = st.none() | st.floats(1e-6, 1.0)
-    outputs = tuple(
-        Channel(f"q{i + 1}", "output", "rad", draw(width), draw(width)) for i in range(draw(st.integers(1, 2)))
-    )
+    outputs = tuple(Channel(f"q{i + 1}", "output", "rad", draw(width), draw(width)) for i in range(draw(st.integers(1, 2))))
     extra = (Channel("temperature1", "auxiliary", "K"),) if draw(st.booleans()) else ()
     rng = np.random.default_rng(draw(st.integers(0, 2**32 - 1)))
     names = draw(st.lists(word, min_size=1, max_size=3, unique=True))
@@ -296,9 +294,7 @@ def test_where_on_a_real_recording(tmp_path):
         pytest.skip(f"xl330_pendulum is not in {DATA}: set JAXID_DATA to the folder of recordings")
     (tmp_path / "xl330.parquet").write_bytes(source.read_bytes())
     logs = list(dict.fromkeys(pq.read_table(source).column("log").to_pylist()))
-    experiments = "".join(
-        f'[[experiments]]\nfile = "xl330.parquet"\nwhere = {{ log = {json.dumps(x)} }}\n' for x in logs
-    )
+    experiments = "".join(f'[[experiments]]\nfile = "xl330.parquet"\nwhere = {{ log = {json.dumps(x)} }}\n' for x in logs)
     (tmp_path / "dataset.toml").write_text(
         'name = "xl330"\n[channels.q_cmd]\ncolumn = "q_goal_rad"\nrole = "input"\nunit = "rad"\n'
         '[channels.q]\ncolumn = "q_rad"\nrole = "output"\nunit = "rad"\n' + experiments

@@ -117,9 +117,7 @@ def test_lazy_submodules():
 
 
 def test_prepare_sets_the_environment(tmp_path):
-    code = (
-        "import json, os; from jaxid.runtime import prepare; prepare(); prepare(); print(json.dumps(dict(os.environ)))"
-    )
+    code = "import json, os; from jaxid.runtime import prepare; prepare(); prepare(); print(json.dumps(dict(os.environ)))"
     plain = {"XLA_FLAGS": "--xla_x=1", "JAXID_CACHE_DIR": str(tmp_path / "cache"), "JAXID_XLA": "1"}
     for name in ("JAX_COMPILATION_CACHE_DIR", "JAX_PLATFORMS"):
         plain[name] = os.environ.get(name, "")

@@ -8,22 +8,20 @@ from collections.abc import Iterable
 import jax
 import numpy as np
 
-from jaxid import catalogue, samples
-from jaxid.binding import Binding, bind, resolve_model
+from jaxid import catalogue
+from jaxid.binding import bind, Binding, resolve_model
 from jaxid.diagnosis import how_far as shrinking, where as location
 from jaxid.diagnosis.next_experiment import advice
-from jaxid.diagnosis.which import Candidate, Hypothesis, Search, Searcher, candidates
-from jaxid.errors import UsageError, nearest
+from jaxid.diagnosis.which import Candidate, candidates, Hypothesis, Search, Searcher
+from jaxid.errors import nearest, UsageError
 from jaxid.estimation import (
-    STEP_SHARE,
-    Bench,
     assemble,
+    Bench,
     default_residual,
     estimate_starts,
     free_runs,
     make_traces,
     start_values,
-    step_error,
 )
 from jaxid.experiment import Dataset
 from jaxid.fitter import Minimum, Progress
@@ -80,9 +78,7 @@ def run_diagnosis(
     mates = search.confusable if named else []
     findings, pictures, rows = _where(bench, search.nominal, final, verdict, named, seed)
     ranking = tuple(_ranked(search))
-    which = Which(
-        verdict, estimates if named else (), tuple(EffectEstimate(c.effect, c.location) for c in mates), ranking, text
-    )
+    which = Which(verdict, estimates if named else (), tuple(EffectEstimate(c.effect, c.location) for c in mates), ranking, text)
     return Diagnosis(
         binding.chain.mechanism.name, binding.dataset.name, binding.dataset.sha256, seed, residual.name, findings, which,
         how_far, advice(verdict, [c.effect for c in named], [c.effect for c in mates]), time.perf_counter() - began,
@@ -92,34 +88,37 @@ def run_diagnosis(
 
 
 def _search(
-    binding: Binding, residual: Residual, allowed: tuple[str, ...], max_effects: int, seed: int, progress: Progress | None
+    binding: Binding,
+    residual: Residual,
+    allowed: tuple[str, ...],
+    max_effects: int,
+    seed: int,
+    progress: Progress | None,
 ) -> tuple[Bench, Fit, Search, float]:
-    """Nominal fit and search, with a finer step where the step matters."""
-    step, compile_time = samples.STEP, 0.0
+    """Nominal fit and search; then both ends of it again with finer steps until the step no longer matters."""
     began = time.perf_counter()
-    for attempt in range(4):
-        bench = Bench(binding, step)
-        guesses = start_values(bench, binding.free, seed)
-        problem = bench.problem(residual, "fit", binding.free, guesses[0])
-        fitter = LevenbergMarquardt()
-        result = fitter.minimise(problem, [problem.z(g) for g in guesses], jax.random.key(seed), None, progress)
-        if result.failed:
-            raise UsageError(f"the nominal model cannot be fitted: {result.stopped_because}")
-        nominal = descend([(problem, result.z)], 3, 1e-9)[0]
-        nominal_fit = assemble(
-            bench, problem, Minimum(nominal.z, result.loss, result.converged, result.stopped_because, result.evaluations,
-                                    result.history),
-            residual, fitter.name, seed, bench.compile_time(), time.perf_counter() - began,
-        )  # fmt: skip
-        searcher = Searcher(bench, residual, nominal, progress)
-        search = searcher.run(candidates(bench, allowed), max_effects)
-        compile_time += bench.compile_time()
-        final = search.chosen.path
-        moved = step_error(bench, final.problem, final.z)
-        if moved <= STEP_SHARE or attempt == 3:
-            return bench, nominal_fit, search, compile_time
-        step /= 2
-    raise AssertionError("unreachable")
+    bench = Bench(binding)
+    guesses = start_values(bench, binding.free, seed)
+    problem = bench.problem(residual, "fit", binding.free, guesses[0])
+    fitter = LevenbergMarquardt()
+    result = fitter.minimise(problem, [problem.z(g) for g in guesses], jax.random.key(seed), None, progress)
+    if result.failed:
+        raise UsageError(f"the nominal model cannot be fitted: {result.stopped_because}")
+    nominal = descend([(problem, result.z)], 3, 1e-9)[0]
+    searcher = Searcher(bench, residual, nominal, progress)
+    search = searcher.run(candidates(bench, allowed), max_effects)
+    bench = searcher.bench
+    compile_time = sum(b.compile_time() for b in (*searcher.benches, bench))
+    path = search.nominal.path
+    minimum = Minimum(path.z, path.problem.loss(path.z), result.converged, result.stopped_because, result.evaluations,
+                      result.history)  # fmt: skip
+    spent = time.perf_counter() - began
+    return (
+        bench,
+        assemble(bench, path.problem, minimum, residual, fitter.name, seed, compile_time, spent),
+        search,
+        compile_time,
+    )
 
 
 def judge(search: Search) -> tuple[str, str]:
@@ -166,8 +165,7 @@ def _effect_estimates(binding: Binding, h: Hypothesis) -> tuple[EffectEstimate, 
     cov = covariance(h.path.problem, h.path.z)
     found = estimates(binding, h.path.problem, h.path.z, cov)
     return tuple(
-        EffectEstimate(c.effect, c.location, {binding.layout.entries[i].field: found[i] for i in c.index})
-        for c in h.effects
+        EffectEstimate(c.effect, c.location, {binding.layout.entries[i].field: found[i] for i in c.index}) for c in h.effects
     )
 
 
@@ -223,7 +221,14 @@ def _ranked(search: Search) -> list[Ranked]:
         change = 100 * (1 - gap / max(np.sqrt(max(nominal.validation.loss, 1e-300)), 1e-300))
         words = f"{abs(change):.1f} % {'smaller' if change >= 0 else 'larger'} than the nominal model's"
         out.append(
-            Ranked(last.effect, last.location, gap, float(h.bic), float(evidence), f"{last}{beside}: validation gap {words}")
+            Ranked(
+                last.effect,
+                last.location,
+                gap,
+                float(h.bic),
+                float(evidence),
+                f"{last}{beside}: validation gap {words}",
+            )
         )
     return out
 
@@ -250,5 +255,3 @@ def _notes(binding: Binding, fit: Fit, compile_time: float) -> list[str]:
     friction = "tanh(qd / v) with v = " + f"{binding.chain.smoothing_velocity:g}"
     law = "true sticking" if binding.chain.smoothing_velocity == 0 else friction
     return [*own, f"Coulomb friction: {law}", f"compilation took {compile_time:.2g} s"]
-
-

@@ -2,10 +2,9 @@
 
 from __future__ import annotations
 
-
 import numpy as np
 
-from jaxid.diagnosis.evidence import HeldOut, held_out, memory
+from jaxid.diagnosis.evidence import held_out, HeldOut, memory
 from jaxid.estimation import Bench
 from jaxid.results import ChannelGap, HowFar
 
@@ -26,9 +25,7 @@ def measure(
     per_channel = {}
     for c, (name, unit) in enumerate(b.chain.signature.outputs):
         sigma = float(b.sigma[c])
-        rmse = [
-            sigma * float(np.sqrt(np.mean(np.concatenate([r[:, c] for r in run.residual]) ** 2))) for run in runs
-        ]
+        rmse = [sigma * float(np.sqrt(np.mean(np.concatenate([r[:, c] for r in run.residual]) ** 2))) for run in runs]
         noise = b.noise[name]
         per_channel[name] = ChannelGap(unit, rmse[0], rmse[1], rmse[2], noise.std, noise.source)
     shrinkage = interval = None
@@ -74,5 +71,3 @@ def bootstrap(before: HeldOut, after: HeldOut, seed: int) -> tuple[tuple[float, 
     values = shrink(np.maximum(first, 1 + 1e-9), last)
     low, high = np.percentile(values, [2.5, 97.5])
     return (float(low), float(high)), ""
-
-

@@ -13,7 +13,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from jaxid import samples
-from jaxid.estimation import Bench, estimate_starts, free_runs
+from jaxid.estimation import Bench, free_runs
 from jaxid.experiment import Experiment
 from jaxid.problem import Problem
 from jaxid.residual import InverseDynamics, OutputError
@@ -39,7 +39,7 @@ class Missing:
     null: np.ndarray
 
 
-def missing_forces(bench: Bench, theta: np.ndarray, starts: np.ndarray | None, seed: int, draws: int = NULLS) -> list[Missing]:
+def missing_forces(bench: Bench, theta: np.ndarray, starts: np.ndarray, seed: int, draws: int = NULLS) -> list[Missing]:
     """Missing force on the fit runs at `theta`; empty where the model does not measure its joints."""
     b = bench.binding
     if not b.motions:
@@ -50,8 +50,6 @@ def missing_forces(bench: Bench, theta: np.ndarray, starts: np.ndarray | None, s
     iu, iy = samples.columns(b.dataset, b.chain)
     problem = bench.problem(residual, "fit", [], theta)
     force = [-p for p in _torque(problem, theta)]
-    if starts is None:
-        starts = estimate_starts(bench, "fit", [theta])[0]
     simulated = free_runs(bench, "fit", [theta], starts[None])[0]
     rng = np.random.default_rng(seed)
     nulls: list[list[np.ndarray]] = [[] for _ in experiments]
@@ -69,9 +67,7 @@ def missing_forces(bench: Bench, theta: np.ndarray, starts: np.ndarray | None, s
         keep = np.zeros(len(e.t), bool)
         keep[np.searchsorted(_positions(runs, k), record.samples)] = True
         load = e.u[:, iu] if iu else np.zeros((len(e.t), b.chain.nq))
-        out.append(
-            Missing(e, keep, m.q[keep], m.qd[keep], m.qdd[keep], load[keep], force[k], np.array(nulls[k]))
-        )
+        out.append(Missing(e, keep, m.q[keep], m.qd[keep], m.qdd[keep], load[keep], force[k], np.array(nulls[k])))
     return out
 
 
@@ -188,9 +184,7 @@ def table(found: Sequence[Missing], joints: Sequence[str]) -> list[Regime]:
             if count < 20:
                 continue
             ratio = _ratio([m.force[:, j] for m in found], mask)
-            null = [
-                _ratio([m.null[d][:, j] for m in found], mask) for d in range(len(found[0].null))
-            ]
+            null = [_ratio([m.null[d][:, j] for m in found], mask) for d in range(len(found[0].null))]
             low, high = (float(x) for x in np.percentile(null, [2.5, 97.5])) if null else (np.nan, np.nan)
             out.append(Regime(joint, name, ratio, (low, high), count))
     return out
@@ -295,9 +289,7 @@ def output_findings(bench: Bench, theta: np.ndarray, starts: np.ndarray) -> list
     return sorted(out, key=lambda f: -f.times_noise_floor)[:3]
 
 
-def pictures(
-    bench: Bench, before: Sequence[Missing], after: Sequence[Missing]
-) -> list[MissingForce]:
+def pictures(bench: Bench, before: Sequence[Missing], after: Sequence[Missing]) -> list[MissingForce]:
     """Series for the report, one per joint and fit run."""
     b = bench.binding
     s = b.chain.signature

@@ -12,8 +12,8 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from jaxid.diagnosis.evidence import HeldOut, held_out, inflation, memory, worth
-from jaxid.estimation import Bench
+from jaxid.diagnosis.evidence import held_out, HeldOut, inflation, memory, worth
+from jaxid.estimation import Bench, step_error, STEP_SHARE
 from jaxid.fitter import Progress
 from jaxid.fitters import descend, Path, search
 from jaxid.parameter import resolve
@@ -94,6 +94,7 @@ class Searcher:
 
     def __init__(self, bench: Bench, residual: Residual, nominal: Path, progress: Progress | None = None):
         self.bench, self.residual, self.progress = bench, residual, progress
+        self.benches: list[Bench] = []  # coarser ones, left behind
         self.base_free = list(nominal.problem.free)
         self.nominal = self._hypotheses([((), nominal)])[0]
         self._low, self._high = bench.binding.lower, bench.binding.upper
@@ -217,11 +218,35 @@ class Searcher:
                 tried += [step] if step else []
             if step is None:
                 break
-            chosen = step
-            if chosen.validation.loss < NEAR_FLOOR and chosen.fit_loss < NEAR_FLOOR + 0.05:
+            chosen = self._refined(step)
+            if self._finished(chosen):
                 break
         chosen = self._questioned(chosen)
         return Search(self.nominal, chosen, tried, self._mates(chosen, pool))
+
+    def _refined(self, chosen: Hypothesis) -> Hypothesis:
+        """The chosen and the nominal hypothesis again with finer steps, until the step no longer matters against the noise:
+        what the step leaves behind would look like another effect."""
+        for _ in range(3):
+            if step_error(self.bench, chosen.path.problem, chosen.path.z) <= STEP_SHARE:
+                break
+            self.benches.append(self.bench)
+            self.bench = Bench(self.bench.binding, self.bench.step / 2)
+            jobs = []
+            for h in (self.nominal, chosen):
+                p = self.problem(h.effects, h.theta)
+                jobs.append((p, p.z(h.theta, h.path.problem.starts(h.path.z))))
+            paths = descend(jobs, 20, 1e-8)
+            self.nominal, chosen = self._hypotheses([((), paths[0]), (chosen.effects, paths[1])])
+            self._inflations.clear()
+            self.known = {frozenset(): self.nominal, _key(chosen.effects): chosen}
+        return chosen
+
+    def _finished(self, h: Hypothesis) -> bool:
+        """Down to the noise: near the floor, or white close above it (quantisation adds to a stated noise)."""
+        worst = max(h.validation.loss, h.fit_loss)
+        white = self.fit_inflation(h) < 1.5 * max(1.0, h.fit_loss) and memory(h.validation.settled) <= 2
+        return worst < NEAR_FLOOR or (worst < 1.5 and white)
 
     def _extend(self, h: Hypothesis, rest: Sequence[Candidate]) -> list[Hypothesis]:
         """Refits of `h` with one more effect each, for all that the screen lets pass."""
@@ -359,8 +384,6 @@ def _residuals(p: Problem, jobs: Sequence[tuple[Problem, np.ndarray]]) -> list[n
         parts = []
         for i, number in enumerate(p.records):
             at = runs.record(number).samples
-            parts.append(
-                (runs.weights[at] * (runs.sample_prediction(number, y[k * n + i]) - runs.targets[at])).ravel()
-            )
+            parts.append((runs.weights[at] * (runs.sample_prediction(number, y[k * n + i]) - runs.targets[at])).ravel())
         out.append(np.concatenate(parts))
     return out

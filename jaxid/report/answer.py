@@ -123,9 +123,7 @@ def gap_picture(how_far: HowFar, verdict: str):
                 color="#000000",
             )
         axes.axvline(floor, color=plot.BLACK, linestyle=(0, (4, 2)), linewidth=1.2)
-        axes.annotate(
-            "noise", (floor, -0.52), xytext=(4, 0), textcoords="offset points", va="bottom", ha="left", fontsize=8.5
-        )
+        axes.annotate("noise", (floor, -0.52), xytext=(4, 0), textcoords="offset points", va="bottom", ha="left", fontsize=8.5)
         axes.set_yticks(range(len(bars)), [name for name, _, _ in bars])
         axes.set_ylim(len(bars) - 0.5, -0.85)
         low = min([floor, *(gap for _, gap, _ in bars if 0 < gap < floor)])

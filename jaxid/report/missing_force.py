@@ -82,9 +82,7 @@ def picture(forces: Sequence[MissingForce], name: str):
         handles = [
             *over_time.plot([], [], "o", markersize=5, color=plot.VERMILLION, label="missing in the nominal model"),
             *over_time.plot([], [], "o", markersize=5, color=plot.BLUE, label="still missing with the effect"),
-            over_time.axhspan(
-                0, 0, color=plot.GREY, alpha=0.3, label="what noise alone would show, ±2 standard deviations"
-            ),
+            over_time.axhspan(0, 0, color=plot.GREY, alpha=0.3, label="what noise alone would show, ±2 standard deviations"),
         ]
         figure.legend(handles=handles, loc="outside upper left", ncols=3, fontsize=8.5)
 

@@ -8,7 +8,7 @@ import jax.numpy as jnp
 from jaxtyping import Array
 
 from jaxid.chain import InputEffect
-from jaxid.parameter import TORQUE, param
+from jaxid.parameter import param, Quantity, TORQUE
 
 
 class DeadZone(InputEffect):
@@ -23,7 +23,11 @@ class DeadZone(InputEffect):
         "(braking has command and motion of opposite sign)"
     )
     width: Array = param(0.0, 0.0, TORQUE, scale=0.05 * TORQUE, unit="{u}", meaning="half width of the dead zone")
-    probes: ClassVar = ({"width": 0.03 * TORQUE}, {"width": 0.1 * TORQUE}, {"width": 0.3 * TORQUE})
+    probes: ClassVar[tuple[dict[str, Quantity | float], ...]] = (
+        {"width": 0.03 * TORQUE},
+        {"width": 0.1 * TORQUE},
+        {"width": 0.3 * TORQUE},
+    )
 
     def start(self, u):
         return ()
@@ -41,7 +45,7 @@ class InputDelay(InputEffect):
     source: ClassVar[str] = "exact for a held input: mean of the delayed command over the step"
     excitation: ClassVar[str] = "one multisine with energy up to ten times the bandwidth, and a recorded clock pulse"
     delay: Array = param(0.0, 0.0, 0.1, scale=0.002, unit="s", meaning="delay of the command")
-    probes: ClassVar = ({"delay": 0.001}, {"delay": 0.004}, {"delay": 0.015})
+    probes: ClassVar[tuple[dict[str, Quantity | float], ...]] = ({"delay": 0.001}, {"delay": 0.004}, {"delay": 0.015})
 
     def start(self, u):
         return ()
@@ -58,12 +62,9 @@ class InputHold(InputEffect):
     equation: ClassVar[str] = "u -> (1 - share) u_stated + share u_other   (zero-order against linear hold)"
     signature: ClassVar[str] = "half a sample of lead or lag between command and motion"
     source: ClassVar[str] = "a wrong hold alone moves well-known tools by 1 to 3 % on a clean pendulum"
-    excitation: ClassVar[str] = (
-        "a command that changes at every sample (fast chirp), and the same at half the sampling "
-        "rate"
-    )
+    excitation: ClassVar[str] = "a command that changes at every sample (fast chirp), and the same at half the sampling rate"
     share: Array = param(0.0, 0.0, 1.0, scale=0.2, unit="1", meaning="0 the stated hold, 1 the other one")
-    probes: ClassVar = ({"share": 1.0},)
+    probes: ClassVar[tuple[dict[str, Quantity | float], ...]] = ({"share": 1.0},)
 
     def start(self, u):
         return ()

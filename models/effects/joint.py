@@ -8,7 +8,7 @@ import jax.numpy as jnp
 from jaxtyping import Array
 
 from jaxid.chain import JointEffect
-from jaxid.parameter import SPEED, TORQUE, param
+from jaxid.parameter import param, Quantity, SPEED, TORQUE
 
 
 class ViscousFriction(JointEffect):
@@ -22,7 +22,10 @@ class ViscousFriction(JointEffect):
     coefficient: Array = param(
         0.0, 0.0, 100 * TORQUE / SPEED, scale=0.1 * TORQUE / SPEED, unit="{F} s/{X}", meaning="viscous coefficient"
     )
-    probes: ClassVar = ({"coefficient": 0.03 * TORQUE / SPEED}, {"coefficient": 0.3 * TORQUE / SPEED})
+    probes: ClassVar[tuple[dict[str, Quantity | float], ...]] = (
+        {"coefficient": 0.03 * TORQUE / SPEED},
+        {"coefficient": 0.3 * TORQUE / SPEED},
+    )
 
     def start(self, q):
         return ()
@@ -40,7 +43,11 @@ class CoulombFriction(JointEffect):
     source: ClassVar[str] = "Moreau's time-stepping; seed systems of papers 001 to 003"
     excitation: ClassVar[str] = "slow reversals with rests between them"
     level: Array = param(0.0, 0.0, 2 * TORQUE, scale=0.05 * TORQUE, unit="{F}", meaning="dry friction level")
-    probes: ClassVar = ({"level": 0.01 * TORQUE}, {"level": 0.05 * TORQUE}, {"level": 0.2 * TORQUE})
+    probes: ClassVar[tuple[dict[str, Quantity | float], ...]] = (
+        {"level": 0.01 * TORQUE},
+        {"level": 0.05 * TORQUE},
+        {"level": 0.2 * TORQUE},
+    )
 
     def start(self, q):
         return ()
@@ -57,9 +64,7 @@ class AsymmetricFriction(JointEffect):
     signature: ClassVar[str] = "missing torque with the same sign in both directions of motion, zero at rest"
     source: ClassVar[str] = "direction-dependent friction of linear drives (EMPS benchmark's own variant)"
     excitation: ClassVar[str] = "the same constant speeds forwards and backwards, and a standstill"
-    dry: Array = param(
-        0.0, -TORQUE, TORQUE, scale=0.05 * TORQUE, unit="{F}", meaning="half the difference of the dry levels"
-    )
+    dry: Array = param(0.0, -TORQUE, TORQUE, scale=0.05 * TORQUE, unit="{F}", meaning="half the difference of the dry levels")
     viscous: Array = param(
         0.0,
         -20 * TORQUE / SPEED,
@@ -68,7 +73,7 @@ class AsymmetricFriction(JointEffect):
         unit="{F} s/{X}",
         meaning="half the difference of the viscous coefficients",
     )
-    probes: ClassVar = (
+    probes: ClassVar[tuple[dict[str, Quantity | float], ...]] = (
         {"dry": 0.03 * TORQUE},
         {"dry": -0.03 * TORQUE},
         {"viscous": 0.1 * TORQUE / SPEED},
@@ -90,13 +95,9 @@ class StribeckFriction(JointEffect):
     signature: ClassVar[str] = "a bump of the missing torque at low speed only; breakaway above the sliding level"
     source: ClassVar[str] = "paper 000 (Stribeck terms of both joints)"
     excitation: ClassVar[str] = "slow ramps through zero speed and micro-reversals of a few milliradians"
-    extra: Array = param(
-        0.0, 0.0, 2 * TORQUE, scale=0.05 * TORQUE, unit="{F}", meaning="breakaway level above the sliding level"
-    )
-    speed: Array = param(
-        0.1, 0.002 * SPEED, SPEED, scale=0.05 * SPEED, unit="{X}/s", meaning="Stribeck velocity", log=True
-    )
-    probes: ClassVar = (
+    extra: Array = param(0.0, 0.0, 2 * TORQUE, scale=0.05 * TORQUE, unit="{F}", meaning="breakaway level above the sliding level")
+    speed: Array = param(0.1, 0.002 * SPEED, SPEED, scale=0.05 * SPEED, unit="{X}/s", meaning="Stribeck velocity", log=True)
+    probes: ClassVar[tuple[dict[str, Quantity | float], ...]] = (
         {"extra": 0.1 * TORQUE, "speed": 0.02 * SPEED},
         {"extra": 0.1 * TORQUE, "speed": 0.1 * SPEED},
         {"extra": 0.1 * TORQUE, "speed": 0.4 * SPEED},
@@ -119,7 +120,7 @@ class LoadDependentFriction(JointEffect):
     source: ClassVar[str] = "load-dependent models of geared servos (Duclusaud et al., arXiv 2410.08650)"
     excitation: ClassVar[str] = "the same motion under two or three payloads or poses"
     mu: Array = param(0.0, 0.0, 0.9, scale=0.03, unit="1", meaning="dry friction per torque transmitted")
-    probes: ClassVar = ({"mu": 0.02}, {"mu": 0.1}, {"mu": 0.3})
+    probes: ClassVar[tuple[dict[str, Quantity | float], ...]] = ({"mu": 0.02}, {"mu": 0.1}, {"mu": 0.3})
 
     def start(self, q):
         return ()
@@ -145,7 +146,10 @@ class QuadraticDrag(JointEffect):
         unit="{F} s^2/{X}^2",
         meaning="drag coefficient",
     )
-    probes: ClassVar = ({"coefficient": 0.02 * TORQUE / (SPEED * SPEED)}, {"coefficient": 0.2 * TORQUE / (SPEED * SPEED)})
+    probes: ClassVar[tuple[dict[str, Quantity | float], ...]] = (
+        {"coefficient": 0.02 * TORQUE / (SPEED * SPEED)},
+        {"coefficient": 0.2 * TORQUE / (SPEED * SPEED)},
+    )
 
     def start(self, q):
         return ()
@@ -165,7 +169,7 @@ class ConstantTorque(JointEffect):
     torque: Array = param(
         0.0, -TORQUE, TORQUE, scale=0.03 * TORQUE, unit="{F}", meaning="constant torque against positive motion"
     )
-    probes: ClassVar = ({"torque": 0.03 * TORQUE}, {"torque": -0.03 * TORQUE})
+    probes: ClassVar[tuple[dict[str, Quantity | float], ...]] = ({"torque": 0.03 * TORQUE}, {"torque": -0.03 * TORQUE})
 
     def start(self, q):
         return ()

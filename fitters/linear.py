@@ -1,0 +1,325 @@
+"""Linear estimators on the inverse-dynamics residual, which is linear in the parameters of rigid models: W theta = b + error.
+
+- `ls`: ordinary least squares. Biased in closed loop, where the disturbance is in the motion and hence in W.
+- `wls`: the same, each joint of each run weighted by its own residual (Gautier 1997).
+- `iv`: instrumental variables, Z'W theta = Z'b, with Z the W of the motion that the model makes under the recording's
+  controller: no noise in it, so no bias (Janot, Vandanjon, Gautier 2014).
+
+All three are one bounded problem, min |Q'(W theta - b)| with Q a basis of the columns of Z (of W itself without instruments).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from typing import ClassVar
+
+import numpy as np
+
+from jaxid.closed_loop import simulate_closed_loop
+from jaxid.controller import law_of
+from jaxid.errors import UsageError
+from jaxid.fitter import AbstractFitter, Minimum
+from jaxid.noise import noise_floor
+from jaxid.problem import PENALTY, Problem, rows
+from jaxid.residual import InverseDynamics, Runs
+from jaxid.uncertainty import _long_run, _null_directions, _whiteness, Covariance
+
+
+#: A residual counts as linear where it departs from its linearisation by less than this share of itself.
+LINEAR = 1e-6
+#: Instruments have converged where the estimate moves by less than this share of its standard deviation.
+STILL = 0.01
+
+
+@dataclass(frozen=True)
+class LinearMinimum(Minimum):
+    """A minimum that brings its own covariance, for weights and instruments are not part of the problem's loss."""
+
+    covariance: Covariance | None = None
+
+
+@dataclass(frozen=True)
+class Blocks:
+    """W theta = b: per run of the problem W [samples nq k] and b [samples nq], both divided by the noise."""
+
+    W: list[np.ndarray]
+    b: list[np.ndarray]
+
+    def weighted(self, weights: Sequence[np.ndarray]) -> Blocks:
+        """The same with each joint of each run multiplied by its weight [nq]."""
+        return Blocks(
+            [W * w[:, None] for W, w in zip(self.W, weights, strict=True)],
+            [b * w for b, w in zip(self.b, weights, strict=True)],
+        )
+
+    def errors(self, theta: np.ndarray) -> list[np.ndarray]:
+        return [W @ theta - b for W, b in zip(self.W, self.b, strict=True)]
+
+    @property
+    def stacked(self) -> tuple[np.ndarray, np.ndarray]:
+        k = self.W[0].shape[-1]
+        return np.concatenate([W.reshape(-1, k) for W in self.W]), np.concatenate([b.ravel() for b in self.b])
+
+
+class LeastSquares(AbstractFitter):
+    """Ordinary least squares on the inverse-dynamics residual; solved at once, no start values needed."""
+
+    name: ClassVar[str] = "ls"
+    source: ClassVar[str] = "textbook; standard deviations by the sandwich of Newey and West 1987"
+    residual_name: ClassVar[str] = "inverse_dynamics"
+
+    def minimise(self, problem, starts, key, budget=None, progress=None):
+        at, blocks = linearised(problem, starts[0], self.name)
+        theta = solve(problem, at, blocks, blocks)
+        return finish(problem, at, blocks, blocks, theta, self.name, "solved directly", 1)
+
+
+class WeightedLeastSquares(AbstractFitter):
+    """Least squares with each joint of each run weighted by the size of its own residual."""
+
+    name: ClassVar[str] = "wls"
+    source: ClassVar[str] = "Gautier, Dynamic identification of robots with power model, 1997"
+    residual_name: ClassVar[str] = "inverse_dynamics"
+
+    iterations: int = 10
+    tolerance: float = 1e-6
+
+    def minimise(self, problem, starts, key, budget=None, progress=None):
+        at, plain = linearised(problem, starts[0], self.name)
+        blocks, theta = plain, solve(problem, at, plain, plain)
+        stopped = "iteration limit"
+        for _ in range(self.iterations):
+            sizes = [np.sqrt(np.mean(r**2, 0)) for r in plain.errors(theta)]
+            blocks = plain.weighted([1 / np.maximum(s, 1e-12) for s in sizes])
+            old, theta = theta, solve(problem, at, blocks, blocks)
+            if change(old, theta) < self.tolerance:
+                stopped = "tolerance"
+                break
+        return finish(problem, at, blocks, blocks, theta, self.name, stopped, 1)
+
+
+class InstrumentalVariables(AbstractFitter):
+    """Instrumental variables: unbiased in closed loop. Needs `[controller]` and its reference.
+
+    The instruments are the regressor along the motion that the current estimate makes under the controller, through the same
+    filter and decimation as the data; repeated until the estimate stands still. What is left of the torque equation along that
+    noise-free motion (sticking, held inputs, the filter: no noise, yet not zero) is subtracted from the data's own, so that
+    it does not bias the estimate either (`corrected`).
+    """
+
+    name: ClassVar[str] = "iv"
+    source: ClassVar[str] = (
+        "Janot, Vandanjon, Gautier, IEEE Trans. Control Systems Technology 22 (2014), IDIM-IV; correction by indirect inference, "
+        "Gourieroux, Monfort, Renault 1993"
+    )
+    residual_name: ClassVar[str] = "inverse_dynamics"
+
+    iterations: int = 10
+    tolerance: float = 1e-6
+    corrected: bool = True
+
+    def minimise(self, problem, starts, key, budget=None, progress=None):
+        runs = _torque_runs(problem, self.name)
+        if runs.dataset is None or runs.dataset.controller is None:
+            raise UsageError(
+                "iv simulates the recording's controller, and the dataset states none: state it under [controller] with its "
+                "reference q_cmd, or use fitter lm with the residual output_error"
+            )
+        law_of(runs.dataset, runs.layout.chain.signature)
+        at, plain = linearised(problem, starts[0], self.name)
+        blocks = instruments = plain
+        theta, number = solve(problem, at, plain, plain), 0
+        old, stopped = theta, "iteration limit"
+        for number in range(self.iterations):
+            made = _instruments(problem, theta)
+            if made is None:
+                why = "the closed-loop simulation diverges at the estimate; check [controller] (gains, sample_time, gain)"
+                return Minimum(at, PENALTY, False, why, number + 1)
+            instruments = made
+            if self.corrected:
+                blocks = Blocks(plain.W, [b + r for b, r in zip(plain.b, made.errors(theta), strict=True)])
+            old, theta = theta, solve(problem, at, blocks, instruments)
+            if progress:
+                progress(self.name, number + 1, self.iterations, f"change {change(old, theta):.1e}")
+            if change(old, theta) < self.tolerance:
+                stopped = "tolerance"
+                break
+        found = finish(problem, at, blocks, instruments, theta, self.name, stopped, number + 2)
+        if not found.converged and isinstance(found, LinearMinimum) and found.covariance is not None:
+            # A joint that sticks one sample longer or shorter keeps the last digits moving.
+            std = found.covariance.std * problem.dtheta(found.z)
+            if np.nanmax(np.abs(theta - old) / std) < STILL:
+                why = f"the estimate moves by less than {STILL:g} of its standard deviation"
+                return replace(found, converged=True, stopped_because=why)
+        return found
+
+
+def change(old: np.ndarray, new: np.ndarray) -> float:
+    """Largest relative change of an estimate."""
+    return float(np.max(np.abs(new - old) / np.maximum(np.abs(new), 1e-9 * np.max(np.abs(new)) + 1e-300)))
+
+
+def bounds(problem: Problem) -> tuple[np.ndarray, np.ndarray]:
+    """Bounds of the free parameters themselves (not of their search scale)."""
+    return problem.theta(problem.lower)[problem.free], problem.theta(problem.upper)[problem.free]
+
+
+def at_theta(problem: Problem, theta: np.ndarray) -> np.ndarray:
+    """Search vector of free parameters `theta`."""
+    full = problem.base.copy()
+    full[problem.free] = theta
+    return problem.z(full)
+
+
+def _torque_runs(problem: Problem, name: str) -> Runs:
+    if problem.loss_name != "sum_of_squares":
+        raise UsageError(f"{name} minimises sums of squares; the loss {problem.loss_name!r} needs a population (fitter de)")
+    if problem.runs.setting is None or problem.start_rows.size:
+        raise UsageError(f"{name} is linear: it needs the residual inverse_dynamics; for the others use fitter lm")
+    return problem.runs
+
+
+def linearised(problem: Problem, guess: np.ndarray, name: str) -> tuple[np.ndarray, Blocks]:
+    """(theta, blocks) at an interior point near the guess. Raises `UsageError` where the residual is not linear."""
+    _torque_runs(problem, name)
+    lower, upper = bounds(problem)
+    # A dry level at its bound 0 has half a derivative: step a little inside.
+    inside = 0.01 * np.minimum(upper - lower, np.maximum(np.abs(problem.theta(guess)[problem.free]), 0.01 * (upper - lower)))
+    theta = np.clip(problem.theta(guess)[problem.free], lower + inside, upper - inside)
+    blocks = _blocks(problem, theta)
+    away = np.where(theta + 2 * inside < upper, theta + 2 * inside, theta - inside)
+    other = _blocks(problem, away)
+    scale = [np.abs(W).max((0, 1)) + 1e-300 for W in other.W]
+    bent = np.zeros(theta.size, bool)
+    for W, V, s in zip(blocks.W, other.W, scale, strict=True):
+        bent |= np.abs(W - V).max((0, 1)) > LINEAR * s
+    if bent.any():
+        names = ", ".join(problem.runs.layout.names[i] for i in problem.free[bent])
+        raise UsageError(
+            f"{name} needs a model that is linear in its parameters; this one is not in {names}. Use fitter lm, or fix what "
+            "makes it nonlinear under [model.constants]"
+        )
+    return theta, blocks
+
+
+def _blocks(problem: Problem, theta: np.ndarray) -> Blocks:
+    """W and b of the problem, linearised at free parameters theta."""
+    z = at_theta(problem, theta)
+    slope, W, b = problem.dtheta(z), [], []
+    for part in rows([(problem, z)]):
+        W.append(part.J / slope)
+        b.append(W[-1] @ theta - part.r)
+    return Blocks(W, b)
+
+
+def solve(problem: Problem, at: np.ndarray, blocks: Blocks, instruments: Blocks) -> np.ndarray:
+    """min |Q'(W theta - b)| within the bounds, Q a basis of the instruments; a direction that the data do not determine
+    stays where `at` is."""
+    from scipy.linalg import qr
+    from scipy.optimize import lsq_linear
+
+    W, b = blocks.stacked
+    scale = np.sqrt(np.sum(W**2, 0)) + 1e-300
+    Z = instruments.stacked[0]
+    Q, R, _ = qr(Z / (np.sqrt(np.sum(Z**2, 0)) + 1e-300), mode="economic", pivoting=True)
+    Q = Q[:, np.abs(np.diag(R)) > 1e-10 * np.abs(R[0, 0])]
+    A, rest = Q.T @ (W / scale), Q.T @ (b - W @ at)
+    delta = np.linalg.lstsq(A, rest, rcond=1e-10)[0]
+    lower, upper = bounds(problem)
+    theta = at + delta / scale
+    if ((theta < lower) | (theta > upper)).any():
+        box = (lower - at) * scale, (upper - at) * scale
+        theta = at + lsq_linear(A, rest, box, method="bvls").x / scale
+    return np.clip(theta, lower, upper)
+
+
+def _instruments(problem: Problem, theta: np.ndarray) -> Blocks | None:
+    """W and b along the closed-loop motion of the estimate, filtered and decimated as the data; None if it diverges."""
+    runs = problem.runs
+    assert runs.dataset is not None and runs.setting is not None
+    full = problem.theta(at_theta(problem, theta))
+    floors = noise_floor(runs.dataset)
+    noise = np.array([floors[name].std for name, _ in runs.layout.chain.signature.outputs])
+    motions = simulate_closed_loop(runs.dataset, runs.experiments, runs.layout, full, noise)
+    if not all(np.isfinite(q).all() and np.isfinite(u).all() for q, u in motions):
+        return None
+    iu, iy = runs.setting.inputs, runs.setting.outputs
+    experiments = []
+    for e, (q, u) in zip(runs.experiments, motions, strict=True):
+        y, drive = e.y.copy(), e.u.copy()
+        y[:, iy], drive[:, iu] = q, u
+        experiments.append(replace(e, y=y, u=drive))
+    same = InverseDynamics(runs.setting.cutoff_hz, runs.setting.decimate)
+    size = len(runs.weights), runs.engine.length
+    made = same.runs(runs.dataset, experiments, runs.layout, np.ones(len(runs.channels)), None, shape=size)
+    twin = Problem(made, problem.base, problem.free, *_boxes(problem), records=problem.records)
+    back = made.noise / runs.noise  # weighted as the data are
+    return _blocks(twin, theta).weighted([back] * len(experiments))
+
+
+def _boxes(problem: Problem) -> tuple[np.ndarray, np.ndarray]:
+    """Bounds over the whole layout."""
+    lower, upper = problem.base.copy(), problem.base.copy()
+    lower[problem.free], upper[problem.free] = bounds(problem)
+    return lower, upper
+
+
+def finish(
+    problem: Problem,
+    at: np.ndarray,
+    blocks: Blocks,
+    instruments: Blocks,
+    theta: np.ndarray,
+    name: str,
+    stopped: str,
+    evaluations: int,
+) -> Minimum:
+    """The result at theta, after checking that the residual there is what the linear problem says."""
+    z = at_theta(problem, theta)
+    loss = problem.loss(z)
+    if not np.isfinite(loss) or loss >= PENALTY:
+        return Minimum(z, loss, False, "the torque residual is not finite; check the recorded motion", evaluations)
+    plain = np.concatenate([part.r.ravel() for part in rows([(problem, z)])])
+    linear = np.concatenate([r.ravel() for r in _blocks(problem, at).errors(theta)])
+    if np.linalg.norm(plain - linear) > LINEAR * max(np.linalg.norm(plain), 1e-300):
+        raise UsageError(f"{name} needs a model that is linear in its parameters over their whole range: use fitter lm")
+    found = sandwich(problem, z, blocks, instruments, theta)
+    return LinearMinimum(z, loss, stopped != "iteration limit", stopped, evaluations, [(evaluations, loss)], found)
+
+
+def sandwich(problem: Problem, z: np.ndarray, blocks: Blocks, instruments: Blocks, theta: np.ndarray) -> Covariance:
+    """(Z'W)^-1 S (W'Z)^-1 in the search scale: S the long-run covariance of the scores Z'r, s^2 Z'Z where r is white."""
+    slope = problem.dtheta(z)
+    W, Z = blocks.stacked[0] * slope, instruments.stacked[0] * slope
+    residuals = blocks.errors(theta)
+    n, count = theta.size, len(W)
+    span = problem.upper - problem.lower
+    at_bound = (z - problem.lower <= 1e-7 * span) | (problem.upper - z <= 1e-7 * span)
+    scale = np.sqrt(np.sum(W**2, 0))
+    seen = scale > 1e-150
+    scale = np.where(seen, scale, 1.0)
+    identifiable, groups = _null_directions(W.T @ W / scale / scale[:, None], seen)
+    identifiable &= seen
+    white, memory = _whiteness([column for r in residuals for column in r.T])
+    dof = max(1, count - n)
+    s2 = float(sum(np.sum(r**2) for r in residuals)) / dof
+    columns = list(range(n))
+    scores = [(columns, np.einsum("tc,tck->tk", r, A * slope)) for r, A in zip(residuals, instruments.W, strict=True)]
+    S = Z.T @ Z * s2 if white else _long_run(scores, n, memory) * count / dof
+    matrix = np.full((n, n), np.nan)
+    for kept in (~at_bound & seen, seen):  # those at a bound get their own figures from the full matrix
+        index = np.flatnonzero(kept)
+        if not index.size:
+            continue
+        part = np.ix_(index, index)
+        inverse = np.linalg.pinv((Z.T @ W / scale / scale[:, None])[part], rcond=1e-10) / scale[index] / scale[index][:, None]
+        cov = inverse @ S[part] @ inverse.T
+        floor = s2 * np.diag(inverse @ (Z.T @ Z)[part] @ inverse.T)  # never narrower than white residuals of that size
+        stretch = np.sqrt(np.maximum(1.0, floor / np.maximum(np.diag(cov), 1e-300)))
+        matrix[part] = np.where(np.isnan(matrix[part]), cov * stretch * stretch[:, None], matrix[part])
+    std = np.sqrt(np.maximum(np.diag(matrix), 0.0))
+    std[~identifiable] = np.nan
+    how = "white" if white else f"coloured (memory {memory} samples)"
+    statement = f"residuals are {how}: standard deviations from the sandwich covariance of the estimator"
+    return Covariance(matrix, std, identifiable, at_bound, groups, white, statement)

@@ -1,0 +1,67 @@
+"""Runs of the product's chains for the tests: many parameter sets on one command, in one compiled program."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+
+import numpy as np
+
+from jaxid import samples
+from jaxid.chain import Chain
+from jaxid.engine import Engine, simulate_lane
+from jaxid.experiment import Channel, Dataset, Experiment
+from jaxid.layout import Layout
+from jaxid.samples import Record
+
+
+class Simulator:
+    """A chain on one command u [time nu], in steps no longer than `step`; programs are shared by equal `size`."""
+
+    def __init__(
+        self,
+        chain: Chain,
+        t: np.ndarray,
+        u: np.ndarray,
+        step: float = 2e-3,
+        hold: str = "zero",
+        size: int = 4096,
+    ):
+        signature = chain.signature
+        channels = [Channel(n, "input", unit, hold=hold) for n, unit in signature.inputs]
+        channels += [Channel(n, "output", unit) for n, unit in signature.outputs]
+        run = Experiment("run", "fit", t, u, np.zeros((len(t), len(signature.outputs))))
+        dataset = Dataset("data", tuple(channels), (run,))
+        self.layout = Layout(chain)
+        buffers, (self.positions,) = samples.build(dataset, [run], chain, np.ones(len(signature.outputs)), step, size=size)
+        nq, count = chain.nq, samples.step_count(run, step)
+        still, known = np.zeros(nq), np.zeros(2 * nq, bool)
+        record = Record(0, 0, count, 0, count - 1, 0, still, still, known, self.positions)
+        self.engine = Engine(self.layout, buffers, [record], np.full((1, len(self.layout)), np.nan), simulate_lane, size)
+
+    def theta(self, values: Mapping[str, float]) -> np.ndarray:
+        """All numbers of the chain: its own start values, and these."""
+        out = self.layout.values.copy()
+        for name, value in values.items():
+            out[self.layout.index(name)] = value
+        return out
+
+    def outputs(self, values: Sequence[Mapping[str, float]] | np.ndarray, start: Sequence[float] | None = None) -> np.ndarray:
+        """Outputs [sets time ny] of several parameter sets; `start` (q, qd)."""
+        theta = values if isinstance(values, np.ndarray) else np.array([self.theta(v) for v in values])
+        x = np.zeros(2 * self.layout.chain.nq) if start is None else np.asarray(start, float)
+        y = self.engine.outputs(theta, np.tile(x, (len(theta), 1)), np.zeros(len(theta), int))
+        return y[:, self.positions]
+
+    def tangents(self, theta: np.ndarray, start: Sequence[float] | None = None) -> tuple[np.ndarray, np.ndarray]:
+        """Outputs [time ny] at one parameter set and their derivatives [size time ny] by each of its numbers."""
+        size, nx = len(theta), 2 * self.layout.chain.nq
+        x = np.zeros(nx) if start is None else np.asarray(start, float)
+        y, dy = self.engine.tangents(
+            np.tile(theta, (size, 1)), np.tile(x, (size, 1)), np.eye(size), np.zeros((size, nx)), np.zeros(size, int)
+        )
+        return y[0][self.positions], dy[:, self.positions]
+
+
+def relative(a: np.ndarray, b: np.ndarray) -> float:
+    """Distance of a from b as a share of b, over everything."""
+    return float(np.linalg.norm(a - b) / np.linalg.norm(b))
