@@ -122,8 +122,9 @@ if __name__ == "__main__":
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--seeds", type=int, default=1)
     parser.add_argument("--first", type=int, default=0)
+    parser.add_argument("--models", default="pendulum,joint")
     options = parser.parse_args()
-    table = main(options.seeds, options.first, echo=True)["rows"]
+    table = main(options.seeds, options.first, tuple(options.models.split(",")), echo=True)["rows"]
     for group in ("none", "effect"):
         rows = [r for r in table if (r["effect"] == "none") == (group == "none")]
         print(group, len(rows), "right", sum(r["right"] for r in rows), "in set", sum(r["in_set"] for r in rows))

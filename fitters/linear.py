@@ -29,7 +29,7 @@ from jaxid.uncertainty import _long_run, _null_directions, _whiteness, Covarianc
 #: A residual counts as linear where it departs from its linearisation by less than this share of itself.
 LINEAR = 1e-6
 #: Instruments have converged where the estimate moves by less than this share of its standard deviation.
-STILL = 0.01
+STILL = 0.05
 
 
 @dataclass(frozen=True)
@@ -130,7 +130,7 @@ class InstrumentalVariables(AbstractFitter):
         at, plain = linearised(problem, starts[0], self.name)
         blocks = instruments = plain
         theta, number = solve(problem, at, plain, plain), 0
-        old, stopped = theta, "iteration limit"
+        stopped = "iteration limit"
         for number in range(self.iterations):
             made = _instruments(problem, theta)
             if made is None:
@@ -145,14 +145,13 @@ class InstrumentalVariables(AbstractFitter):
             if change(old, theta) < self.tolerance:
                 stopped = "tolerance"
                 break
-        found = finish(problem, at, blocks, instruments, theta, self.name, stopped, number + 2)
-        if not found.converged and isinstance(found, LinearMinimum) and found.covariance is not None:
             # A joint that sticks one sample longer or shorter keeps the last digits moving.
-            std = found.covariance.std * problem.dtheta(found.z)
-            if np.nanmax(np.abs(theta - old) / std) < STILL:
-                why = f"the estimate moves by less than {STILL:g} of its standard deviation"
-                return replace(found, converged=True, stopped_because=why)
-        return found
+            z = at_theta(problem, theta)
+            std = sandwich(problem, z, blocks, instruments, theta).std * problem.dtheta(z)
+            if number >= 2 and np.all(np.abs(theta - old) < STILL * np.where(np.isfinite(std), std, np.inf)):
+                stopped = f"the estimate moves by less than {STILL:g} of its standard deviation"
+                break
+        return finish(problem, at, blocks, instruments, theta, self.name, stopped, number + 2)
 
 
 def change(old: np.ndarray, new: np.ndarray) -> float:
@@ -216,14 +215,13 @@ def _blocks(problem: Problem, theta: np.ndarray) -> Blocks:
 def solve(problem: Problem, at: np.ndarray, blocks: Blocks, instruments: Blocks) -> np.ndarray:
     """min |Q'(W theta - b)| within the bounds, Q a basis of the instruments; a direction that the data do not determine
     stays where `at` is."""
-    from scipy.linalg import qr
     from scipy.optimize import lsq_linear
 
     W, b = blocks.stacked
     scale = np.sqrt(np.sum(W**2, 0)) + 1e-300
     Z = instruments.stacked[0]
-    Q, R, _ = qr(Z / (np.sqrt(np.sum(Z**2, 0)) + 1e-300), mode="economic", pivoting=True)
-    Q = Q[:, np.abs(np.diag(R)) > 1e-10 * np.abs(R[0, 0])]
+    Q, size, _ = np.linalg.svd(Z / (np.sqrt(np.sum(Z**2, 0)) + 1e-300), full_matrices=False)
+    Q = Q[:, size > 1e-10 * size[0]]
     A, rest = Q.T @ (W / scale), Q.T @ (b - W @ at)
     delta = np.linalg.lstsq(A, rest, rcond=1e-10)[0]
     lower, upper = bounds(problem)

@@ -311,7 +311,7 @@ def assemble(
     groups = tuple(tuple(names[i] for i in g) for g in cov.groups)
     notes.append(cov.statement)
     notes += [f"{binding.layout.names[i]} ended at its bound ({e.value:.4g} {e.unit})" for i, e in found.items() if e.at_bound]
-    notes += [f"{names}: {n.text}" for names, n in binding.noise.items()]
+    notes += [f"noise of {n.text}" for n in binding.noise.values()]
 
     table: dict[str, dict[str, Score]] = {}
     traces: list[Trace] = []

@@ -17,7 +17,7 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float
 
 
-#: Gauss-Seidel stops when no joint's velocity changes by more than this fraction of the largest velocity change of the step.
+#: Gauss-Seidel stops when no dry torque changes by more than what makes this fraction of the step's largest velocity change.
 TOLERANCE = 1e-12
 SWEEPS = 100
 
@@ -95,6 +95,6 @@ def solve_dry(
     def again(carry):
         count, old, _ = carry
         new = sweep(old[0])
-        return count + 1, new, jnp.max(jnp.abs(new[1] - old[1]))
+        return count + 1, new, jnp.max(jnp.abs(jnp.diagonal(A) * (new[0] - old[0])))
 
     return jax.lax.while_loop(unsettled, again, (1, first, jnp.full((), jnp.inf)))[1]

@@ -59,8 +59,8 @@ class Layout:
             position += width
 
         def leaves(chain: Chain) -> list[Any]:
-            owners = (*chain.effects, chain.mechanism)  # index -1 is the mechanism
-            return [getattr(owners[owner], name) for owner, name, _ in self._leaves]
+            owner_of = lambda i: chain.mechanism if i < 0 else chain.effects[i]
+            return [getattr(owner_of(owner), name) for owner, name, _ in self._leaves]
 
         return eqx.tree_at(leaves, self.chain, values)
 

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from math import cos, sin
 from typing import Any
 
 import numpy as np
@@ -39,18 +40,20 @@ def planar_arm(
     """Two links by virtual power: M = sum m J'J + I w'w, bias = sum m J'(Jdot v + g)."""
 
     def plant(q, v):
-        a, b = q[0], q[0] + q[1]
-        along = lambda r, x: r * np.array([np.cos(x), np.sin(x)])  # derivative of (sin x, -cos x)
-        inward = lambda r, x: r * np.array([-np.sin(x), np.cos(x)])
-        zero = np.zeros(2)
-        J1 = np.stack([along(c1, a), zero], 1)
-        J2 = np.stack([along(l1, a) + along(c2, b), along(c2, b)], 1)
-        spin = v[0] + v[1]
-        d1 = inward(c1, a) * v[0] ** 2
-        d2 = inward(l1, a) * v[0] ** 2 + inward(c2, b) * spin**2
-        up = np.array([0.0, gravity])
-        M = m1 * J1.T @ J1 + m2 * J2.T @ J2 + np.array([[I1 + I2, I2], [I2, I2]])
-        return M, m1 * J1.T @ (d1 + up) + m2 * J2.T @ (d2 + up)
+        a, b = float(q[0]), float(q[0] + q[1])
+        ca, sa, cb, sb = cos(a), sin(a), cos(b), sin(b)
+        # Velocity of the second centre of mass per joint rate: (x1, y1) and (x2, y2).
+        x2, y2 = c2 * cb, c2 * sb
+        x1, y1 = l1 * ca + x2, l1 * sa + y2
+        # Its acceleration at constant rates, and gravity; the first link's is radial and does no work.
+        first, both = float(v[0]) ** 2, float(v[0] + v[1]) ** 2
+        ax = -l1 * sa * first - c2 * sb * both
+        ay = l1 * ca * first + c2 * cb * both + gravity
+        M12 = m2 * (x1 * x2 + y1 * y2) + I2
+        M11 = m1 * c1 * c1 + I1 + I2 + m2 * (x1 * x1 + y1 * y1)
+        M22 = m2 * (x2 * x2 + y2 * y2) + I2
+        bias = [m2 * (x1 * ax + y1 * ay) + m1 * c1 * sa * gravity, m2 * (x2 * ax + y2 * ay)]
+        return np.array([[M11, M12], [M12, M22]]), np.array(bias)
 
     return plant
 
@@ -194,13 +197,12 @@ def _acceleration(plant, truth, tau, q, v, mode):
     M, bias = plant(q, v)
     minus, plus = truth.dry(v, tau)
     rest = tau - bias - truth.smooth(v)
-    slides = mode != 0
-    a = np.zeros(len(q))
-    if slides.all():
-        a = np.linalg.solve(M, rest - np.where(mode > 0, plus, -minus))
-    elif slides.any():
-        r = rest - np.where(mode > 0, plus, -minus)
-        a[slides] = np.linalg.solve(M[np.ix_(slides, slides)], r[slides])
+    r = rest - np.where(mode > 0, plus, -minus)
+    a, moving = np.zeros(len(q)), [j for j in range(len(q)) if mode[j]]
+    if len(moving) == 1:
+        a[moving] = r[moving] / M[moving[0], moving[0]]
+    elif moving:
+        a[:] = np.linalg.solve(M, r)  # of two joints both
     return a, rest - M @ a, minus, plus
 
 

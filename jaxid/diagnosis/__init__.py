@@ -28,6 +28,7 @@ from jaxid.fitter import Minimum, Progress
 from jaxid.fitters import descend, LevenbergMarquardt
 from jaxid.residual import InverseDynamics, OutputError, Residual
 from jaxid.results import Diagnosis, EffectEstimate, Fit, Ranked, Which
+from jaxid.runtime import Interrupted
 from jaxid.uncertainty import covariance
 
 
@@ -106,7 +107,12 @@ def _search(
         raise UsageError(f"the nominal model cannot be fitted: {result.stopped_because}")
     nominal = descend([(problem, result.z)], 3, 1e-9)[0]
     searcher = Searcher(bench, residual, nominal, progress)
-    search = searcher.run(candidates(bench, allowed), max_effects)
+    try:
+        search = searcher.run(candidates(bench, allowed), max_effects)
+    except KeyboardInterrupt as stop:  # what is finished is a result too
+        minimum = Minimum(nominal.z, result.loss, result.converged, result.stopped_because, result.evaluations)
+        spent = time.perf_counter() - began
+        raise Interrupted(assemble(bench, problem, minimum, residual, fitter.name, seed, 0.0, spent)) from stop
     bench = searcher.bench
     compile_time = sum(b.compile_time() for b in (*searcher.benches, bench))
     path = search.nominal.path

@@ -121,8 +121,11 @@ class Searcher:
             groups.append([(p, p.z(theta, starts)) for theta in [*thetas, *more]])
         final, _ = search(groups, 30, 1e-7)
         found = self._hypotheses([(effects, path) for (effects, _), path in zip(sets, final, strict=True)])
-        for h in found:
-            self.known[_key(h.effects)] = h
+        for k, h in enumerate(found):
+            old = self.known.get(_key(h.effects))
+            if old is not None and old.effects == h.effects and old.fit_loss < h.fit_loss:
+                found[k] = old
+            self.known[_key(h.effects)] = found[k]
         return found
 
     def _torque_starts(self, sets: Sequence[tuple[tuple[Candidate, ...], Sequence[np.ndarray]]]) -> list[list[np.ndarray]]:
@@ -315,18 +318,15 @@ class Searcher:
         return self._best(before, self.refit(sets)) if sets else None
 
     def _questioned(self, h: Hypothesis) -> Hypothesis:
-        """Takes out effects that are no longer needed beside the others."""
+        """Takes out effects that are no longer needed beside the others; the smaller set gets every chance, starting from
+        where the larger one ended."""
         while len(h.effects) > 1:
             sets = []
             for c in h.effects:
-                rest = tuple(e for e in h.effects if e is not c)
-                if _key(rest) not in self.known:
-                    theta = h.theta.copy()
-                    theta[list(c.index)] = self.bench.binding.theta[list(c.index)]
-                    sets.append((rest, [theta]))
-            if sets:
-                self.refit(sets)
-            smaller = [self.known[_key(tuple(e for e in h.effects if e is not c))] for c in h.effects]
+                theta = h.theta.copy()
+                theta[list(c.index)] = self.bench.binding.theta[list(c.index)]
+                sets.append((tuple(e for e in h.effects if e is not c), [theta]))
+            smaller = self.refit(sets)
             needless = [s for s in smaller if not self._significant(s, h)]
             if not needless:
                 return h

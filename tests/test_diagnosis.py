@@ -1,0 +1,150 @@
+"""The diagnosis on twins whose missing effect it is not told, on controls, and on real recordings where they are present."""
+
+import os
+from pathlib import Path
+
+import numpy as np
+import pytest
+from reference import measured, multisine, PLANTS, simulate, Truth
+
+import jaxid
+from jaxid.diagnosis.evidence import HeldOut, inflation, memory
+from jaxid.diagnosis.how_far import bootstrap, shrink
+
+
+ROOT = Path(__file__).resolve().parents[1]
+DATA = Path(os.environ.get("JAXID_DATA", ROOT.parent / "shared" / "data"))
+NOISE = 3e-4
+
+
+def recording(model: str, seed: int, **truth) -> jaxid.Dataset:
+    """Four runs of 6 s at 200 Hz with steps and rests: two to fit, one to choose, one to report."""
+    splits = ["fit", "fit", "validation", "report"]
+    t = np.arange(1200) / 200
+    us, ys = [], []
+    shape = {"inertia": 0.06, "gravity_torque": 0.9} if model == "pendulum" else {"inertia": 0.06}
+    for k in range(4):
+        rng = np.random.default_rng(100 * seed + k)
+        u = multisine(t, [1.0], seed=100 * seed + k, periods=rng.uniform(1.5, 3), lines=8)
+        for _ in range(3):
+            a = int(rng.integers(0, 1000))
+            u[a : a + int(rng.integers(40, 160))] = rng.uniform(-1, 1) if rng.uniform() < 0.6 else 0.0
+        acting = Truth(**{"viscous": 0.03, "coulomb": 0.04, "offset": 0.01, **truth})
+        q, _ = simulate(PLANTS[model](**shape), acting, t, u, rtol=1e-8, atol=1e-11)
+        us.append(u[:, 0])
+        ys.append(measured(q, NOISE, seed + k)[:, 0])
+    return jaxid.Dataset.from_arrays(
+        [t] * 4, {"tau": us}, {"q": ys}, units={"tau": "N m", "q": "rad"}, split=splits, at_rest=True,
+        noise_std={"q": NOISE}, model=model,
+    )  # fmt: skip
+
+
+@pytest.mark.parametrize(
+    ("effect", "place", "truth", "parameters"),
+    [
+        ("load_dependent_friction", "q", {"load": 0.1}, {"mu": 0.1}),
+        ("input_delay", "tau", {"delay": 0.004}, {"delay": 0.004}),
+    ],
+)
+def test_a_withheld_effect_is_named(effect, place, truth, parameters):
+    d = jaxid.diagnose("pendulum", recording("pendulum", 1, **truth))
+    assert d.which.verdict == "named"
+    assert [(e.effect, e.location) for e in d.which.effects] == [(effect, place)]
+    for name, value in parameters.items():
+        found = d.which.effects[0].parameters[name]
+        assert found.std is not None and abs(found.value - value) < 4 * found.std + 1e-3 * value
+    assert d.how_far.gap_after < 1.1 < d.how_far.gap_retuned
+    assert d.how_far.shrinkage is not None and d.how_far.shrinkage > 0.97
+    assert d.where and d.where[0].location == place
+    json = d.to_dict()
+    assert json["schema"] == 1 and json["which"]["ranking"][0]["effect"] == effect
+
+
+def test_a_model_that_lacks_nothing_gets_none():
+    d = jaxid.diagnose("pendulum", recording("pendulum", 2))
+    assert d.which.verdict == "none" and not d.which.effects and not d.which.confusable_with
+    assert d.how_far.shrinkage is None and d.how_far.gap_after == pytest.approx(d.how_far.gap_retuned)
+    assert not d.where
+
+
+def test_a_nominal_term_taken_out_is_found():
+    d = jaxid.diagnose("pendulum", recording("pendulum", 3), without=["coulomb_friction"])
+    named = {e.effect for e in (*d.which.effects, *d.which.confusable_with)}
+    assert "coulomb_friction" in named and "coulomb" in d.final.parameters
+
+
+def test_a_cause_outside_the_library_is_not_named():
+    data = recording("pendulum", 4)
+    t = data.experiments[0].t
+    pushed = [e.y[:, 0] + 0.02 * np.sin(2 * np.pi * 1.3 * t + k) for k, e in enumerate(data.experiments)]
+    data = jaxid.Dataset.from_arrays(
+        [t] * 4, {"tau": [e.u[:, 0] for e in data.experiments]}, {"q": pushed}, units={"tau": "N m", "q": "rad"},
+        split=["fit", "fit", "validation", "report"], noise_std={"q": NOISE}, model="pendulum",
+    )  # fmt: skip
+    d = jaxid.diagnose(None, data)
+    assert d.which.verdict in ("unknown", "partly")
+
+
+def test_wrong_arguments_are_named():
+    data = recording("joint", 5)
+    for arguments, word in (
+        ({"effects": ["dead_zon"]}, "dead_zone"),
+        ({"max_effects": 0}, "max_effects"),
+        ({"without": ["backlash"]}, "backlash"),
+        ({"residual": "inverse_dynamics"}, "output_error"),
+        ({"effects": ["coulomb_friction"]}, "coulomb_friction"),
+    ):
+        with pytest.raises(jaxid.UsageError, match=word):
+            jaxid.diagnose("joint", data, **arguments)
+
+
+def test_the_order_of_runs_and_the_unit_change_nothing():
+    data = recording("pendulum", 1, load=0.1)
+    runs = data.experiments
+    turned = jaxid.Dataset.from_arrays(
+        [e.t for e in runs[::-1]], {"tau": [e.u[:, 0] for e in runs[::-1]]},
+        {"q": [np.degrees(e.y[:, 0]) for e in runs[::-1]]}, units={"tau": "N m", "q": "deg"},
+        split=[e.split for e in runs[::-1]], at_rest=True, noise_std={"q": np.degrees(NOISE)}, model="pendulum",
+    )  # fmt: skip
+    a, b = jaxid.diagnose(None, data), jaxid.diagnose(None, turned)
+    assert [str(e) for e in a.which.effects] == [str(e) for e in b.which.effects]
+    assert a.how_far.gap_after == pytest.approx(b.how_far.gap_after, rel=1e-3)
+
+
+def test_evidence_counts_memory():
+    rng = np.random.default_rng(0)
+    white = rng.normal(size=(4000, 1))
+    slow = np.convolve(rng.normal(size=4050), np.ones(50) / np.sqrt(50), "valid")[:4000, None]
+    assert memory([white]) == 1 and 30 < memory([slow]) < 80
+    held = HeldOut([white], [white], 1.0, 4000)
+    assert inflation(held) == 1.0
+    assert shrink(100.0, 1.0) == 1.0
+    before = HeldOut([10 * white], [white], 100.0, 4000)
+    interval, reason = bootstrap(before, held, 0)
+    assert reason == "" and interval is not None and interval[0] <= shrink(100.0, float(np.mean(white**2))) <= interval[1]
+    interval, reason = bootstrap(HeldOut([slow[:300]], [slow[:300]], 1.0, 300), held, 0)
+    assert interval is None and "blocks" in reason
+
+
+@pytest.mark.slow
+@pytest.mark.skipif(not (DATA / "emps").is_dir(), reason="the EMPS recording is not in $JAXID_DATA")
+def test_emps_lacks_a_friction_effect():
+    data = jaxid.load_dataset(DATA / "emps")
+    d = jaxid.diagnose(None, data)
+    assert d.which.verdict in ("named", "partly")
+    assert all(e.effect.endswith("friction") for e in d.which.effects)
+    errors = []
+    for fit in (d.nominal, d.final):
+        runs = jaxid.simulate(fit, data).rmse
+        errors.append(runs[1]["position"])
+    assert errors[1] <= 5.0e-3 and errors[1] <= 0.75 * errors[0]
+
+
+@pytest.mark.slow
+@pytest.mark.skipif(not (DATA / "multiarm_single_pendulum").is_dir(), reason="the free pendulum is not in $JAXID_DATA")
+def test_free_pendulum_has_dry_friction_and_drag_for_its_viscous_term():
+    d = jaxid.diagnose(None, jaxid.load_dataset(DATA / "multiarm_single_pendulum"))
+    named = {e.effect for e in d.which.effects}
+    assert {"quadratic_drag", "coulomb_friction"} <= named
+    assert d.final.parameters["viscous"].value < 0.02 * d.nominal.parameters["viscous"].value
+    assert d.final.scores["fit"]["q"].rmse <= 3.0e-3
