@@ -54,7 +54,7 @@ def assemble(document: Document, places: Places, open_table: OpenTable, *, check
         model=None if document.model is None else _model_spec(document.model),
         controller=None
         if document.controller is None
-        else Controller(document.controller.kind, dict(document.controller.__pydantic_extra__ or {})),
+        else Controller(document.controller.kind, document.controller.settings),
         notes=tuple([note for h in harvests for note in h.notes] + alerts),
         sha256=sha256(),
     )

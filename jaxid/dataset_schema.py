@@ -151,11 +151,20 @@ class ModelEntry(_Strict):
 
 
 class ControllerEntry(BaseModel):
-    """`[controller]`: its kind, and gains, sample time and saturation as numbers or lists of numbers."""
+    """`[controller]`: its kind; gains, sample time and saturation as numbers or lists of numbers; the names of channels."""
 
     model_config = ConfigDict(extra="allow", strict=True, allow_inf_nan=False)
     __pydantic_extra__: dict[str, FiniteFloat | list[FiniteFloat]]
     kind: str
+    velocity: str | None = None
+    reference: str | list[str] | None = None
+    reference_velocity: str | None = None
+    disturbance: str | list[str] | None = None
+
+    @property
+    def settings(self) -> dict[str, Any]:
+        """Everything that is stated besides the kind."""
+        return {name: value for name, value in self.model_dump(exclude={"kind"}).items() if value is not None}
 
 
 @dataclass

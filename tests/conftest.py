@@ -1,13 +1,10 @@
-"""Settings that every test shares."""
-
-from __future__ import annotations
+"""Settings that every test shares: the flags of the command line, and a cache of compiled programs of their own."""
 
 import os
+from pathlib import Path
 
-import pytest
+from jaxid.runtime import prepare
 
 
-@pytest.fixture(autouse=True, scope="session")
-def _compilation_cache(tmp_path_factory):
-    """Commands under test keep their compiled programs out of the user's cache folder."""
-    os.environ.setdefault("JAXID_CACHE_DIR", str(tmp_path_factory.mktemp("cache")))
+os.environ.setdefault("JAXID_CACHE_DIR", str(Path(__file__).resolve().parents[1] / ".pytest_cache" / "programs"))
+prepare()  # before anything imports JAX

@@ -28,9 +28,7 @@ class SpringCart(Rigid):
     """A cart on a rail, tied to the wall by a spring."""
 
     name: ClassVar[str] = "spring_cart"
-    signatures: ClassVar = (
-        Signature((("force", "N"),), (("position", "m"),), ("position",), linear=True),
-    )
+    signatures: ClassVar = (Signature((("force", "N"),), (("position", "m"),), ("position",), linear=True),)
     builtin: ClassVar = (
         (ViscousFriction, {"coefficient": "viscous"}),
         (CoulombFriction, {"level": "coulomb"}),

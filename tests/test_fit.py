@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import time
 
 import jax
@@ -19,7 +20,7 @@ from jaxid.problem import PENALTY
 from jaxid.residual import OutputError
 
 
-NOISE = 2e-4
+NOISE = 1e-3
 PENDULUM = {"inertia": 0.06, "gravity_torque": 1.3, "viscous": 0.04, "coulomb": 0.12, "offset": -0.03}
 JOINT = {"inertia": 0.12, "viscous": 0.3, "coulomb": 0.15, "offset": 0.02}
 SLIDE = {"inertia": 4.0, "viscous": 9.0, "coulomb": 5.0, "offset": -0.6}
@@ -56,7 +57,10 @@ def near(fit: jaxid.Fit, truth: dict[str, float], sigmas: float = 4.0) -> None:
 @pytest.fixture(scope="module")
 def swing():
     """Recording of the driven pendulum."""
-    return recording(PENDULUM, ref.pendulum(PENDULUM["inertia"], PENDULUM["gravity_torque"]), model="pendulum")
+    known = {"inertia": (0.01, 0.5), "gravity_torque": (0.1, 5.0), "viscous": (0.0, 1.0), "coulomb": (0.0, 1.0)}
+    known["offset"] = (-0.5, 0.5)
+    model = ModelSpec("pendulum", parameters={k: ParameterPrior(None, *v) for k, v in known.items()})
+    return recording(PENDULUM, ref.pendulum(PENDULUM["inertia"], PENDULUM["gravity_torque"]), model=model)
 
 
 @pytest.fixture(scope="module")
@@ -101,7 +105,11 @@ def test_planar_arm():
         {f"q{j + 1}": ref.measured(q[:, j], NOISE, j) for j in range(2)},
         at_rest=True,
         noise_std={"q1": NOISE, "q2": NOISE},
-        model=ModelSpec("planar_arm", constants={"c1": 0.25, "c2": 0.2, "I1": 0.12}),
+        model=ModelSpec(
+            "planar_arm",
+            constants={"c1": 0.25, "c2": 0.2, "I1": 0.12},
+            parameters={"m1": ParameterPrior(4.0), "m2": ParameterPrior(2.2)},
+        ),
     )
     fit = jaxid.fit(None, data, fitter=LevenbergMarquardt(restarts=0))
     truth = {"m1": 3.6, "m2": 2.5, "I2": 0.06, "viscous1": 1.0, "viscous2": 0.5, "coulomb1": 2.0, "coulomb2": 0.5}
@@ -201,7 +209,7 @@ def test_gradient_method_and_population_reach_the_same_minimum(problem):
     key = jax.random.key(0)
     guess = [problem.z(problem.base)]
     lm = LevenbergMarquardt().minimise(problem, guess, key)
-    de = DifferentialEvolution(popsize=48, generations=700).minimise(problem, guess, key)
+    de = DifferentialEvolution(popsize=48, generations=300).minimise(problem, guess, key)
     print("loss by lm and de:", lm.loss, de.loss)
     assert lm.loss == problem.loss(lm.z) and de.loss == problem.loss(de.z)
     assert abs(lm.loss - de.loss) <= 1e-6 * lm.loss
@@ -236,7 +244,10 @@ def test_divergent_candidates_disturb_nobody(problem):
 
 @pytest.mark.parametrize("kind", FITTERS, ids=lambda k: k.name)
 def test_fitters_keep_bounds_and_repeat(problem, kind):
-    small = {"popsize": 16, "generations": 10} if hasattr(kind, "popsize") else {"restarts": 2, "iterations": 6}
+    fields = {f.name for f in dataclasses.fields(kind)}
+    small = {k: v for k, v in {"popsize": 16, "generations": 10, "restarts": 2, "iterations": 6}.items() if k in fields}
+    if not small:
+        pytest.skip("a method without search")
     for seed in (0, 1):
         found = [kind(**small).minimise(problem, [problem.z(problem.base)], jax.random.key(seed)) for _ in range(2)]
         assert np.array_equal(found[0].z, found[1].z) and found[0].loss == found[1].loss

@@ -1,0 +1,46 @@
+"""Reduced benchmarks: honest intervals, and the scan against an adaptive solver."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from benchmarks import diffrax_reference, recovery, run_all
+from jaxid.models import Pendulum, PlanarArm
+
+
+def test_intervals_hold_the_truth():
+    """40 noise seeds; the benchmark runs 200."""
+    found = recovery.study(40)
+    covered = recovery.coverage(found)
+    assert np.all(covered >= 0.82)
+    assert np.mean(covered) >= 0.89
+    width = np.median(found["stds"], 0) / found["bounds"]
+    assert np.all(width <= 1.3) and np.all(width >= 0.95)
+
+
+@pytest.mark.parametrize(
+    "kind, values, amplitude, smoothing, limit",
+    [
+        (Pendulum, diffrax_reference.PENDULUM, [1.2], 0.03, 5e-6),
+        (PlanarArm, diffrax_reference.ARM, [14.0, 4.0], 0.1, 1e-5),
+    ],
+    ids=["pendulum", "planar_arm"],
+)
+def test_scan_agrees_with_diffrax(kind, values, amplitude, smoothing, limit):
+    to_diffrax, to_sticking = diffrax_reference.agreement(kind, values, amplitude, smoothing, 5e-4, count=250)
+    assert to_diffrax <= limit
+    assert limit < to_sticking < 0.02
+
+
+def test_results_are_written_from_what_was_kept(tmp_path, monkeypatch):
+    monkeypatch.setattr(run_all, "HERE", tmp_path)
+    (tmp_path / "results").mkdir()
+    (tmp_path / "results" / "a.json").write_text('{"title": "A", "text": "t", "rows": [{"x": 1.23456, "y": "a|b"}, {"z": 2}]}')
+    run_all.write()
+    text = (tmp_path / "RESULTS.md").read_text()
+    assert "## A" in text and "| x | y | z |" in text and "| 1.235 | a\\|b |  |" in text
+
+
+def test_every_benchmark_has_an_entry():
+    assert {"recovery", "diffrax_reference"} <= set(run_all.modules())
