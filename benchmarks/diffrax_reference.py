@@ -22,6 +22,7 @@ prepare()
 import diffrax  # noqa: E402
 import jax  # noqa: E402
 import jax.numpy as jnp  # noqa: E402
+
 import reference as ref  # noqa: E402
 from jaxid.chain import Chain  # noqa: E402
 from jaxid.models import Pendulum, PlanarArm  # noqa: E402

@@ -108,8 +108,8 @@ def main(seeds: int = 200) -> dict:
         for j, n in enumerate(found["names"])
     ]
     text = (
-        f"{seeds} noise seeds of {NOISE:g} rad on a pendulum with dry friction, integrated event-exactly by SciPy, {SECONDS:g} s at "
-        f"{RATE} Hz; {(time.perf_counter() - began) / seeds:.2f} s a fit. Required: coverage 91 to 98 %, width at most 1.3."
+        f"{seeds} noise seeds of {NOISE:g} rad on a pendulum with dry friction, integrated event-exactly by SciPy, {SECONDS:g} s "
+        f"at {RATE} Hz; {(time.perf_counter() - began) / seeds:.2f} s a fit. Required: coverage 91 to 98 %, width at most 1.3."
     )
     return {"title": "Recovery: coverage and width of the intervals", "text": text, "rows": rows}
 

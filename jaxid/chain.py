@@ -49,7 +49,7 @@ class Effect(eqx.Module):
     """Abstract: one physical effect at one port.
 
     Class attributes of a final class: `name`, `equation`, `signature` (what it looks like in a residual), `source`,
-    `excitation` (what to record to see it), and `probes`: finite strengths for the screen, since some effects have zero
+    `excitation` (what to record to see it), `refines` (the effect without which it makes no sense, or ""), and `probes`: finite strengths for the screen, since some effects have zero
     derivative at their neutral value.
     """
 
@@ -59,6 +59,7 @@ class Effect(eqx.Module):
     source: eqx.AbstractClassVar[str]
     excitation: eqx.AbstractClassVar[str]
     probes: eqx.AbstractClassVar[tuple[dict[str, Quantity | float], ...]]
+    refines: ClassVar[str] = ""
     location: eqx.AbstractClassVar[str]  # "input" | "joint" | "output": the kind of place its parameters are counted by
 
 

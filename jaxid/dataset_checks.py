@@ -52,9 +52,7 @@ def assemble(document: Document, places: Places, open_table: OpenTable, *, check
         experiments=tuple(e for h in harvests for e in h.experiments),
         responses=tuple(r for h in harvests for r in h.responses),
         model=None if document.model is None else _model_spec(document.model),
-        controller=None
-        if document.controller is None
-        else Controller(document.controller.kind, document.controller.settings),
+        controller=None if document.controller is None else Controller(document.controller.kind, document.controller.settings),
         notes=tuple([note for h in harvests for note in h.notes] + alerts),
         sha256=sha256(),
     )

@@ -15,7 +15,7 @@ from jaxid.problem import Problem, rows
 
 
 #: A direction of the scaled Gauss-Newton matrix with an eigenvalue below this share of the largest is not determined.
-NULL = 1e-10
+NULL = 1e-12
 
 
 @dataclass(frozen=True)
@@ -52,7 +52,9 @@ def covariance(problem: Problem, z: np.ndarray) -> Covariance:
     scaled = H / scale / scale[:, None]
     blind = np.diag(H) <= 1e-300  # no sample reacts to it
     inside = ~(at_bound & (np.arange(n) < problem.free.size)) & ~blind
-    identifiable, groups = _null_directions(scaled, ~blind)
+    identifiable, groups = _null_directions(scaled, inside)  # what stands at a bound is known there: it frees the others
+    if (at_bound & ~blind).any():
+        identifiable[at_bound] &= _null_directions(scaled, ~blind)[0][at_bound]
     identifiable &= ~blind
 
     matrix = np.full((n, n), np.nan)
@@ -75,6 +77,7 @@ def covariance(problem: Problem, z: np.ndarray) -> Covariance:
         target = np.ix_(index, index)
         matrix[target] = np.where(np.isnan(matrix[target]), cov, matrix[target])
     std = np.sqrt(np.maximum(np.diag(matrix), 0.0))
+    identifiable &= ~(std > span)  # determined in name only: the interval is wider than the bounds
     std[~identifiable] = np.nan
     statement = (
         "residuals are white: standard deviations from the Gauss-Newton matrix"

@@ -9,10 +9,10 @@ import jax.numpy as jnp
 import numpy as np
 import optimistix
 import pytest
-import reference as ref
 from jaxtyping import Array, Float
 
 import jaxid
+import reference as ref
 from jaxid.chain import InputEffect
 from jaxid.fitter import AbstractFitter, AbstractPopulation, Minimum
 from jaxid.mechanism import Rigid, Signature

@@ -38,6 +38,7 @@ class Candidate:
     effect: str
     location: str
     index: tuple[int, ...]
+    refines: str = ""
 
     def __str__(self) -> str:
         return f"{self.effect} at {self.location}"
@@ -85,7 +86,9 @@ def candidates(bench: Bench, allowed: Sequence[str]) -> list[Candidate]:
     for effect in b.chain.effects:
         if effect.name in allowed and not any(i in b.nominal for i in b.layout.of_effect(effect.name)):
             for place in b.chain.places(effect):
-                out.append(Candidate(effect.name, place, tuple(b.layout.of_effect(effect.name, place))))
+                index = tuple(b.layout.of_effect(effect.name, place))
+                present = any(i in b.nominal for i in b.layout.of_effect(effect.refines, place)) or effect.refines not in allowed
+                out.append(Candidate(effect.name, place, index, "" if present else effect.refines))
     return out
 
 
@@ -253,7 +256,7 @@ class Searcher:
 
     def _extend(self, h: Hypothesis, rest: Sequence[Candidate]) -> list[Hypothesis]:
         """Refits of `h` with one more effect each, for all that the screen lets pass."""
-        ranked = self.screen(h, rest)
+        ranked = self.screen(h, [c for c in rest if sensible((*h.effects, c))])
         if not ranked:
             return []
         if self.progress:
@@ -313,7 +316,7 @@ class Searcher:
                 theta = first.theta.copy()
                 new = second.effects[-1]
                 theta[list(new.index)] = second.theta[list(new.index)]
-                if new not in first.effects:
+                if new not in first.effects and sensible((*first.effects, new)):
                     sets.append(((*first.effects, new), [theta, *self.probes(new, first.theta)[:2]]))
         return self._best(before, self.refit(sets)) if sets else None
 
@@ -323,6 +326,8 @@ class Searcher:
         while len(h.effects) > 1:
             sets = []
             for c in h.effects:
+                if not sensible([e for e in h.effects if e is not c]):
+                    continue
                 theta = h.theta.copy()
                 theta[list(c.index)] = self.bench.binding.theta[list(c.index)]
                 sets.append((tuple(e for e in h.effects if e is not c), [theta]))
@@ -344,7 +349,7 @@ class Searcher:
                 self._extend(self.known[_key(others)], missing)
             for e in pool:
                 h = self.known.get(_key((*others, e)))
-                if e in chosen.effects or h is None or e in out:
+                if e in chosen.effects or h is None or e in out or not sensible((*others, e)):
                     continue
                 both = self._joint(h) - self._joint(chosen)
                 count = chosen.path.count + chosen.validation.count
@@ -352,6 +357,12 @@ class Searcher:
                 if near and both * count / factor < 2 * DECISIVE:
                     out.append(e)
         return out
+
+
+def sensible(effects: Sequence[Candidate]) -> bool:
+    """Whether every effect that refines another has that one beside it: Stribeck friction is what dry friction has more of at
+    low speed, and without it would be a law of its own that no surface has."""
+    return all(not c.refines or any(e.effect == c.refines and e.location == c.location for e in effects) for c in effects)
 
 
 def _key(effects: Sequence[Candidate]) -> frozenset[str]:

@@ -91,6 +91,7 @@ class StribeckFriction(JointEffect):
     """Additional dry friction at low speed that fades as the surfaces separate."""
 
     name: ClassVar[str] = "stribeck_friction"
+    refines: ClassVar[str] = "coulomb_friction"
     equation: ClassVar[str] = "f = extra exp(-(qd / speed)^2) sign(qd)"
     signature: ClassVar[str] = "a bump of the missing torque at low speed only; breakaway above the sliding level"
     source: ClassVar[str] = "paper 000 (Stribeck terms of both joints)"
