@@ -180,26 +180,20 @@ def _step(path: Path) -> np.ndarray:
     z, g, H = path.z, path.gradient, path.hessian
     lower, upper = path.problem.lower, path.problem.upper
     free = ~(((z <= lower) & (g > 0)) | ((z >= upper) & (g < 0)))
-    diagonal = np.diag(H) + 1e-300
     dz = np.zeros_like(z)
-    for _ in range(3):  # a variable that the step would push out is held there and the rest solved again
+    scale = np.sqrt(np.diag(H) + 1e-300)
+    A = H / scale / scale[:, None]
+    A[np.diag_indices_from(A)] = 1 + path.mu + 1e-14
+    for _ in range(z.size + 1):  # a variable that would leave its bounds goes to the bound, and the rest is solved again
         index = np.flatnonzero(free)
         if not index.size:
-            return z
-        scale = np.sqrt(diagonal[index])
-        A = H[np.ix_(index, index)] / scale / scale[:, None]
-        A[np.diag_indices_from(A)] = 1 + path.mu + 1e-14
-        dz = np.zeros_like(z)
-        fixed = ~free
-        rest = np.where(fixed, np.clip(z, lower, upper) - z, 0.0)
-        dz[index] = -np.linalg.solve(A, (g + H @ rest)[index] / scale) / scale
-        trial = z + dz
-        out = free & ((trial < lower - 1e-12 * (upper - lower)) | (trial > upper + 1e-12 * (upper - lower)))
+            break
+        pull = (g + H @ np.where(free, 0.0, dz))[index] / scale[index]
+        dz[index] = -np.linalg.solve(A[np.ix_(index, index)], pull) / scale[index]
+        out = free & ((z + dz < lower) | (z + dz > upper))
         if not out.any():
             break
-        share = np.min(np.where(out, (np.where(trial < lower, lower, upper) - z) / np.where(out, dz, 1.0), 1.0))
-        if share > 0.05:  # a long way to the bound: stop there first
-            break
+        dz = np.where(out, np.clip(z + dz, lower, upper) - z, dz)
         free &= ~out
     return np.clip(z + dz, lower, upper)
 

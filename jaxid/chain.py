@@ -49,8 +49,8 @@ class Effect(eqx.Module):
     """Abstract: one physical effect at one port.
 
     Class attributes of a final class: `name`, `equation`, `signature` (what it looks like in a residual), `source`,
-    `excitation` (what to record to see it), `refines` (the effect without which it makes no sense, or ""), and `probes`: finite strengths for the screen, since some effects have zero
-    derivative at their neutral value.
+    `excitation` (what to record to see it), `refines` (the effect without which it makes no sense, or ""), and `probes`:
+    finite strengths for the screen, since some effects have zero derivative at their neutral value.
     """
 
     name: eqx.AbstractClassVar[str]

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import jax
 import numpy as np
@@ -13,6 +13,7 @@ from jaxid import samples
 from jaxid.binding import Binding
 from jaxid.experiment import Experiment
 from jaxid.fitter import AbstractFitter, Minimum, Progress
+from jaxid.fitters import descend, LevenbergMarquardt
 from jaxid.problem import Problem
 from jaxid.residual import InverseDynamics, MultipleShooting, OutputError, Residual, Runs
 from jaxid.results import EffectEstimate, Estimate, Fit, Score, Trace
@@ -66,7 +67,7 @@ class Bench:
         loss: str = "sum_of_squares",
     ) -> Problem:
         b = self.binding
-        return Problem(self.runs(residual, split), theta, free, b.lower, b.upper, records, loss)
+        return Problem(self.runs(residual, split), theta, free, b.lower, b.upper, records, loss, b.scale)
 
     def compile_time(self) -> float:
         return sum(r.engine.compile_time_s for r in self._runs.values())
@@ -83,8 +84,6 @@ def start_values(bench: Bench, free: Sequence[int], seed: int) -> list[np.ndarra
     guesses = [b.theta]
     linear = [i for i in free if i not in b.stated] or list(free)
     if b.motions and linear:
-        from jaxid.fitters import descend
-
         quick = InverseDynamics(decimate=1)
         problem = bench.problem(quick, "fit", linear, b.theta)
         path = descend([(problem, problem.z(b.theta))], 15, 1e-8)[0]
@@ -109,8 +108,6 @@ def starts_and_information(bench: Bench, split: str, thetas: Sequence[np.ndarray
     The start is fitted on the longest of some nested first stretches that the model follows to within twice the noise: with a
     fine encoder a wrong friction law would else bend the start within a tenth of a second.
     """
-    from jaxid.fitters import descend
-
     runs = bench.runs(OutputError(), split)
     jobs = []
     for theta in thetas:
@@ -263,6 +260,8 @@ def fit_binding(
         if moved <= STEP_SHARE:
             break
         step, found = step / 2, [problem.theta(result.z)]
+        if isinstance(fitter, LevenbergMarquardt):
+            fitter = replace(fitter, restarts=0)
         notes.append(f"halving the step moved the simulation by {moved:.2g} of the noise or gap: refitted at {step:.3g} s")
     return assemble(bench, problem, result, residual, fitter.name, seed, compile_time, time.perf_counter() - began, notes)
 

@@ -61,14 +61,14 @@ class AbstractFitter(eqx.Module):
 
 def sampling_box(problem: Problem, guess: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Where random starts and first populations are drawn: the bounds, narrowed to a plausible neighbourhood of the guess
-    where they span more than two decades (or, for a linear scale, more than 20 times the guess)."""
+    where they span more than two decades (or, for a linear scale, more than 20 times the guess or a typical change)."""
     lower, upper = problem.lower.copy(), problem.upper.copy()
     log = np.zeros(problem.size, bool)
     log[: problem.free.size] = problem.log
     decade = np.log(10.0)
     wide = log & (upper - lower > 2 * decade)
     lower[wide], upper[wide] = np.maximum(lower, guess - decade)[wide], np.minimum(upper, guess + decade)[wide]
-    size = np.maximum(np.abs(guess), 0.02 * (upper - lower))
+    size = np.maximum(np.abs(guess), 2 * problem.scale)
     wide = ~log & (upper - lower > 20 * size)
     wide[problem.free.size :] = False
     lower[wide], upper[wide] = np.maximum(lower, guess - 5 * size)[wide], np.minimum(upper, guess + 5 * size)[wide]

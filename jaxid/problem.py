@@ -58,7 +58,8 @@ class Problem:
     """Free numbers of a model on some runs.
 
     `base` holds every number of the layout, `free` the positions of those that are fitted between `lower` and `upper`
-    (both over the whole layout). `records` selects records of the runs, by default all that the residual made.
+    (both over the whole layout, like `scale`, a typical change). `records` selects records of the runs, by default all that
+    the residual made.
     """
 
     def __init__(
@@ -70,6 +71,7 @@ class Problem:
         upper: np.ndarray,
         records: Sequence[int] | None = None,
         loss: str = "sum_of_squares",
+        scale: np.ndarray | None = None,
     ):
         if loss not in LOSSES:
             raise UsageError(f"unknown loss {loss!r}; there is: {', '.join(LOSSES)}")
@@ -84,6 +86,8 @@ class Problem:
         reach = self._start_reach()
         self.lower = np.concatenate([self._search(lower[self.free]), (self.start0 - reach)[rows, columns]])
         self.upper = np.concatenate([self._search(upper[self.free]), (self.start0 + reach)[rows, columns]])
+        typical = 0.02 * (self.upper - self.lower)[: self.free.size] if scale is None else scale[self.free]
+        self.scale = np.concatenate([np.where(self.log, 1.0, typical), 0.1 * reach[rows, columns]])
 
     def _start_reach(self) -> np.ndarray:
         """How far an unknown start may lie from its guess: a fifth of the travel, the travel per tenth of the run."""
@@ -209,7 +213,7 @@ def sums(engine: Engine, z: Float[Array, "pop size"], data: Data) -> Float[Array
         w = jnp.where(inside, data.samples.w[at], 0.0)
         e = jnp.where(w > 0, prediction - data.samples.y[at], 0.0)
         totals = jnp.stack([jnp.sum((w * e) ** 2, 0), jnp.sum(e**2, 0), jnp.sum(jnp.abs(e), 0)])
-        return jnp.where(jnp.isfinite(totals), totals, PENALTY)
+        return totals
 
     def block(arrays):
         theta, starts, where, counts = arrays

@@ -97,7 +97,7 @@ def _null_directions(scaled: np.ndarray, kept: np.ndarray) -> tuple[np.ndarray, 
     values, vectors = np.linalg.eigh(scaled[np.ix_(index, index)])
     null = values <= NULL * values[-1]
     for vector in vectors[:, null].T:
-        members = np.flatnonzero(np.abs(vector) > 0.05)
+        members = np.flatnonzero(np.abs(vector) > 1e-3)
         identifiable[index[members]] = False
         groups.append(tuple(int(i) for i in index[members]))
     if not null.any():

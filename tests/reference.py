@@ -83,9 +83,9 @@ class Truth:
     drag: Any = 0.0
     offset: Any = 0.0
     dead_zone: Any = 0.0
-    delay: float = 0.0
-    other_hold: float = 0.0
-    lag_s: float = 0.0
+    delay: Any = 0.0
+    other_hold: Any = 0.0
+    lag_s: Any = 0.0
 
     def smooth(self, v: np.ndarray) -> np.ndarray:
         """Torque against motion that is continuous in v."""
@@ -145,15 +145,9 @@ def drive(t: np.ndarray, u: np.ndarray, truth: Truth, hold: str = "zero") -> lis
             base = u[k].astype(float)
             slope = shares["linear"] * (u[min(k + 1, len(u) - 1)] - u[k]) / (t[min(k + 1, len(t) - 1)] - t[k])
 
-        def line(x, base=base, slope=slope, origin=origin):
-            return base + slope * (x - origin)
-
-        command = line
+        command: Any = lambda x, base=base, slope=slope, origin=origin: base + slope * (x - origin)
         if truth.lag_s > 0:  # first order, exact for a constant command
-
-            def command(x, z=lagged, u=base, a=a):
-                return u + (z - u) * np.exp(-(x - a) / truth.lag_s)
-
+            command = lambda x, z=lagged, u=base, a=a: u + (z - u) * np.exp(-(x - a) / truth.lag_s)
             lagged = command(b)
         w = truth.dead_zone
         out.append(Piece(a, b, lambda x, c=command: c(x) - np.minimum(np.maximum(c(x), -w), w)))
@@ -218,11 +212,26 @@ def _settled(plant, truth, tau, q, v, mode):
     return mode
 
 
+def _stops(position, direction):
+    """Positive while a joint slides on in its direction."""
+    return lambda x, s: s[position] * direction
+
+
+def _breaks_away(plant, truth, piece, n, j, held):
+    """Positive while friction can hold joint j."""
+
+    def reserve(x, s):
+        _, need, minus, plus = _acceleration(plant, truth, piece.torque(x), s[:n], s[n:], held)
+        return min(plus[j] - need[j], need[j] + minus[j])
+
+    return reserve
+
+
 def _through(plant, truth, piece, q, v, mode, rtol, atol):
     n, t = len(q), piece.begin
     if not truth.is_dry:
-        f = lambda x, s: np.concatenate([s[n:], _acceleration(plant, truth, piece.torque(x), s[:n], s[n:], np.ones(n))[0]])
-        s = solve_ivp(f, (t, piece.end), np.concatenate([q, v]), "DOP853", rtol=rtol, atol=atol).y[:, -1]
+        free = lambda x, s: np.concatenate([s[n:], _acceleration(plant, truth, piece.torque(x), s[:n], s[n:], np.ones(n))[0]])
+        s = solve_ivp(free, (t, piece.end), np.concatenate([q, v]), "DOP853", rtol=rtol, atol=atol).y[:, -1]
         return s[:n], s[n:], np.ones(n, int)
     for attempt in range(40):
         mode = _settled(plant, truth, piece.torque(t), q, v, mode)
@@ -236,14 +245,7 @@ def _through(plant, truth, piece, q, v, mode, rtol, atol):
 
         events = []
         for j in range(n):
-            if held[j]:
-                event: Any = lambda x, s, j=j: s[n + j] * held[j]
-            else:
-
-                def event(x, s, j=j, held=held):
-                    _, need, minus, plus = _acceleration(plant, truth, piece.torque(x), s[:n], s[n:], held)
-                    return min(plus[j] - need[j], need[j] + minus[j])
-
+            event: Any = _stops(n + j, held[j]) if held[j] else _breaks_away(plant, truth, piece, n, j, held)
             event.terminal, event.direction = True, -1
             events.append(event)
         found = solve_ivp(

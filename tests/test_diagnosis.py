@@ -5,11 +5,11 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from reference import measured, multisine, PLANTS, simulate, Truth
 
 import jaxid
 from jaxid.diagnosis.evidence import HeldOut, inflation, memory
 from jaxid.diagnosis.how_far import bootstrap, shrink
+from reference import measured, multisine, PLANTS, simulate, Truth
 
 
 ROOT = Path(__file__).resolve().parents[1]

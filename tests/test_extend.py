@@ -28,8 +28,8 @@ class SpringCart(Rigid):
     """A cart on a rail, tied to the wall by a spring."""
 
     name: ClassVar[str] = "spring_cart"
-    signatures: ClassVar = (Signature((("force", "N"),), (("position", "m"),), ("position",), linear=True),)
-    builtin: ClassVar = (
+    signatures: ClassVar[tuple] = (Signature((("force", "N"),), (("position", "m"),), ("position",), linear=True),)
+    builtin: ClassVar[tuple] = (
         (ViscousFriction, {"coefficient": "viscous"}),
         (CoulombFriction, {"level": "coulomb"}),
     )
@@ -54,7 +54,7 @@ class ActuatorLag(InputEffect):
     signature: ClassVar[str] = "phase lag and loss of gain towards high frequency"
     source: ClassVar[str] = "textbook"
     excitation: ClassVar[str] = "steps of the command"
-    probes: ClassVar = ({"lag": 0.003}, {"lag": 0.03})
+    probes: ClassVar[tuple] = ({"lag": 0.003}, {"lag": 0.03})
     lag: Array = param(0.0, 0.0, 0.1 * DURATION, scale=0.01, unit="s", meaning="time constant of the drive")
 
     def start(self, u):
