@@ -17,7 +17,7 @@ from typing import Any
 import numpy as np
 
 
-sys.path[:0] = [str(Path(__file__).resolve().parents[1]), str(Path(__file__).resolve().parents[1] / "tests")]
+sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 
 from jaxid.runtime import prepare  # noqa: E402
 
@@ -48,10 +48,11 @@ BUILTIN: dict[str, dict[str, float]] = {"coulomb_friction": {}, "viscous_frictio
 def recording(model: str, truth: Truth, plant: Any, seed: int, split: str) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     rng = np.random.default_rng(seed)
     t = np.arange(int(RATE * SECONDS)) / RATE
-    u = multisine(t, [1.0], seed=seed, periods=rng.uniform(1.5, 3), lines=8)
+    reach = 0.45 if model == "pendulum" else 1.0  # a pendulum driven over the top is chaotic: no residual can rank anything
+    u = multisine(t, [reach], seed=seed, periods=rng.uniform(1.5, 3), lines=8)
     for _ in range(4):  # steps and rests
         a = rng.integers(0, len(t) - 200)
-        u[a : a + rng.integers(40, 160)] = rng.uniform(-1, 1) if rng.uniform() < 0.6 else 0.0
+        u[a : a + rng.integers(40, 160)] = rng.uniform(-reach, reach) if rng.uniform() < 0.6 else 0.0
     if model == "joint":  # nothing holds a joint: keep it from running away
         u -= u.mean(0)
     q, _ = simulate(plant, truth, t, u, rtol=1e-8, atol=1e-11)
@@ -108,14 +109,44 @@ def main(seeds: int = 1, first: int = 0, models: tuple[str, ...] = ("pendulum", 
     rows = []
     for seed in range(first, first + seeds):
         for model in models:
-            plan = [(e, s) for e in (*MEDIUM, *BUILTIN) for s in ((1.0, 0.2) if e in MEDIUM and e != "input_hold" else (1.0,))]
-            plan += [(None, 1.0)] * 2
+            weak = [e for e in MEDIUM if e != "input_hold"]
+            plan = [(e, 1.0) for e in (*MEDIUM, *BUILTIN)] + [(e, 0.2) for e in weak] + [(None, 1.0)] * 3
             for k, (effect, strength) in enumerate(plan):
                 row = case(model, effect, strength, 100 * seed + k)
                 rows.append(row)
                 if echo:
                     print(*(f"{x:.4g}" if isinstance(x, float) else x for x in row.values()), flush=True)
-    return {"title": "Blind check, one withheld effect", "rows": rows}
+    return {"title": "Blind check: one withheld effect", "rows": summary(rows), "text": (
+        f"Separately written SciPy equations, {RATE} Hz, 4 runs of {SECONDS:g} s, noise {NOISE:g} rad and quantisation "
+        f"{RESOLUTION:.2g} rad; seeds {first} to {first + seeds - 1}. `right`: that effect alone was named; `in set`: it is "
+        "among those named or reported as not to be told apart; `extra`: an effect beside it was named. The thresholds were "
+        "looked at on seed 0."
+    )}  # fmt: skip
+
+
+def summary(rows: list[dict[str, Any]]) -> list[dict[str, Any]]:
+    out = []
+    for model in dict.fromkeys(r["model"] for r in rows):
+        for label, keep in (
+            ("medium strength", lambda r: r["effect"] != "none" and r["strength"] == 1.0),
+            ("a fifth of it", lambda r: r["effect"] != "none" and r["strength"] < 1.0),
+            ("nothing missing", lambda r: r["effect"] == "none"),
+        ):
+            part = [r for r in rows if r["model"] == model and keep(r)]
+            out.append(
+                {
+                    "model": model,
+                    "cases": f"{label}: {len(part)}",
+                    "right": sum(r["right"] for r in part),
+                    "in set": sum(r["in_set"] for r in part),
+                    "extra": sum(len(r["named"]) > 1 for r in part),
+                    "not right": "; ".join(
+                        f"{r['effect']}: {r['verdict']} {'+'.join(r['named'])}" for r in part if not r["right"]
+                    ),
+                    "s per case": round(float(np.median([r["seconds"] for r in part])), 1) if part else None,
+                }
+            )
+    return out
 
 
 if __name__ == "__main__":
@@ -124,7 +155,5 @@ if __name__ == "__main__":
     parser.add_argument("--first", type=int, default=0)
     parser.add_argument("--models", default="pendulum,joint")
     options = parser.parse_args()
-    table = main(options.seeds, options.first, tuple(options.models.split(",")), echo=True)["rows"]
-    for group in ("none", "effect"):
-        rows = [r for r in table if (r["effect"] == "none") == (group == "none")]
-        print(group, len(rows), "right", sum(r["right"] for r in rows), "in set", sum(r["in_set"] for r in rows))
+    for line in main(options.seeds, options.first, tuple(options.models.split(",")), echo=True)["rows"]:
+        print(line)

@@ -12,7 +12,7 @@ from pathlib import Path
 import numpy as np
 
 
-sys.path[:0] = [str(Path(__file__).resolve().parents[1]), str(Path(__file__).resolve().parents[1] / "tests")]
+sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 
 from jaxid.runtime import prepare  # noqa: E402
 
@@ -23,11 +23,11 @@ import diffrax  # noqa: E402
 import jax  # noqa: E402
 import jax.numpy as jnp  # noqa: E402
 
-import reference as ref  # noqa: E402
 from jaxid.chain import Chain  # noqa: E402
 from jaxid.models import Pendulum, PlanarArm  # noqa: E402
 from jaxid.precision import float64  # noqa: E402
-from simulated import relative, Simulator  # noqa: E402
+from tests import reference as ref  # noqa: E402
+from tests.simulated import relative, Simulator  # noqa: E402
 
 
 PENDULUM = {"inertia": 0.08, "gravity_torque": 1.5, "viscous": 0.05, "coulomb": 0.3, "offset": 0.0}

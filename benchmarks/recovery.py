@@ -15,14 +15,13 @@ from typing import Any
 import numpy as np
 
 
-sys.path[:0] = [str(Path(__file__).resolve().parents[1]), str(Path(__file__).resolve().parents[1] / "tests")]
+sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 
 from jaxid.runtime import prepare  # noqa: E402
 
 
 prepare()
 
-import reference as ref  # noqa: E402
 from jaxid.binding import bind  # noqa: E402
 from jaxid.estimation import Bench  # noqa: E402
 from jaxid.experiment import Dataset  # noqa: E402
@@ -30,6 +29,7 @@ from jaxid.fitters import descend  # noqa: E402
 from jaxid.problem import linearise  # noqa: E402
 from jaxid.residual import OutputError  # noqa: E402
 from jaxid.uncertainty import covariance  # noqa: E402
+from tests import reference as ref  # noqa: E402
 
 
 TRUTH = {"inertia": 0.06, "gravity_torque": 1.3, "viscous": 0.04, "coulomb": 0.12, "offset": -0.03}

@@ -2,6 +2,7 @@
 
 import os
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -88,13 +89,14 @@ def test_a_cause_outside_the_library_is_not_named():
 
 def test_wrong_arguments_are_named():
     data = recording("joint", 5)
-    for arguments, word in (
+    wrong: list[tuple[dict[str, Any], str]] = [
         ({"effects": ["dead_zon"]}, "dead_zone"),
         ({"max_effects": 0}, "max_effects"),
         ({"without": ["backlash"]}, "backlash"),
         ({"residual": "inverse_dynamics"}, "output_error"),
         ({"effects": ["coulomb_friction"]}, "coulomb_friction"),
-    ):
+    ]
+    for arguments, word in wrong:
         with pytest.raises(jaxid.UsageError, match=word):
             jaxid.diagnose("joint", data, **arguments)
 

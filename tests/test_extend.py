@@ -183,7 +183,7 @@ def test_a_mechanism_from_outside(plain):
 
 
 def with_lag(lag: float = 0.01) -> jaxid.Chain:
-    return jaxid.Chain(SpringCart()).with_effects(ActuatorLag(lag=np.array(lag)))
+    return jaxid.Chain(SpringCart()).with_effects(ActuatorLag(lag=lag))  # pyright: ignore[reportArgumentType]
 
 
 @pytest.mark.parametrize("residual", ["output_error", "multiple_shooting"])
