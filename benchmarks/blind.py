@@ -26,7 +26,7 @@ prepare()
 
 from jaxid.api import diagnose  # noqa: E402
 from jaxid.experiment import Dataset  # noqa: E402
-from reference import measured, multisine, PLANTS, simulate, Truth  # noqa: E402
+from tests.reference import measured, multisine, PLANTS, simulate, Truth  # noqa: E402
 
 
 RATE, SECONDS, NOISE, RESOLUTION = 200, 8.0, 3e-4, 2 * np.pi / 2**14

@@ -35,7 +35,8 @@ def covariance(problem: Problem, z: np.ndarray) -> Covariance:
     """Covariance of z at a minimum (search scale)."""
     n = problem.size
     span = problem.upper - problem.lower
-    at_bound = (z - problem.lower <= 1e-7 * span) | (problem.upper - z <= 1e-7 * span)
+    near = 1e-9 * np.maximum(np.abs(z), problem.scale)  # a descent ends exactly at a bound, up to rounding
+    at_bound = (z - problem.lower <= near) | (problem.upper - z <= near)
     H, S_white, count = np.zeros((n, n)), 0.0, 0
     scores: list[tuple[list[int], np.ndarray]] = []
     series: list[np.ndarray] = []
