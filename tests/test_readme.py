@@ -1,0 +1,52 @@
+"""The README's code runs as it stands there."""
+
+import re
+import shutil
+from pathlib import Path
+
+import numpy as np
+
+import jaxid
+
+
+ROOT = Path(__file__).resolve().parents[1]
+BLOCKS = re.findall(r"```python\n(.*?)```", (ROOT / "README.md").read_text(), re.S)
+
+
+def test_first_block_goes_from_data_to_a_diagnosis(tmp_path, monkeypatch, capsys):
+    shutil.copytree(ROOT / "examples" / "servo_pendulum", tmp_path / "my_robot")
+    monkeypatch.chdir(tmp_path)
+    exec(BLOCKS[0], {})
+    told = capsys.readouterr().out
+    assert "named" in told and "dead_zone" in told
+    assert (tmp_path / "report.html").stat().st_size > 10_000
+
+
+def test_the_recipes_for_a_model_and_an_effect_fit():
+    made: dict = {}
+    for block in BLOCKS[1:]:
+        exec(block, made)
+    t = np.arange(600) / 100
+    rng = np.random.default_rng(0)
+    u = 4 * np.sin(2 * np.pi * 0.5 * t) + 2 * np.sin(2 * np.pi * 1.3 * t)
+    # mass 2, stiffness 40, viscous 1.5: exact by the matrix exponential of the held input
+    from scipy.linalg import expm
+
+    step = expm(np.array([[0, 1, 0], [-20, -0.75, 0.5], [0, 0, 0]]) * 0.01)
+    x, q = np.zeros(2), []
+    for force in u:
+        q.append(x[0])
+        x = (step @ np.append(x, force))[:2]
+    data = jaxid.Dataset.from_arrays(
+        t, {"force": u}, {"position": np.array(q) + 1e-5 * rng.standard_normal(600)},
+        units={"force": "N", "position": "m"}, at_rest=True, noise_std={"position": 1e-5},
+    )  # fmt: skip
+    fit = jaxid.fit(made["SpringCart"](), data, without=["coulomb_friction"])
+    for name, truth in {"mass": 2.0, "stiffness": 40.0, "viscous": 1.5}.items():
+        found = fit.parameters[name]
+        assert found.std is not None and abs(found.value - truth) < 4 * found.std + 1e-4 * truth
+    from jaxid.chain import Chain
+    from jaxid.layout import Layout
+
+    joint = Chain(jaxid.models.Joint()).with_effects(made["SpringTorque"]())
+    assert "spring_torque.stiffness@q" in Layout(joint).names
