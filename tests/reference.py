@@ -15,8 +15,10 @@ import numpy as np
 from scipy.integrate import solve_ivp
 
 
-#: Longest step while dry friction acts, s.
-LONGEST_STEP = 1e-3
+#: Longest and shortest of the steps that look for events while dry friction acts, s.
+LONGEST_STEP, SHORTEST_STEP = 1e-3, 1e-7
+#: By so much, in N m or N, friction may be exceeded by rounding before a joint breaks away.
+SLACK = 1e-11
 
 Plant = Callable[[np.ndarray, np.ndarray], tuple[np.ndarray, np.ndarray]]
 
@@ -205,7 +207,7 @@ def _settled(plant, truth, tau, q, v, mode):
     mode = np.array(mode)
     for _ in range(8):
         _, need, minus, plus = _acceleration(plant, truth, tau, q, v, mode)
-        leaves = (mode == 0) & ((need > plus) | (need < -minus))
+        leaves = (mode == 0) & ((need > plus + SLACK) | (need < -minus - SLACK))
         if not leaves.any():
             break
         mode[leaves] = np.sign(need[leaves]).astype(int)
@@ -222,7 +224,7 @@ def _breaks_away(plant, truth, piece, n, j, held):
 
     def reserve(x, s):
         _, need, minus, plus = _acceleration(plant, truth, piece.torque(x), s[:n], s[n:], held)
-        return min(plus[j] - need[j], need[j] + minus[j])
+        return min(plus[j] - need[j], need[j] + minus[j]) + SLACK
 
     return reserve
 
@@ -234,7 +236,7 @@ def _through(plant, truth, piece, q, v, mode, rtol, atol):
         s = solve_ivp(free, (t, piece.end), np.concatenate([q, v]), "DOP853", rtol=rtol, atol=atol).y[:, -1]
         return s[:n], s[n:], np.ones(n, int)
     longest = LONGEST_STEP
-    for _ in range(60):
+    for _ in range(200):
         mode = _settled(plant, truth, piece.torque(t), q, v, mode)
         if not mode.any() and truth.other_hold == 0 and truth.lag_s == 0 and np.all(v == 0):
             return q, v, mode  # everything sticks under a constant torque
@@ -249,9 +251,10 @@ def _through(plant, truth, piece, q, v, mode, rtol, atol):
             event: Any = _stops(n + j, held[j]) if held[j] else _breaks_away(plant, truth, piece, n, j, held)
             event.terminal, event.direction = True, -1
             events.append(event)
+        until = piece.end if longest == LONGEST_STEP else min(piece.end, t + 20 * longest)
         found = solve_ivp(
             f,
-            (t, piece.end),
+            (t, until),
             np.concatenate([q, v]),
             "DOP853",
             rtol=rtol,
@@ -261,15 +264,15 @@ def _through(plant, truth, piece, q, v, mode, rtol, atol):
         )
         # A joint that leaves from rest and returns within one step crosses zero once as the steps see it, and the event is found
         # at its own beginning: look again with finer steps.
-        stalled = found.status == 1 and found.t[-1] - t < 1e-13
-        longest = longest / 8 if stalled else LONGEST_STEP
-        if stalled and longest > 1e-9:
+        if found.status == 1 and found.t[-1] - t < 1e-13 and longest > SHORTEST_STEP:
+            longest /= 8
             continue
+        longest = LONGEST_STEP
         t, s = float(found.t[-1]), found.y[:, -1]
         q, v = s[:n].copy(), s[n:].copy()
         v[held == 0] = 0.0
         if found.status != 1:
-            return q, v, held
+            mode = held
         for j, when in enumerate(found.t_events):
             if len(when) and held[j]:
                 v[j], mode[j] = 0.0, 0
