@@ -266,7 +266,7 @@ def fit_binding(
     return assemble(bench, problem, result, residual, fitter.name, seed, compile_time, time.perf_counter() - began, notes)
 
 
-def step_error(bench: Bench, problem: Problem, z: np.ndarray, residual: Residual = OutputError()) -> float:
+def step_error(bench: Bench, problem: Problem, z: np.ndarray, residual: Residual) -> float:
     """How much the simulation at z moves when the step is halved, over the larger of noise and gap (rms, worst column)."""
     finer = Bench(bench.binding, bench.step / 2)
     runs = finer.runs(residual, "fit")

@@ -62,6 +62,12 @@ def test_a_withheld_effect_is_named(effect, place, truth, parameters):
     assert json["schema"] == 1 and json["which"]["ranking"][0]["effect"] == effect
 
 
+def test_windows_name_the_same_effect():
+    data = recording("pendulum", 1, load=0.1)
+    d = jaxid.diagnose("pendulum", data, residual="multiple_shooting", effects=CHOICE)
+    assert [e.effect for e in d.which.effects] == ["load_dependent_friction"] and d.residual == "multiple_shooting"
+
+
 def test_a_model_that_lacks_nothing_gets_none():
     d = jaxid.diagnose("pendulum", recording("pendulum", 2))
     assert d.which.verdict == "none" and not d.which.effects and not d.which.confusable_with

@@ -96,7 +96,7 @@ def _search(
     seed: int,
     progress: Progress | None,
 ) -> tuple[Bench, Fit, Search, float]:
-    """Nominal fit and search; then both ends of it again with finer steps until the step no longer matters."""
+    """Nominal fit and search; the search itself goes to finer steps where the step matters."""
     began = time.perf_counter()
     bench = Bench(binding)
     guesses = start_values(bench, binding.free, seed)

@@ -234,7 +234,7 @@ class Searcher:
         """The chosen and the nominal hypothesis again with finer steps, until the step no longer matters against the noise:
         what the step leaves behind would look like another effect."""
         for _ in range(3):
-            if step_error(self.bench, chosen.path.problem, chosen.path.z) <= STEP_SHARE:
+            if step_error(self.bench, chosen.path.problem, chosen.path.z, self.residual) <= STEP_SHARE:
                 break
             self.benches.append(self.bench)
             self.bench = Bench(self.bench.binding, self.bench.step / 2)
