@@ -135,7 +135,7 @@ class Searcher:
         """A start of each set from the torque residual of the measured motion: biased by the noise of derivatives, but free of
         the free run's local minima (where a nominal term stands in for two missing ones, a descent stays)."""
         b = self.bench.binding
-        if not b.motions:
+        if not b.motions or b.chain.mechanism.hidden_states:
             return [[] for _ in sets]
         jobs = []
         for effects, thetas in sets:
@@ -196,7 +196,7 @@ class Searcher:
         b = self.bench.binding
         effect = next(e for e in b.chain.effects if e.name == c.effect)
         place = b.chain.places(effect).index(c.location)
-        reference = b.references[min(place, len(b.references) - 1)]
+        reference = b.reference(effect, place)
         out = []
         for probe in effect.probes:
             new = theta.copy()
