@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterable, Mapping
 from typing import Any
 
-from jaxid import catalogue, closed_loop as closed_loop  # registers its residual
+from jaxid import catalogue, closed_loop as closed_loop, frequency as frequency  # register their residuals
 from jaxid.binding import bind, Binding
 from jaxid.errors import nearest, UsageError
 from jaxid.experiment import Dataset

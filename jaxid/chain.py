@@ -76,6 +76,10 @@ class InputEffect(Effect):
     def start(self, u: Float[Array, " nu"]) -> Any:
         """State after the input `u` has been held for long; () for an effect without state."""
 
+    def transfer(self, omega: Float[Array, " lines"]) -> tuple[Float[Array, "lines nu"], Float[Array, "lines nu"]] | None:
+        """Real and imaginary part of its linear response at omega; None leaves the input unchanged."""
+        return None
+
 
 class JointEffect(Effect):
     """At the joint: (signals, state) -> smooth opposing torque, dry levels (minus, plus) >= 0, state."""
@@ -108,6 +112,10 @@ class OutputEffect(Effect):
 
     @abc.abstractmethod
     def start(self, y: Float[Array, " ny"]) -> Any: ...
+
+    def transfer(self, omega: Float[Array, " lines"]) -> tuple[Float[Array, "lines ny"], Float[Array, "lines ny"]] | None:
+        """Real and imaginary part of its linear response at omega; None leaves the output unchanged."""
+        return None
 
 
 def neutral(kind: Callable[..., Effect]) -> Effect:

@@ -99,6 +99,13 @@ class Mechanism(eqx.Module):
     def inverse(self, q: Float[Array, " nq"], qd: Float[Array, " nq"], qdd: Float[Array, " nq"]) -> Float[Array, " nq"]:
         """Joint torque that this motion needs (friction excluded)."""
 
+    def transfer(
+        self, omega: Float[Array, " lines"], slope: Float[Array, " nq"]
+    ) -> tuple[Float[Array, "lines ny nq"], Float[Array, "lines ny nq"]] | None:
+        """Real and imaginary part of outputs / joint torques at omega, with viscous friction `slope` at the joints. None: no
+        closed form, the equation of motion is linearised and solved at each line."""
+        return None
+
     @abc.abstractmethod
     def output(self, x: Any, tau: Float[Array, " nq"], rests: Bool[Array, " nq"]) -> Float[Array, " ny"]:
         """What ideal sensors read in state x, [ny] of the signature with most outputs (others take the first of them).

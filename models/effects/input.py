@@ -54,6 +54,10 @@ class InputDelay(InputEffect):
         change = s.command.delayed(self.delay) - s.command.u
         return jnp.where(self.delay > 0, u + change, u), z
 
+    def transfer(self, omega):
+        angle = omega[:, None] * self.delay
+        return jnp.cos(angle), -jnp.sin(angle)
+
 
 class InputHold(InputEffect):
     """How the command runs between its samples: as stated, or the other of zero-order hold and linear interpolation."""
