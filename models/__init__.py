@@ -4,11 +4,13 @@
 if __name__ != "jaxid.models":
     raise ImportError("import jaxid.models, not models")
 
+from .arm_presets import Panda, UR10, UR10e
 from .joint import Joint
 from .pendulum import Pendulum
 from .planar_arm import PlanarArm
+from .serial_arm import SerialArm
 
 
-MODELS = (Joint, Pendulum, PlanarArm)
+MODELS = (Joint, Pendulum, PlanarArm, SerialArm, UR10, UR10e, Panda)
 
-__all__ = ["MODELS", "Joint", "Pendulum", "PlanarArm"]
+__all__ = ["MODELS", "Joint", "Panda", "Pendulum", "PlanarArm", "SerialArm", "UR10", "UR10e"]
