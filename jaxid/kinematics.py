@@ -29,7 +29,8 @@ class ArmTable:
     """A serial chain before any data: geometry [n] in m and rad, inertial parameters [n 10], drive inertia [n].
 
     `tool` [4 4] is the flange or tool in the last link's frame; `joints` the names a URDF gives; `lower`, `upper` (rad or m),
-    `velocity` (rad/s or m/s) and `effort` (N m or N) are the maker's limits, infinite where unknown.
+    `velocity` (rad/s or m/s) and `effort` (N m or N) are the maker's limits, infinite where unknown;
+    `viscous` and `coulomb` friction (N m s/rad, N m) a start for a fit.
     """
 
     a: np.ndarray
@@ -47,6 +48,8 @@ class ArmTable:
     upper: np.ndarray = field(default_factory=lambda: np.zeros(0))
     velocity: np.ndarray = field(default_factory=lambda: np.zeros(0))
     effort: np.ndarray = field(default_factory=lambda: np.zeros(0))
+    viscous: np.ndarray = field(default_factory=lambda: np.zeros(0))
+    coulomb: np.ndarray = field(default_factory=lambda: np.zeros(0))
 
     @property
     def n(self) -> int:

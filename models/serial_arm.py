@@ -198,9 +198,19 @@ class SerialArm(AbstractArm):
     source: ClassVar[str] = "Luh, Walker, Paul 1980; Featherstone 2008; frames of Khalil and Kleinfinger 1986"
     signatures: tuple[Signature, ...] = eqx.field(static=True, default=signatures_of(_DEFAULT.prismatic))
 
+    friction: tuple[tuple[float, float], ...] = eqx.field(static=True, default=())
+
     def __init__(self, table: ArmTable = _DEFAULT):
         self._set(table)
         self.signatures = signatures_of(table.prismatic)
+        self.friction = tuple(zip(map(float, table.coulomb), map(float, table.viscous), strict=True))
+
+    def nominal_effects(self):
+        """Friction starts from what the table (a URDF's dynamics) says."""
+        if not self.friction:
+            return super().nominal_effects()
+        level, viscous = np.array(self.friction).T
+        return [DriveGain(), CoulombFriction(level), PowerLawFriction(viscous), ConstantTorque()]  # pyright: ignore
 
     @classmethod
     def from_urdf(cls, path: str | Path, tip: str | None = None, root: str | None = None) -> SerialArm:
