@@ -179,6 +179,7 @@ def _references(dataset: Dataset, layout: Layout, theta: np.ndarray, motions: di
     with float64():
         body = layout.model(jnp.asarray(theta)).body()
         still = jnp.zeros(nq)
-        torque = jax.vmap(lambda q, a: body.inverse(q, still, a) - body.inverse(q, still, still))(q[pick], qdd[pick])
+        needed = jax.jit(jax.vmap(lambda q, a: body.inverse(q, still, a) - body.inverse(q, still, still)))
+        torque = needed(q[pick], qdd[pick])
         inertia = np.percentile(np.abs(np.asarray(torque)), 99, axis=0)
     return samples.references(fit, used, iu, inertia)

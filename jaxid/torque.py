@@ -14,7 +14,12 @@ from jaxid.chain import Chain
 from jaxid.engine import Lane, torque_lane
 from jaxid.errors import UsageError
 from jaxid.experiment import Dataset, Experiment
+from jaxid.layout import Layout
 from jaxid.samples import columns, content_cutoff
+
+
+#: Fewest rows of the torque equation for each number of a model that decimation may leave.
+ROWS = 30
 
 
 @dataclass(frozen=True)
@@ -39,7 +44,8 @@ def torque_setting(
     decimate: int | None,
 ) -> TorqueSetting:
     """Filter and decimation: the cutoff a tenth of the sampling rate (or where the content of noisy positions ends),
-    decimation to 2.5 times less than the cutoff allows. Noise of the residual: that of the input at high frequency."""
+    decimation to 2.5 times less than the cutoff allows, but not below `ROWS` rows of the fit for each number of the model.
+    Noise of the residual: that of the input at high frequency."""
     from jaxid.signals import differentiate, filter_ends
 
     iu, iy = columns(dataset, chain)
@@ -51,7 +57,8 @@ def torque_setting(
         content = max(content_cutoff(first.t, first.y[:, i], s) for i, s in zip(iy, noise, strict=True))
         cutoff_hz = min(rate / 10, max(content, 2.0))
     if decimate is None:
-        decimate = max(1, round(rate / (0.4 * cutoff_hz)))
+        kept = sum(len(e.t) for e in dataset.split("fit") or experiments) * chain.nq
+        decimate = max(1, min(round(rate / (0.4 * cutoff_hz)), kept // (ROWS * own_numbers(chain))))
     motion, ends = [], []
     statement = ""
     for e in experiments:
@@ -71,6 +78,14 @@ def torque_setting(
         span = float(np.percentile(np.abs(np.concatenate([e.u[:, i] for e in experiments])), 99))
         level[j] = max(white * np.sqrt(np.sum(taps**2)), 1e-3 * span, 1e-12)
     return TorqueSetting(motion, ends, decimate, taps, level, cutoff_hz, statement, iu, iy)
+
+
+def own_numbers(chain: Chain) -> int:
+    """How many numbers of the nominal model a fit determines; candidates of a diagnosis do not count."""
+    builtin = {kind.name for kind, _ in chain.mechanism.builtin}
+    held = chain.mechanism.held()
+    own = [e for e in Layout(chain).entries if e.owner < 0 or chain.effects[e.owner].name in builtin]
+    return max(1, sum(not e.spec.fixed and e.name not in held for e in own))
 
 
 def decimated_torque_lane(taps: np.ndarray) -> Lane:
