@@ -71,11 +71,11 @@ def torque_setting(
 
         taps = np.asarray(firwin(10 * decimate + 1, 0.8 / decimate), np.float64)
         statement += f"; residual low-passed at {0.4 * rate / decimate:.3g} Hz and taken at every {decimate}th sample"
-    level = np.ones(chain.nq)
+    level, gains = np.ones(chain.nq), drive_gains(chain)
     for j, i in enumerate(iu):
-        u = np.concatenate([np.diff(e.u[:, i], 3) for e in experiments]) / np.sqrt(20.0)
+        u = gains[j] * np.concatenate([np.diff(e.u[:, i], 3) for e in experiments]) / np.sqrt(20.0)
         white = 1.4826 * float(np.median(np.abs(u)))
-        span = float(np.percentile(np.abs(np.concatenate([e.u[:, i] for e in experiments])), 99))
+        span = gains[j] * float(np.percentile(np.abs(np.concatenate([e.u[:, i] for e in experiments])), 99))
         level[j] = max(white * np.sqrt(np.sum(taps**2)), 1e-3 * span, 1e-12)
     return TorqueSetting(motion, ends, decimate, taps, level, cutoff_hz, statement, iu, iy)
 
@@ -86,6 +86,12 @@ def own_numbers(chain: Chain) -> int:
     held = chain.mechanism.held()
     own = [e for e in Layout(chain).entries if e.owner < 0 or chain.effects[e.owner].name in builtin]
     return max(1, sum(not e.spec.fixed and e.name not in held for e in own))
+
+
+def drive_gains(chain: Chain) -> np.ndarray:
+    """What turns each input into joint torque, [nu]: the model's drive gains, 1 where it has none."""
+    gains = [np.asarray(e.gain, float) for e in chain.effects if e.name == "drive_gain"]  # pyright: ignore
+    return np.prod(gains, 0) if gains else np.ones(max(1, len(chain.signature.inputs)))
 
 
 def decimated_torque_lane(taps: np.ndarray) -> Lane:
@@ -111,10 +117,10 @@ def measured_torque(dataset: Dataset, runs) -> np.ndarray:
     """Measured joint torque at the residual's samples, through the same low-pass, [samples nq]."""
     taps = getattr(runs.engine.lane, "taps", np.ones(1))
     iu, _ = columns(dataset, runs.layout.chain)
-    out = []
+    out, gains = [], drive_gains(runs.layout.chain)
     for number in runs.records:
         record = runs.record(number)
-        u = runs.experiments[record.experiment].u[:, iu]
+        u = runs.experiments[record.experiment].u[:, iu] * gains
         smooth = np.stack([np.convolve(c, taps, mode="same") for c in u.T], -1)
         out.append(smooth[record.samples - record.first])
     return np.concatenate(out)
