@@ -151,6 +151,9 @@ def bind(
             theta[layout.index(name)] = prior.value
             stated.add(layout.index(name))
 
+    chain = layout.model(theta)  # with what the dataset states
+    layout = Layout(chain)
+    fixed |= {layout.index(name) for name in chain.mechanism.held() if name in layout.names and name not in priors}
     own = {i for i, e in enumerate(layout.entries) if e.owner < 0 or chain.effects[e.owner].name in present}
     free = sorted(i for i in own if i not in fixed)
     for kind, place in added:
@@ -200,7 +203,8 @@ def _references(
         with float64():
             body = layout.model(jnp.asarray(theta)).body()
             still = jnp.zeros(nq)
-            torque = jax.vmap(lambda q, a: body.inverse(q, still, a) - body.inverse(q, still, still))(q[pick], qdd[pick])
+            needed = jax.jit(jax.vmap(lambda q, a: body.inverse(q, still, a) - body.inverse(q, still, still)))
+            torque = needed(q[pick], qdd[pick])
             inertia = np.percentile(np.abs(np.asarray(torque)), 99, axis=0)
         joints = samples.references(fit, used, iu if direct else [], inertia)
     return joints, [joints[min(k, nq - 1)]._replace(torque=max(s, 1e-9)) for k, s in enumerate(size)]

@@ -155,7 +155,7 @@ class Chain(eqx.Module):
         self.mechanism = mechanism
         self.signature = signature or mechanism.signatures[0]
         self.smoothing_velocity = float(smoothing_velocity)
-        effects = [kind() for kind, _ in mechanism.builtin] if effects is None else effects
+        effects = mechanism.nominal_effects() if effects is None else effects
         self.effects = tuple(self._widened(e) for e in effects)
 
     @property

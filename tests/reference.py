@@ -83,6 +83,8 @@ class Truth:
     stribeck_speed: Any = 1.0
     load: Any = 0.0
     drag: Any = 0.0
+    power: Any = 0.0
+    exponent: Any = 1.0
     offset: Any = 0.0
     dead_zone: Any = 0.0
     delay: Any = 0.0
@@ -91,7 +93,11 @@ class Truth:
 
     def smooth(self, v: np.ndarray) -> np.ndarray:
         """Torque against motion that is continuous in v."""
-        return self.viscous * v + self.viscous_asymmetry * abs(v) + self.drag * abs(v) * v + self.offset
+        return self.viscous * v + self.viscous_asymmetry * abs(v) + self.drag * abs(v) * v + self.offset + self.thinning(v)
+
+    def thinning(self, v: np.ndarray) -> np.ndarray:
+        """Power law, rounded off below 1 mrad/s."""
+        return self.power * (v * v + 1e-6) ** ((self.exponent - 1) / 2) * v
 
     def dry(self, v: np.ndarray, drive: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Levels of dry friction (backwards, forwards)."""
@@ -111,6 +117,7 @@ EFFECTS: dict[str, dict[str, str]] = {
     "asymmetric_friction": {"dry": "dry_asymmetry", "viscous": "viscous_asymmetry"},
     "stribeck_friction": {"extra": "stribeck", "speed": "stribeck_speed"},
     "load_dependent_friction": {"mu": "load"},
+    "power_law_friction": {"coefficient": "power", "exponent": "exponent"},
     "quadratic_drag": {"coefficient": "drag"},
     "constant_torque": {"torque": "offset"},
     "input_delay": {"delay": "delay"},

@@ -13,11 +13,13 @@ from .joint import (
     StribeckFriction,
     ViscousFriction,
 )
+from .power_law import PowerLawFriction
 
 
 LIBRARY = (
     DeadZone,
     ViscousFriction,
+    PowerLawFriction,
     CoulombFriction,
     AsymmetricFriction,
     StribeckFriction,
@@ -37,6 +39,7 @@ __all__ = [
     "InputDelay",
     "InputHold",
     "LoadDependentFriction",
+    "PowerLawFriction",
     "QuadraticDrag",
     "StribeckFriction",
     "ViscousFriction",
