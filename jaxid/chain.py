@@ -265,7 +265,9 @@ class Chain(eqx.Module):
         # A joint that sticks stands exactly still: rounding left here would ruin every later decision and gradient.
         sticks = (end == 0) & (minus + plus > 0)
         w = jnp.where(sticks, 0.0, w + dot(A, lam - dry))
-        x = body.close(h, x, free, lam - dry - slope * ((v + w) / 2 - s.qd), w, h * bend)
+        dtau, shift = lam - dry - slope * ((v + w) / 2 - s.qd), h * bend
+        moved = body.port(body.close(h, x, free, dtau, w, shift))[0] - q
+        x = body.close(h, x, free, dtau, w, shift - jnp.where(sticks & (v == 0), moved, 0.0))
         _, _, _, z = self.friction(s._replace(qd=(v + w) / 2), z)
         return Carry(x, z, dry, (w - v) / h)
 
