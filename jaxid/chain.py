@@ -211,13 +211,13 @@ class Chain(eqx.Module):
                 z.append(())
         return Carry(x, tuple(z), jnp.zeros_like(q), jnp.zeros_like(q))
 
-    def drive(self, s: Signals, z: tuple) -> tuple[Float[Array, " nq"], tuple]:
-        """Joint torque after the input effects."""
+    def commanded(self, s: Signals, z: tuple) -> tuple[Float[Array, " nu"], tuple]:
+        """Inputs after the input effects."""
         u, z_new = s.command.u, list(z)
         for i, e in enumerate(self.effects):
             if isinstance(e, InputEffect):
                 u, z_new[i] = e(u, s, z[i])
-        return (u if self.signature.inputs else jnp.zeros_like(s.q)), tuple(z_new)
+        return u, tuple(z_new)
 
     def friction(self, s: Signals, z: tuple) -> tuple[Array, Array, Array, tuple]:
         """Smooth opposing torque, dry levels (minus, plus), effect states at the end of the step."""
@@ -228,35 +228,48 @@ class Chain(eqx.Module):
                 smooth, minus, plus = smooth + f, minus + m, plus + p
         return smooth, jnp.maximum(minus, 0.0), jnp.maximum(plus, 0.0), tuple(z_new)
 
-    def sense(self, body: Mechanism, carry: Carry, command: Command) -> tuple[Float[Array, " ny"], Carry]:
-        """What the sensors record at the beginning of a step."""
+    def step(self, body: Mechanism, carry: Carry, command: Command) -> tuple[Carry, Float[Array, " ny"]]:
+        """State at the end of a step, and what the sensors record at its beginning, under the torque that then begins to act."""
+        after, tau = self.advance(body, carry, command)
+        y, z = self.sense(body, carry, tau, command)
+        return after._replace(
+            z=tuple(b if isinstance(e, OutputEffect) else a for e, a, b in zip(self.effects, after.z, z, strict=True))
+        ), y
+
+    def sense(
+        self, body: Mechanism, carry: Carry, tau: Float[Array, " nq"], command: Command
+    ) -> tuple[Float[Array, " ny"], tuple]:
+        """What the sensors record at the beginning of a step with net joint torque `tau`, and the effects' next states."""
         q, v = body.port(carry.x)
         s = Signals(command.t, q, v, jnp.zeros_like(q), command.h, command)
-        y, z = body.output(carry.x, carry.acc), list(carry.z)
+        y, z = body.output(carry.x, tau), list(carry.z)
         for i, e in enumerate(self.effects):
             if isinstance(e, OutputEffect):
                 y, z[i] = e(y, s, carry.z[i])
-        return y, carry._replace(z=tuple(z))
+        return y, tuple(z)
 
-    def advance(self, body: Mechanism, carry: Carry, command: Command) -> Carry:
-        """One step of length command.h: friction law at the predicted middle, smooth friction linearly implicit, dry
-        friction solved exactly (`jaxid.joint`)."""
+    def advance(self, body: Mechanism, carry: Carry, command: Command) -> tuple[Carry, Float[Array, " nq"]]:
+        """One step of length command.h, and the net joint torque in it: friction law at the predicted middle, smooth friction
+        linearly implicit, dry friction solved exactly (`jaxid.joint`)."""
         x, z, lam, acc = carry
         h, eps = command.h, self.smoothing_velocity
         q, v = body.port(x)
         s = Signals(command.t + h / 2, q + h / 2 * v, v + h / 2 * acc, jnp.zeros_like(q), h, command)
-        tau, z = self.drive(s, z)
-        s = s._replace(load=tau)
+        u, z = self.commanded(s, z)
+        s = s._replace(load=body.drive(self.signature, u, s.q, s.qd))
 
-        law = lambda qd: self.friction(s._replace(qd=qd), z)[:3]
+        def law(qd):
+            F, minus, plus, _ = self.friction(s._replace(qd=qd), z)
+            return F - body.drive(self.signature, u, s.q, qd), minus, plus
+
         (F, minus, plus), (slope, _, _) = jax.jvp(law, (s.qd,), (jnp.ones_like(v),))
-        tau, F, minus, plus, slope = (fence(a) for a in (tau, F, minus, plus, slope))
+        F, minus, plus, slope = (fence(a) for a in (F, minus, plus, slope))
         if eps == 0:
             lam = jnp.where(v > 0, plus, jnp.where(v < 0, -minus, jnp.clip(lam, -minus, plus)))
         else:
             lam = jnp.where(s.qd > 0, plus, minus) * jnp.tanh(s.qd / eps)
 
-        free = body.free(h, x, tau - F - lam)
+        free = body.free(h, x, -F - lam)
         # Smooth law, linearised at the prediction, at the middle velocity (v + w) / 2: stable at any slope.
         B = inverse(jnp.eye(v.shape[0]) + free.A * slope / 2)
         w = dot(B, free.qd + dot(free.A, slope * (s.qd - v / 2)))
@@ -265,11 +278,11 @@ class Chain(eqx.Module):
         # A joint that sticks stands exactly still: rounding left here would ruin every later decision and gradient.
         sticks = (end == 0) & (minus + plus > 0)
         w = jnp.where(sticks, 0.0, w + dot(A, lam - dry))
-        dtau, shift = lam - dry - slope * ((v + w) / 2 - s.qd), h * bend
-        moved = body.port(body.close(h, x, free, dtau, w, shift))[0] - q
-        x = body.close(h, x, free, dtau, w, shift - jnp.where(sticks & (v == 0), moved, 0.0))
+        correction, shift = lam - dry - slope * ((v + w) / 2 - s.qd), h * bend
+        moved = body.port(body.close(h, x, free, correction, w, shift))[0] - q
+        x = body.close(h, x, free, correction, w, shift - jnp.where(sticks & (v == 0), moved, 0.0))
         _, _, _, z = self.friction(s._replace(qd=(v + w) / 2), z)
-        return Carry(x, z, dry, (w - v) / h)
+        return Carry(x, z, dry, (w - v) / h), correction - F - lam
 
     # ---- the same objects without integration
 
@@ -282,13 +295,15 @@ class Chain(eqx.Module):
         qdd: Float[Array, " nq"],
     ) -> tuple[Float[Array, " nq"], tuple]:
         """Missing torque of a measured motion, drive(u) - (M qdd + bias + friction), and the effects' next states."""
+        body = self.body()
         s = Signals(command.t, q, qd, jnp.zeros_like(q), command.h, command)
-        tau, z = self.drive(s, z)
+        u, z = self.commanded(s, z)
+        tau = body.drive(self.signature, u, q, qd)
         F, minus, plus, z = self.friction(s._replace(load=tau), z)
         eps = self.smoothing_velocity
         direction = jnp.sign(qd) if eps == 0 else jnp.tanh(qd / eps)
         dry = jnp.where(direction > 0, plus, minus) * direction
-        return tau - self.body().inverse(q, qd, qdd) - F - dry, z
+        return tau - body.inverse(q, qd, qdd) - F - dry, z
 
     def vector_field(self, t: Any, x: Any, u: Float[Array, " nu"]) -> Any:
         """dx/dt as a plain ODE for a generic solver. Needs effects without states and smoothed dry friction."""
@@ -296,7 +311,8 @@ class Chain(eqx.Module):
         q, qd = body.port(x)
         command = Command(t, jnp.zeros(()), u, u, lambda d: u)
         s = Signals(t, q, qd, jnp.zeros_like(q), jnp.zeros(()), command)
-        tau, z = self.drive(s, self.start(q, qd, u).z)
+        u, z = self.commanded(s, self.start(q, qd, u).z)
+        tau = body.drive(self.signature, u, q, qd)
         F, minus, plus, _ = self.friction(s._replace(load=tau), z)
         dry = jnp.zeros_like(qd)
         if self.smoothing_velocity > 0:

@@ -47,19 +47,20 @@ def _lane(law: Law, signals: str) -> Lane:
         return Reading(row[:n], row[n : 2 * n], row[2 * n : 3 * n])
 
     def lane(chain, samples, where, start, steps, length, reach, burn):
-        body = chain.body()
         begin, _, last, _ = where
+        body = chain.body().prepare(None)
 
         def step(carry: tuple[Carry, Memory], k) -> tuple[tuple[Carry, Memory], Any]:
             state, memory = carry
             i = jnp.minimum(begin + k, last)
             row, t, h = samples.x[i], samples.t[i], samples.h[i]
-            y, state = chain.sense(body, state, Command(t, h, memory.u, memory.u, lambda d: memory.u))
+            y, z = chain.sense(body, state, jnp.zeros(n), Command(t, h, memory.u, memory.u, lambda d: memory.u))
+            state = state._replace(z=z)
             new = feedback.update(law, memory, y, body.port(state.x)[1], reading(row))
             memory = jax.tree.map(lambda a, b: jnp.where(row[3 * n] > 0, a, b), new, memory)
             u = memory.u
             out = {"outputs": y, "inputs": u, "both": jnp.concatenate([y, u])}[signals]
-            return (chain.advance(body, state, Command(t, h, u, u, lambda d: u)), memory), out
+            return (chain.advance(body, state, Command(t, h, u, u, lambda d: u))[0], memory), out
 
         q, qd, u = start[:n], start[n : 2 * n], samples.u[begin]
         carry = chain.start(q, qd, u), feedback.begin(law, q, qd, u, reading(samples.x[begin]))

@@ -28,6 +28,8 @@ from jaxid.samples import BLOCK, bucket, Record, Samples
 LANES = 16
 #: Upper bound of every delay parameter of the library.
 LONGEST_DELAY_S = 0.1
+#: `reach` of a run with equal steps: what depends on the step's length is worked out once.
+EVEN = -1
 
 
 #: (chain, samples, where, start, steps, length, reach, burn) -> prediction at every step of a record.
@@ -40,7 +42,7 @@ def command_at(samples: Samples, k: Array, first: Array, last: Array, reach: int
 
     def step_of(t: Array) -> Array:
         """Position of the step that holds each time [nu], none later than one step ahead."""
-        if reach == 0:  # equal steps: by arithmetic, then one place to either side against rounding
+        if reach <= 0:  # equal steps: by arithmetic, then one place to either side against rounding
             low = jnp.clip(k + jnp.floor((t - now) / h).astype(k.dtype), first, last)
             low = jnp.where(samples.t[low] > t, jnp.maximum(low - 1, first), low)
             up = jnp.minimum(low + 1, last)
@@ -78,8 +80,9 @@ def simulate_lane(
     the measured motion, so that effects bring their states to the record's beginning; then it starts from `start`.
     The loop runs over blocks, their count is data: one program serves every length.
     """
-    body, nq = chain.body(), chain.nq
+    nq = chain.nq
     begin, first, last, lead = where
+    body = chain.body().prepare(samples.h[begin] if reach == EVEN else None)
 
     def step(carry: Carry, k: Array) -> tuple[Carry, Array]:
         i = jnp.minimum(begin + k, last)
@@ -88,8 +91,7 @@ def simulate_lane(
             x = body.start(forced[:nq], forced[nq:])
             carry = carry._replace(x=jax.tree.map(lambda a, b: jnp.where(k <= lead, a, b), x, carry.x))
         command = command_at(samples, i, first, last, reach)
-        y, carry = chain.sense(body, carry, command)
-        return chain.advance(body, carry, command), y
+        return chain.step(body, carry, command)
 
     return _blocks_of(step, chain.start(start[:nq], start[nq:], samples.u[begin]), steps, length, len(chain.signature.outputs))
 
@@ -130,10 +132,12 @@ def _blocks_of(step: Callable, carry: Any, steps: Array, length: int, width: int
 
 
 def reach_of(samples: Samples, record: Record) -> int:
-    """0 where a run has equal steps (to one percent), else how many steps the longest delay may reach back, as a power of
-    two."""
+    """EVEN where a run has equal steps to rounding, 0 where to one percent, else how many steps the longest delay may reach
+    back, as a power of two."""
     t, h = (np.asarray(a)[record.first : record.last] for a in (samples.t, samples.h))
-    if not h.size or np.ptp(h) <= 0.01 * np.median(h):
+    if not h.size or np.ptp(h) <= 1e-6 * np.median(h):
+        return EVEN
+    if np.ptp(h) <= 0.01 * np.median(h):
         return 0
     return bucket(int(np.max(np.arange(t.size) - np.searchsorted(t, t - LONGEST_DELAY_S))) + 2, 8)
 

@@ -9,10 +9,11 @@ compliance are then solved in one place for all of them.
 from __future__ import annotations
 
 import abc
-from typing import Any, NamedTuple
+from typing import Any, ClassVar, NamedTuple
 
 import equinox as eqx
 import jax
+import jax.numpy as jnp
 from jaxtyping import Array, Float
 
 from jaxid.arithmetic import dot, inverse
@@ -52,6 +53,18 @@ class Mechanism(eqx.Module):
     builtin: eqx.AbstractClassVar[tuple[tuple[type, dict[str, str]], ...]]
     equations: eqx.AbstractClassVar[str]
     source: eqx.AbstractClassVar[str]
+    #: Whether the state holds more than joint positions and velocities: such a motion cannot be inverted without a simulation.
+    hidden_states: ClassVar[bool] = False
+
+    def prepare(self, h: Any | None) -> Mechanism:
+        """The same mechanism with everything worked out that does not depend on the state; `h` None where steps differ."""
+        return self
+
+    def drive(
+        self, signature: Signature, u: Float[Array, " nu"], q: Float[Array, " nq"], qd: Float[Array, " nq"]
+    ) -> Float[Array, " nq"]:
+        """Joint torque that the inputs make; a mechanism whose inputs are not joint torques has its own law."""
+        return u if signature.inputs else jnp.zeros_like(q)
 
     @abc.abstractmethod
     def start(self, q: Float[Array, " nq"], qd: Float[Array, " nq"]) -> Any:
@@ -87,8 +100,8 @@ class Mechanism(eqx.Module):
         """Joint torque that this motion needs (friction excluded)."""
 
     @abc.abstractmethod
-    def output(self, x: Any, qdd: Float[Array, " nq"]) -> Float[Array, " ny"]:
-        """What ideal sensors read."""
+    def output(self, x: Any, tau: Float[Array, " nq"]) -> Float[Array, " ny"]:
+        """What ideal sensors read in state x under the net joint torque `tau` (drive minus friction), for accelerations."""
 
 
 class Rigid(Mechanism):
@@ -104,7 +117,7 @@ class Rigid(Mechanism):
     def port(self, x):
         return x
 
-    def output(self, x, qdd):
+    def output(self, x, tau):
         return x[0]
 
     def vector_field(self, t, x, tau):

@@ -134,7 +134,7 @@ def motion(chain: Chain, q, v, h: float, steps: int):
         body = chain.body()
 
         def step(carry, _):
-            return chain.advance(body, carry, command), body.port(carry.x)
+            return chain.advance(body, carry, command)[0], body.port(carry.x)
 
         run = jax.jit(lambda carry: jax.lax.scan(step, carry, None, length=steps)[1])
         return tuple(np.asarray(x) for x in run(chain.start(q, v, u)))
