@@ -15,7 +15,7 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Float
+from jaxtyping import Array, Bool, Float
 
 from jaxid.arithmetic import dot, fence, inverse
 from jaxid.joint import solve_dry
@@ -61,6 +61,7 @@ class Effect(eqx.Module):
     excitation: eqx.AbstractClassVar[str]
     probes: eqx.AbstractClassVar[tuple[dict[str, Quantity | float], ...]]
     refines: ClassVar[str] = ""
+    contains: ClassVar[tuple[str, ...]] = ()  # other effects that it comprises
     location: eqx.AbstractClassVar[str]  # "input" | "joint" | "output": the kind of place its parameters are counted by
     #: Effects of one port act in the order of their stage, then as they were given: what happens to the command before it
     #: reaches the drive comes first, what edits a mechanism before what wraps it.
@@ -173,6 +174,25 @@ class Chain(eqx.Module):
     def nq(self) -> int:
         return len(self.signature.joints)
 
+    @property
+    def direct(self) -> bool:
+        """Whether each input is the drive torque or force of a joint."""
+        inputs = self.signature.inputs
+        return len(inputs) == self.nq and all(unit in ("N m", "N") for _, unit in inputs)
+
+    @property
+    def torque_channels(self) -> tuple[tuple[str, str], ...]:
+        """(name, unit) of each joint's drive torque: the input channels, or the joints where inputs are something else."""
+        if self.direct:
+            return self.signature.inputs
+        return tuple((f"torque at {joint}", self.signature.unit("{F}")) for joint in self.signature.joints)
+
+    @property
+    def joint_outputs(self) -> list[int]:
+        """Positions of the joints' own coordinates among the outputs; empty where not every joint is measured."""
+        names = [n for n, _ in self.signature.outputs]
+        return [names.index(j) for j in self.signature.joints] if set(self.signature.joints) <= set(names) else []
+
     def places(self, effect: Effect | type[Effect]) -> tuple[str, ...]:
         """Names of the locations an effect can act at in this model."""
         channels = self.signature.inputs if effect.location == "input" else self.signature.outputs
@@ -184,6 +204,11 @@ class Chain(eqx.Module):
         wide = {name: np.broadcast_to(np.asarray(getattr(effect, name), np.float64), (n,)) for name in specs(effect)}
         return with_fields(effect, {k: np.array(v) for k, v in wide.items()})
 
+    @property
+    def contents(self) -> set[str]:
+        """Ids of all effects that the model comprises; none of them can be a candidate."""
+        return {name for e in self.effects for name in (e.name, *e.contains)}
+
     def without(self, *names: str) -> Chain:
         """The same model with these effects taken out."""
         return self._with(e for e in self.effects if e.name not in names)
@@ -191,6 +216,10 @@ class Chain(eqx.Module):
     def with_effects(self, *effects: Effect) -> Chain:
         """The same model with more effects; one that it already has is replaced."""
         return self._with([*self.without(*(e.name for e in effects)).effects, *effects])
+
+    def with_mechanism(self, mechanism: Mechanism) -> Chain:
+        """The same effects on another mechanism with the same places."""
+        return Chain(mechanism, self.effects, signature=self.signature, smoothing_velocity=self.smoothing_velocity)
 
     def _with(self, effects: Iterable[Effect]) -> Chain:
         return Chain(self.mechanism, effects, signature=self.signature, smoothing_velocity=self.smoothing_velocity)
@@ -222,7 +251,7 @@ class Chain(eqx.Module):
         """State at the beginning of a run that has seen the input `u` for long."""
         body = self.body()
         x = body.start(q, qd)
-        y = body.output(x, jnp.zeros_like(q))
+        y = body.output(x, jnp.zeros_like(q), jnp.ones_like(q, bool))[: len(self.signature.outputs)]
         z = []
         for e in self.effects:
             if isinstance(e, InputEffect):
@@ -253,18 +282,19 @@ class Chain(eqx.Module):
     def step(self, body: Mechanism, carry: Carry, command: Command) -> tuple[Carry, Float[Array, " ny"]]:
         """State at the end of a step, and what the sensors record at its beginning, under the torque that then begins to act."""
         after, tau = self.advance(body, carry, command)
-        y, z = self.sense(body, carry, tau, command)
+        v0, v1 = body.port(carry.x)[1], body.port(after.x)[1]
+        y, z = self.sense(body, carry, tau, (v0 == 0) & (v1 == 0), command)
         return after._replace(
             z=tuple(b if isinstance(e, OutputEffect) else a for e, a, b in zip(self.effects, after.z, z, strict=True))
         ), y
 
     def sense(
-        self, body: Mechanism, carry: Carry, tau: Float[Array, " nq"], command: Command
+        self, body: Mechanism, carry: Carry, tau: Float[Array, " nq"], rests: Bool[Array, " nq"], command: Command
     ) -> tuple[Float[Array, " ny"], tuple]:
         """What the sensors record at the beginning of a step with net joint torque `tau`, and the effects' next states."""
         q, v = body.port(carry.x)
         s = Signals(command.t, q, v, jnp.zeros_like(q), command.h, command, v)
-        y, z = body.output(carry.x, tau), list(carry.z)
+        y, z = body.output(carry.x, tau, rests)[: len(self.signature.outputs)], list(carry.z)
         for i, e in self.at(OutputEffect):
             y, z[i] = e(y, s, carry.z[i])
         return y, tuple(z)

@@ -54,7 +54,9 @@ def _lane(law: Law, signals: str) -> Lane:
             state, memory = carry
             i = jnp.minimum(begin + k, last)
             row, t, h = samples.x[i], samples.t[i], samples.h[i]
-            y, z = chain.sense(body, state, jnp.zeros(n), Command(t, h, memory.u, memory.u, lambda d: memory.u))
+            y, z = chain.sense(
+                body, state, jnp.zeros(n), jnp.zeros(n, bool), Command(t, h, memory.u, memory.u, lambda d: memory.u)
+            )
             state = state._replace(z=z)
             new = feedback.update(law, memory, y, body.port(state.x)[1], reading(row))
             memory = jax.tree.map(lambda a, b: jnp.where(row[3 * n] > 0, a, b), new, memory)

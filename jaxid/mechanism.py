@@ -14,7 +14,7 @@ from typing import Any, ClassVar, NamedTuple
 import equinox as eqx
 import jax
 import jax.numpy as jnp
-from jaxtyping import Array, Float
+from jaxtyping import Array, Bool, Float
 
 from jaxid.arithmetic import dot, inverse
 
@@ -100,8 +100,11 @@ class Mechanism(eqx.Module):
         """Joint torque that this motion needs (friction excluded)."""
 
     @abc.abstractmethod
-    def output(self, x: Any, tau: Float[Array, " nq"]) -> Float[Array, " ny"]:
-        """What ideal sensors read in state x under the net joint torque `tau` (drive minus friction), for accelerations."""
+    def output(self, x: Any, tau: Float[Array, " nq"], rests: Bool[Array, " nq"]) -> Float[Array, " ny"]:
+        """What ideal sensors read in state x, [ny] of the signature with most outputs (others take the first of them).
+
+        For accelerations: `tau` the net joint torque (drive minus friction) that acts, `rests` which joints stand still under it.
+        """
 
 
 class Rigid(Mechanism):
@@ -117,7 +120,7 @@ class Rigid(Mechanism):
     def port(self, x):
         return x
 
-    def output(self, x, tau):
+    def output(self, x, tau, rests):
         return x[0]
 
     def vector_field(self, t, x, tau):

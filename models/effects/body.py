@@ -7,6 +7,7 @@ from typing import Any, ClassVar, Protocol, runtime_checkable
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
+from jaxid.arithmetic import sincos
 from jaxid.chain import BodyEffect, JointEffect
 from jaxid.coupling import mechanism_of, with_inertia
 from jaxid.mechanism import Mechanism
