@@ -230,13 +230,19 @@ class Compliant(Mechanism):
         gap, rate = q - link + h / 4 * (v - dlink + v + m * tau - w), (v - dlink + v + m * tau - w) / 2
         _, damped = self._pressed(q - link + h / 4 * (v - dlink + v + m * (tau - t0) - f.qd))
         pressed, _ = self._pressed(gap)
-        acts = on & ((self.play == 0) | (pressed != 0))
-        K, D = jnp.where(acts, k, 0.0), jnp.where(acts, d * damped, 0.0)
-        stiff = K * h / 4 + D / 2
         response = jnp.diag(m) + jnp.where(on[:, None] & on[None, :], f.A, 0.0)
-        P = inverse(jnp.eye(q.size) + stiff[:, None] * response)
-        t = dot(P, K * pressed + D * rate)
+
+        def solve(acts: Array) -> tuple[Array, Array, Array]:
+            K, D = jnp.where(acts, k, 0.0), jnp.where(acts, d * damped, 0.0)
+            stiff = K * h / 4 + D / 2
+            P = inverse(jnp.eye(q.size) + stiff[:, None] * response)
+            return dot(P, K * pressed + D * rate), P, stiff
+
+        acts = on & ((self.play == 0) | (pressed != 0))
+        t, P, stiff = solve(acts)
         holds = acts & ((self.play == 0) | (t * pressed > 0))  # no pull across a play
+        if q.size > 1:
+            t, P, stiff = solve(holds)
         t = jnp.where(holds, t, 0.0)
         rigid = jnp.where(on, 0.0, 1.0)
         T = jnp.where(holds[:, None], dot(P, stiff[:, None] * (jnp.diag(m) - f.A * rigid)), 0.0)  # d t / d tau

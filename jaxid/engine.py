@@ -95,7 +95,7 @@ def simulate_lane(
 
     y = _blocks_of(step, chain.start(start[:nq], start[nq:], samples.u[begin]), steps, length, len(chain.signature.outputs))
     k = jnp.arange(length)
-    beyond = jnp.maximum(begin + k - last, 0)  # after the run's end time goes on, so that it increases everywhere
+    beyond = jnp.maximum(begin + k - last, 0) * samples.h[last]  # the loop goes on to the end of its block, and so does time
     return chain.recorded(samples.t[jnp.minimum(begin + k, last)] + beyond, y)
 
 
