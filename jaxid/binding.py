@@ -16,7 +16,7 @@ from jaxid.experiment import Dataset, Experiment
 from jaxid.layout import Layout
 from jaxid.mechanism import Mechanism, Signature
 from jaxid.noise import Noise, noise_floor
-from jaxid.parameter import Reference
+from jaxid.parameter import Reference, settings, with_settings
 from jaxid.precision import float64
 from jaxid.samples import Motion
 
@@ -31,7 +31,8 @@ class Binding:
     noise: dict[str, Noise]
     sigma: np.ndarray  # [ny]
     motions: dict[str, Motion]  # experiment name -> smoothed motion; empty where the model does not measure its joints
-    references: list[Reference]
+    references: list[Reference]  # of each joint
+    inputs: list[Reference]  # of each input channel, its own magnitude in place of the torque
     theta: np.ndarray  # start values of every number
     lower: np.ndarray
     upper: np.ndarray
@@ -42,6 +43,11 @@ class Binding:
 
     def experiments(self, split: str) -> tuple[Experiment, ...]:
         return self.dataset.split(split)
+
+    def reference(self, effect: type[Effect] | Effect, place: int) -> Reference:
+        """Typical magnitudes where an effect acts."""
+        own = self.inputs if effect.location == "input" and self.inputs else self.references
+        return own[min(place, len(own) - 1)]
 
     def motions_of(self, experiments: Iterable[Experiment]) -> list[Motion] | None:
         """Motions of these runs, or None where the model does not measure its joints."""
@@ -58,10 +64,14 @@ def resolve_model(model: object, dataset: Dataset, without: Iterable[str] = ()) 
     smoothing = spec.constants.get("smoothing_velocity", 0.0) if spec is not None else 0.0
     if isinstance(model, str):
         model = catalogue.model_class(model)()
+    constants = spec.constants if spec is not None else {}
     if isinstance(model, Mechanism):
+        model = with_settings(model, constants)
         model = Chain(model, signature=_signature(model, dataset), smoothing_velocity=smoothing)
     if not isinstance(model, Chain):
         raise UsageError(f"a model is an id, a mechanism or a chain, not {type(model).__name__}")
+    if set(constants) & set(settings(model.mechanism)):
+        model = model.with_mechanism(with_settings(model.mechanism, constants))
     out = [*(spec.without if spec is not None else ()), *without]
     has = [e.name for e in model.effects]
     for name in out:
@@ -92,8 +102,11 @@ def parse_effect(text: str, chain: Chain) -> tuple[type[Effect], str | None]:
     """`dead_zone` or `dead_zone@tau`."""
     name, _, place = text.partition("@")
     kind = catalogue.effect_class(name)
-    if place and place not in chain.places(kind):
-        raise UsageError(f"{name} cannot act at {place!r}{nearest(place, chain.places(kind))}")
+    places = chain.offers(kind)
+    if not places:
+        raise UsageError(f"{name} has no place in {chain.mechanism.name}")
+    if place and place not in places:
+        raise UsageError(f"{name} cannot act at {place!r}{nearest(place, places)}")
     return kind, place or None
 
 
@@ -116,8 +129,9 @@ def bind(
     nominal = resolve_model(model, dataset, without)
     added = [parse_effect(e, nominal) for e in effects]
     present = {e.name for e in nominal.effects}
+    contents = nominal.contents
     extra = [k for k, _ in added if k.name not in present]
-    extra += [k for k in candidates if k.name not in present and k not in extra]
+    extra += [k for k in candidates if k.name not in contents and k not in extra]
     chain = nominal.with_effects(*(neutral(k) for k in dict.fromkeys(extra)))
     layout = Layout(chain)
     noise = noise_floor(dataset)
@@ -129,7 +143,7 @@ def bind(
     spec = dataset.model
     priors = dict(spec.parameters) if spec is not None else {}
     for name, value in (spec.constants if spec is not None else {}).items():
-        if name != "smoothing_velocity":
+        if name != "smoothing_velocity" and name not in settings(chain.mechanism):
             i = layout.index(name)
             theta[i] = value
             fixed.add(i)
@@ -142,13 +156,14 @@ def bind(
     own = {i for i, e in enumerate(layout.entries) if e.owner < 0 or chain.effects[e.owner].name in present}
     free = sorted(i for i in own if i not in fixed)
     for kind, place in added:
-        free += [i for i in layout.of_effect(kind.name, place) if i not in free]
+        places = [place] if place else chain.offers(kind)
+        free += [i for p in places for i in layout.of_effect(kind.name, p) if i not in free]
 
     motions: dict[str, Motion] = {}
-    if tuple(names) == chain.signature.joints:
+    if set(chain.signature.joints) <= set(names):
         motions = {e.name: samples.motion(dataset, e, chain, sigma) for e in dataset.experiments}
-    references = _references(dataset, layout, theta, motions)
-    lower, upper, scale = layout.boxes(references)
+    references, inputs = _references(dataset, layout, theta, motions)
+    lower, upper, scale = layout.boxes(references, inputs)
     for name, prior in priors.items():
         i = layout.index(name)
         lower[i] = prior.lower if prior.lower is not None else min(lower[i], theta[i])
@@ -158,24 +173,33 @@ def bind(
                 raise UsageError(f"{name} = {theta[i]:g} lies outside its bounds [{lower[i]:g}, {upper[i]:g}]")
             theta[i] = np.sqrt(lower[i] * upper[i]) if lower[i] > 0 else (lower[i] + upper[i]) / 2
     theta[free] = np.clip(theta[free], lower[free], upper[free])
-    return Binding(dataset, chain, layout, noise, sigma, motions, references, theta, lower, upper, scale, free, stated, own)
+    return Binding(
+        dataset, chain, layout, noise, sigma, motions, references, inputs, theta, lower, upper, scale, free, stated, own
+    )
 
 
-def _references(dataset: Dataset, layout: Layout, theta: np.ndarray, motions: dict[str, Motion]) -> list[Reference]:
+def _references(
+    dataset: Dataset, layout: Layout, theta: np.ndarray, motions: dict[str, Motion]
+) -> tuple[list[Reference], list[Reference]]:
+    """Typical magnitudes of each joint and of each input channel."""
     fit = dataset.split("fit")
-    nq = layout.chain.nq
-    iu, _ = samples.columns(dataset, layout.chain)
+    chain, nq = layout.chain, layout.chain.nq
+    iu, _ = samples.columns(dataset, chain)
+    size = [float(np.percentile(np.abs(np.concatenate([e.u[:, i] for e in fit])), 99)) for i in iu]
+    direct = chain.direct
     if not motions:
         step = float(np.median(np.diff(fit[0].t)))
         duration = max(float(e.t[-1] - e.t[0]) for e in fit)
-        torque = [float(np.percentile(np.abs(np.concatenate([e.u[:, i] for e in fit])), 99)) for i in iu] or [1.0] * nq
-        return [Reference(torque[j], 1.0, 1.0, duration, step) for j in range(nq)]
-    used = [motions[e.name] for e in fit]
-    q, qdd = (np.concatenate([getattr(m, k) for m in used]) for k in ("q", "qdd"))
-    pick = np.linspace(0, len(q) - 1, min(len(q), 2000)).astype(int)
-    with float64():
-        body = layout.model(jnp.asarray(theta)).body()
-        still = jnp.zeros(nq)
-        torque = jax.vmap(lambda q, a: body.inverse(q, still, a) - body.inverse(q, still, still))(q[pick], qdd[pick])
-        inertia = np.percentile(np.abs(np.asarray(torque)), 99, axis=0)
-    return samples.references(fit, used, iu, inertia)
+        torque = size if direct and size else [1.0] * nq
+        joints = [Reference(torque[min(j, len(torque) - 1)], 1.0, 1.0, duration, step) for j in range(nq)]
+    else:
+        used = [motions[e.name] for e in fit]
+        q, qdd = (np.concatenate([getattr(m, k) for m in used]) for k in ("q", "qdd"))
+        pick = np.linspace(0, len(q) - 1, min(len(q), 2000)).astype(int)
+        with float64():
+            body = layout.model(jnp.asarray(theta)).body()
+            still = jnp.zeros(nq)
+            torque = jax.vmap(lambda q, a: body.inverse(q, still, a) - body.inverse(q, still, still))(q[pick], qdd[pick])
+            inertia = np.percentile(np.abs(np.asarray(torque)), 99, axis=0)
+        joints = samples.references(fit, used, iu if direct else [], inertia)
+    return joints, [joints[min(k, nq - 1)]._replace(torque=max(s, 1e-9)) for k, s in enumerate(size)]

@@ -114,6 +114,7 @@ def describe(name: str) -> ModelInfo:
     """What a user and the checks of a dataset need to know of a model."""
     from jaxid.chain import Chain
     from jaxid.layout import Layout
+    from jaxid.parameter import settings
 
     kind = model_class(name)
     parameters: dict[str, ParameterInfo] = {}
@@ -125,6 +126,10 @@ def describe(name: str) -> ModelInfo:
             if e.name in table and table[e.name].unit != e.unit:
                 info = info._replace(unit=f"{table[e.name].unit} or {e.unit}")
             table[e.name] = info
+    for setting, spec in settings(kind).items():
+        default, lower, upper = (str(v).lower() for v in (spec.default, spec.lower, spec.upper))
+        bounds = ("false", "true") if isinstance(spec.default, bool) else (lower, upper)
+        constants[setting] = ParameterInfo(setting, "1", float(spec.default), *bounds, f"{spec.meaning} (default {default})")
     constants[SMOOTHING.name] = SMOOTHING
     states: list[str] = []
     for signature in kind.signatures:

@@ -68,14 +68,20 @@ class Effect(eqx.Module):
     stage: ClassVar[int] = 1
     #: Whether its torque at one joint depends on the speed of another.
     couples: ClassVar[bool] = False
-    #: Which of the places it can act at on a mechanism; None: all.
-    offered: ClassVar[Callable[[Mechanism, tuple[str, ...]], tuple[str, ...]] | None] = None
+    #: At which of its places it makes sense on a mechanism; None: at all.
+    offered: ClassVar[Callable[[Mechanism, Signature], tuple[str, ...]] | None] = None
+
+
+def drives(mechanism: Mechanism, signature: Signature) -> tuple[str, ...]:
+    """The inputs that are no mere switches or shares."""
+    return tuple(name for name, unit in signature.inputs if unit != "1")
 
 
 class InputEffect(Effect):
     """Between command and joint: (u, signals, state) -> u, state."""
 
     location: ClassVar[str] = "input"
+    offered: ClassVar = staticmethod(drives)
 
     @abc.abstractmethod
     def __call__(self, u: Float[Array, " nu"], s: Signals, z: Any) -> tuple[Float[Array, " nu"], Any]: ...
@@ -194,10 +200,14 @@ class Chain(eqx.Module):
         return [names.index(j) for j in self.signature.joints] if set(self.signature.joints) <= set(names) else []
 
     def places(self, effect: Effect | type[Effect]) -> tuple[str, ...]:
-        """Names of the locations an effect can act at in this model."""
-        channels = self.signature.inputs if effect.location == "input" else self.signature.outputs
-        names = self.signature.joints if effect.location == "joint" else tuple(n for n, _ in channels)
-        return names if effect.offered is None else effect.offered(self.mechanism, names)
+        """Names of the locations that an effect's parameters are counted by in this model."""
+        if effect.location == "joint":
+            return self.signature.joints
+        return tuple(n for n, _ in (self.signature.inputs if effect.location == "input" else self.signature.outputs))
+
+    def offers(self, effect: Effect | type[Effect]) -> tuple[str, ...]:
+        """Those of its places where an effect makes sense in this model: its candidates in a diagnosis."""
+        return self.places(effect) if effect.offered is None else effect.offered(self.mechanism, self.signature)
 
     def _widened(self, effect: Effect) -> Effect:
         n = len(self.places(effect))

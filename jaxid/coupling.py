@@ -25,7 +25,8 @@ CONTACT_DAMPING, CONTACT_DEPTH = 0.5, 0.05
 
 def with_inertia(mechanism: Mechanism, inertia: Vector) -> Mechanism:
     """The mechanism with more (or less) inertia at its joints, [nq]: on the diagonal of the mass matrix."""
-    if isinstance(mechanism, Rigid):
+    own_step = type(mechanism).free is not Rigid.free or type(mechanism).close is not Rigid.close
+    if isinstance(mechanism, Rigid) and not own_step:
         return Adjusted(mechanism, inertia, jnp.zeros_like(inertia))
     return WithInertia(mechanism, inertia)
 

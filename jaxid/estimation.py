@@ -11,6 +11,7 @@ import numpy as np
 
 from jaxid import samples
 from jaxid.binding import Binding
+from jaxid.errors import UsageError
 from jaxid.experiment import Experiment
 from jaxid.fitter import AbstractFitter, Minimum, Progress
 from jaxid.fitters import descend, LevenbergMarquardt
@@ -83,7 +84,7 @@ def start_values(bench: Bench, free: Sequence[int], seed: int) -> list[np.ndarra
     b = bench.binding
     guesses = [b.theta]
     linear = [i for i in free if i not in b.stated] or list(free)
-    if b.motions and linear:
+    if b.motions and linear and not b.chain.mechanism.hidden_states:
         quick = InverseDynamics(decimate=1)
         problem = bench.problem(quick, "fit", linear, b.theta)
         path = descend([(problem, problem.z(b.theta))], 15, 1e-8)[0]
@@ -246,6 +247,8 @@ def fit_binding(
     """The whole of `jaxid.fit` once model and data are bound."""
     began = time.perf_counter()
     residual = residual or default_residual(binding)
+    if isinstance(residual, InverseDynamics) and binding.dataset.inputs and not binding.chain.direct:
+        raise UsageError(f"inverse_dynamics needs measured torques; the inputs of {binding.chain.mechanism.name} are none")
     step, compile_time, notes, found = samples.STEP, 0.0, [], []
     while True:
         bench = Bench(binding, step)

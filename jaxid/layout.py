@@ -78,11 +78,12 @@ class Layout:
             if e.owner >= 0 and self.chain.effects[e.owner].name == effect and (location is None or e.location == location)
         ]
 
-    def boxes(self, references: Sequence[Reference]) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """(lower, upper, scale) of every number, effects' bounds resolved at their joint."""
+    def boxes(self, joints: Sequence[Reference], inputs: Sequence[Reference]) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """(lower, upper, scale) of every number, effects' bounds resolved at their joint or input channel."""
         rows = []
         for e in self.entries:
-            r = references[min(e.place, len(references) - 1)]
+            own = inputs if e.owner >= 0 and self.chain.effects[e.owner].location == "input" and inputs else joints
+            r = own[min(e.place, len(own) - 1)]
             rows.append([resolve(b, r) for b in (e.spec.lower, e.spec.upper, e.spec.scale)])
         lower, upper, scale = np.array(rows, np.float64).reshape(-1, 3).T
         return lower, upper, scale
@@ -98,7 +99,9 @@ def _entries(chain: Chain):
         for field, spec in specs(effect).items():
             short = ids.get(effect.name, {}).get(field)
             for k, place in enumerate(places):
-                if short:
+                if short and "{joint}" in short:
+                    name = short.replace("{joint}", place)
+                elif short:
                     name = short if len(places) == 1 else f"{short}{k + 1}"
                 else:
                     name = f"{effect.name}.{field}@{place}"

@@ -114,16 +114,16 @@ class Rigid(Mechanism):
     def matrices(self, q: Float[Array, " nq"], qd: Float[Array, " nq"]) -> tuple[Float[Array, "nq nq"], Float[Array, " nq"]]:
         """Mass matrix and bias (Coriolis, centrifugal, gravity, springs)."""
 
-    def start(self, q, qd):
+    def start(self, q, qd) -> Any:
         return q, qd
 
-    def port(self, x):
+    def port(self, x) -> Any:
         return x
 
     def output(self, x, tau, rests):
         return x[0]
 
-    def vector_field(self, t, x, tau):
+    def vector_field(self, t, x, tau) -> Any:
         M, bias = self.matrices(*x)
         return x[1], dot(inverse(M), tau - bias)
 
@@ -146,7 +146,7 @@ class Rigid(Mechanism):
         qd = v + h / 6 * (a1 + 2 * a2 + 2 * a3 + a4)
         return Free(qd, h * W, q + h * v + h * h / 6 * (a1 + a2 + a3))
 
-    def close(self, h, x, free, dtau, qd, shift):
+    def close(self, h, x, free, dtau, qd, shift) -> Any:
         return free.aux + h / 2 * (qd - free.qd) + shift, qd
 
 

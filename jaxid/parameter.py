@@ -7,11 +7,16 @@ written as multiples of reference quantities (`2 * TORQUE / SPEED`) that are rea
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Callable
-from typing import Any, NamedTuple
+from collections.abc import Callable, Mapping
+from typing import Any, NamedTuple, TypeVar
 
 import equinox as eqx
 import numpy as np
+
+from jaxid.errors import UsageError
+
+
+M = TypeVar("M")
 
 
 class Reference(NamedTuple):
@@ -116,6 +121,43 @@ def param(
 def constant(value: float, *, unit: str, meaning: str = "") -> Any:
     """A field with a known number that is not fitted (geometry, gravity); a dataset may state it, for each run too."""
     return _field(ParameterSpec(value, -np.inf, np.inf, 1.0, unit, meaning, False, True))
+
+
+class SettingSpec(NamedTuple):
+    """What a model is built with: a whole number between bounds, or yes and no."""
+
+    default: int | bool
+    lower: int
+    upper: int
+    meaning: str
+
+
+def setting(default: int | bool, lower: int = 0, upper: int = 1, *, meaning: str) -> Any:
+    """A field that decides the structure of a model (a number of elements, a term taken or not). A dataset states it among
+    the model's constants; another value is another compiled program."""
+    return eqx.field(static=True, default=default, metadata={"setting": SettingSpec(default, lower, upper, meaning)})
+
+
+def settings(owner: Any) -> dict[str, SettingSpec]:
+    """Field name -> specification of a class or instance that has settings."""
+    return {f.name: f.metadata["setting"] for f in dataclasses.fields(owner) if "setting" in f.metadata}
+
+
+def with_settings(owner: M, values: Mapping[str, Any]) -> M:
+    """The same module with those of the values that are settings of it.
+
+    Raises `UsageError` for a value out of bounds.
+    """
+    chosen = {}
+    for name, spec in settings(owner).items():
+        if name not in values:
+            continue
+        value = values[name]
+        if not spec.lower <= value <= spec.upper or value != int(value):
+            kind = "true or false" if isinstance(spec.default, bool) else f"a whole number from {spec.lower} to {spec.upper}"
+            raise UsageError(f"{name} = {value!r}: it is {kind}")
+        chosen[name] = type(spec.default)(value)
+    return dataclasses.replace(owner, **chosen) if chosen else owner  # type: ignore[type-var]
 
 
 def _field(spec: ParameterSpec) -> Any:

@@ -120,6 +120,11 @@ class MultipleShooting(Residual):
 
     def runs(self, dataset, experiments, layout, noise, motions, step=recorded.STEP, shape=(0, 0)):
         states = layout.chain.has_states()
+        if layout.chain.mechanism.hidden_states:
+            raise UsageError(
+                f"windows cannot start inside a run of {layout.chain.mechanism.name}: its inner state is not measured; "
+                "use the residual output_error"
+            )
         if states and motions is None:
             raise UsageError("windows need measured joint positions when an effect has states; use the residual output_error")
         measured = [np.concatenate([m.q, m.qd], 1) for m in motions] if states and motions else None
@@ -169,7 +174,7 @@ class InverseDynamics(Residual):
         engine = Engine(layout, samples, records, overrides(layout, experiments, records), lane, shape[1])
         every = tuple(range(len(records)))
         return Runs(
-            tuple(experiments), layout, chain.signature.inputs, setting.noise, engine, every, (), setting.statement,
+            tuple(experiments), layout, chain.torque_channels, setting.noise, engine, every, (), setting.statement,
             dataset, setting,
         )  # fmt: skip
 
@@ -204,11 +209,11 @@ def _record(number: int, e: Experiment, p: np.ndarray, a: int, b: int, dataset: 
     nq = chain.nq
     free = np.ones(2 * nq, bool)
     q0, qd0 = np.zeros(nq), np.zeros(nq)
-    outputs = [n for n, _ in chain.signature.outputs]
     _, iy = recorded.columns(dataset, chain)
-    if outputs == list(chain.signature.joints):
+    measured = [iy[k] for k in chain.joint_outputs]
+    if measured:
         until = min(len(e.t), a + head_samples(e))
-        q0, qd0, _ = start_state(e.t[a:until], e.y[a:until][:, iy], e.t[until - 1] - e.t[a])
+        q0, qd0, _ = start_state(e.t[a:until], e.y[a:until][:, measured], e.t[until - 1] - e.t[a])
         q0, qd0 = np.atleast_1d(q0).copy(), np.atleast_1d(qd0).copy()
     if a == 0 and e.at_rest:
         qd0[:], free[nq:] = 0.0, False

@@ -145,12 +145,13 @@ def build(
 
 
 def motion(dataset: Dataset, experiment: Experiment, chain: Chain, noise: np.ndarray) -> Motion:
-    """Smoothed joint motion of a run whose outputs are its joint positions; the cutoff lies where its content ends."""
+    """Smoothed joint motion of a run whose joint positions are all measured; the cutoff lies where its content ends."""
     from jaxid.signals import differentiate
 
     _, iy = columns(dataset, chain)
+    joints = chain.joint_outputs
     out = []
-    for i, sigma in zip(iy, noise, strict=True):
+    for i, sigma in zip([iy[k] for k in joints], [noise[k] for k in joints], strict=True):
         y = experiment.y[:, i]
         out.append(differentiate(experiment.t, y, content_cutoff(experiment.t, y, sigma)))
     q, qd, qdd = (np.stack([o[k] for o in out], -1) for k in range(3))

@@ -39,16 +39,20 @@ def torque_setting(
     decimate: int | None,
 ) -> TorqueSetting:
     """Filter and decimation: the cutoff a tenth of the sampling rate (or where the content of noisy positions ends),
-    decimation to 2.5 times less than the cutoff allows. Noise of the residual: that of the input at high frequency."""
+    decimation to 2.5 times less than the cutoff allows. Noise of the residual: that of the input at high frequency (1 N m where
+    the inputs are no torques)."""
     from jaxid.signals import differentiate, filter_ends
 
     iu, iy = columns(dataset, chain)
-    if tuple(n for n, _ in chain.signature.outputs) != chain.signature.joints:
+    if chain.mechanism.hidden_states:
+        raise UsageError(f"{chain.mechanism.name} has an inner state that the measured motion does not show: use output_error")
+    iy = [iy[k] for k in chain.joint_outputs]
+    if not iy:
         raise UsageError(f"inverse dynamics needs every joint position measured ({', '.join(chain.signature.joints)})")
     first = (dataset.split("fit") or experiments)[0]  # one rule for all splits
     rate = 1 / float(np.median(np.diff(first.t)))
     if cutoff_hz is None:
-        content = max(content_cutoff(first.t, first.y[:, i], s) for i, s in zip(iy, noise, strict=True))
+        content = max(content_cutoff(first.t, first.y[:, i], s) for i, s in zip(iy, noise[chain.joint_outputs], strict=True))
         cutoff_hz = min(rate / 10, max(content, 2.0))
     if decimate is None:
         decimate = max(1, round(rate / (0.4 * cutoff_hz)))
@@ -65,7 +69,7 @@ def torque_setting(
         taps = np.asarray(firwin(10 * decimate + 1, 0.8 / decimate), np.float64)
         statement += f"; residual low-passed at {0.4 * rate / decimate:.3g} Hz and taken at every {decimate}th sample"
     level = np.ones(chain.nq)
-    for j, i in enumerate(iu):
+    for j, i in enumerate(iu if chain.direct else []):
         u = np.concatenate([np.diff(e.u[:, i], 3) for e in experiments]) / np.sqrt(20.0)
         white = 1.4826 * float(np.median(np.abs(u)))
         span = float(np.percentile(np.abs(np.concatenate([e.u[:, i] for e in experiments])), 99))

@@ -4,11 +4,15 @@
 if __name__ != "jaxid.models":
     raise ImportError("import jaxid.models, not models")
 
+from .flexible_link import FlexibleLink
 from .joint import Joint
 from .pendulum import Pendulum
 from .planar_arm import PlanarArm
+from .servo import Servo
+from .space_manipulator import SpaceManipulator
+from .tracker import Tracker
 
 
-MODELS = (Joint, Pendulum, PlanarArm)
+MODELS = (Joint, Pendulum, PlanarArm, FlexibleLink, Tracker, Servo, SpaceManipulator)
 
-__all__ = ["MODELS", "Joint", "Pendulum", "PlanarArm"]
+__all__ = ["MODELS", "FlexibleLink", "Joint", "Pendulum", "PlanarArm", "Servo", "SpaceManipulator", "Tracker"]

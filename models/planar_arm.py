@@ -67,5 +67,5 @@ class PlanarArm(Rigid):
         return with_fields(self, held)
 
     def tilted(self, angle):
-        """On a base turned by `angle` [2] about the joint axes; they are parallel, so that only the sum counts."""
-        return turned(self, jnp.stack([angle[0] + angle[1], jnp.zeros(())]))
+        """On a base turned by angle[0] about the first joint's axis."""
+        return turned(self, angle.at[1:].set(0.0))

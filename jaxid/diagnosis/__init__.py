@@ -52,7 +52,7 @@ def run_diagnosis(
     for name in allowed:
         catalogue.effect_class(name)
     without = tuple(without)
-    present = {e.name for e in resolve_model(model, dataset, without).effects}
+    present = resolve_model(model, dataset, without).contents
     known = [n for n in allowed if n in present]
     if effects is not None and known:
         raise UsageError(f"{known[0]} is part of the model already{nearest(known[0], set(allowed) - set(known))}")

@@ -42,7 +42,7 @@ class Missing:
 def missing_forces(bench: Bench, theta: np.ndarray, starts: np.ndarray, seed: int, draws: int = NULLS) -> list[Missing]:
     """Missing force on the fit runs at `theta`; empty where the model does not measure its joints."""
     b = bench.binding
-    if not b.motions:
+    if not b.motions or b.chain.mechanism.hidden_states:
         return []
     residual = InverseDynamics(decimate=1)
     runs = bench.runs(residual, "fit")
@@ -66,7 +66,7 @@ def missing_forces(bench: Bench, theta: np.ndarray, starts: np.ndarray, seed: in
         record = runs.record(runs.records[k])
         keep = np.zeros(len(e.t), bool)
         keep[np.searchsorted(_positions(runs, k), record.samples)] = True
-        load = e.u[:, iu] if iu else np.zeros((len(e.t), b.chain.nq))
+        load = e.u[:, iu] if b.chain.direct else np.zeros((len(e.t), b.chain.nq))
         out.append(Missing(e, keep, m.q[keep], m.qd[keep], m.qdd[keep], load[keep], force[k], np.array(nulls[k])))
     return out
 

@@ -85,7 +85,7 @@ def candidates(bench: Bench, allowed: Sequence[str]) -> list[Candidate]:
     out = []
     for effect in b.chain.effects:
         if effect.name in allowed and not any(i in b.nominal for i in b.layout.of_effect(effect.name)):
-            for place in b.chain.places(effect):
+            for place in b.chain.offers(effect):
                 index = tuple(b.layout.of_effect(effect.name, place))
                 present = any(i in b.nominal for i in b.layout.of_effect(effect.refines, place)) or effect.refines not in allowed
                 out.append(Candidate(effect.name, place, index, "" if present else effect.refines))
@@ -135,7 +135,7 @@ class Searcher:
         """A start of each set from the torque residual of the measured motion: biased by the noise of derivatives, but free of
         the free run's local minima (where a nominal term stands in for two missing ones, a descent stays)."""
         b = self.bench.binding
-        if not b.motions:
+        if not b.motions or b.chain.mechanism.hidden_states:
             return [[] for _ in sets]
         jobs = []
         for effects, thetas in sets:
@@ -196,7 +196,7 @@ class Searcher:
         b = self.bench.binding
         effect = next(e for e in b.chain.effects if e.name == c.effect)
         place = b.chain.places(effect).index(c.location)
-        reference = b.references[min(place, len(b.references) - 1)]
+        reference = b.reference(effect, place)
         out = []
         for probe in effect.probes:
             new = theta.copy()

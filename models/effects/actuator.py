@@ -1,4 +1,4 @@
-"""Effects between the command and the joint torque. Input i drives joint i where an effect needs that joint's motion."""
+"""Effects between the command and the joint torque. Where an effect needs a joint's motion, input i drives joint i."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ import jax.numpy as jnp
 from jaxtyping import Array
 
 from jaxid.arithmetic import sincos
-from jaxid.chain import InputEffect, JointEffect
+from jaxid.chain import drives, InputEffect, JointEffect
 from jaxid.parameter import ANGLE, param, Quantity, SPEED, TORQUE
 
 
@@ -160,10 +160,15 @@ class SupplyDroop(InputEffect):
         return u * (1 - self.droop * jnp.abs(u)), z
 
 
+def _one_a_joint(mechanism, signature):
+    return drives(mechanism, signature) if len(signature.inputs) == len(signature.joints) else ()
+
+
 class BackEmf(InputEffect):
     """A drive that loses with the speed of its motor, in units of the command."""
 
     name: ClassVar[str] = "back_emf"
+    offered: ClassVar = staticmethod(_one_a_joint)
     equation: ClassVar[str] = "u -> u - constant qd"
     signature: ClassVar[str] = "missing torque proportional to velocity, and none where the command is inside a dead zone or limit"
     source: ClassVar[str] = "textbook: induced voltage of a motor"
@@ -180,7 +185,7 @@ class BackEmf(InputEffect):
         return ()
 
     def __call__(self, u, s, z):
-        return u - self.constant * s.qd[: u.shape[0]], z
+        return (u - self.constant * s.qd if u.shape == s.qd.shape else u), z
 
 
 class TorqueRipple(JointEffect):

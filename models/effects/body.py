@@ -2,14 +2,14 @@
 
 from __future__ import annotations
 
-from typing import Any, ClassVar, Protocol, runtime_checkable
+from typing import ClassVar, Protocol, runtime_checkable
 
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
 from jaxid.arithmetic import sincos
 from jaxid.chain import BodyEffect, JointEffect
-from jaxid.coupling import mechanism_of, with_inertia
+from jaxid.coupling import with_inertia
 from jaxid.mechanism import Mechanism
 from jaxid.parameter import ANGLE, DURATION, param, Quantity, SPEED, TORQUE
 
@@ -33,16 +33,16 @@ class Tiltable(Protocol):
     """A mechanism in gravity whose base may stand askew."""
 
     def tilted(self, angle: Float[Array, " nq"]) -> Mechanism:
-        """The same on a base turned by an angle about each joint's axis."""
+        """The same on a base turned by angle[0] about the first joint's axis."""
         ...
 
 
-def _where_loadable(mechanism, names):
-    return names if isinstance(mechanism, Loadable) else ()
+def _where_loadable(mechanism, signature):
+    return signature.joints if isinstance(mechanism, Loadable) else ()
 
 
-def _where_tiltable(mechanism, names):
-    return names[:1] if isinstance(mechanism, Tiltable) else ()
+def _where_tiltable(mechanism, signature):
+    return signature.joints[:1] if isinstance(mechanism, Tiltable) else ()
 
 
 class ConstantTorque(JointEffect):
@@ -158,8 +158,7 @@ class Payload(BodyEffect):
     probes: ClassVar[tuple[dict[str, Quantity | float], ...]] = ({"mass": 0.02}, {"mass": 0.3}, {"mass": 3.0})
 
     def __call__(self, mechanism):
-        model: Any = mechanism
-        return model.loaded(self.mass)
+        return mechanism.loaded(self.mass) if isinstance(mechanism, Loadable) else mechanism
 
 
 class GravityOffset(BodyEffect):
@@ -176,6 +175,4 @@ class GravityOffset(BodyEffect):
     probes: ClassVar[tuple[dict[str, Quantity | float], ...]] = ({"tilt": 0.03},)
 
     def __call__(self, mechanism):
-        model: Any = mechanism
-        angle = jnp.concatenate([self.tilt, jnp.zeros(len(mechanism_of(mechanism).signatures[0].joints) - 1)])
-        return model.tilted(angle)
+        return mechanism.tilted(self.tilt) if isinstance(mechanism, Tiltable) else mechanism

@@ -257,8 +257,8 @@ class TemperatureDependentFriction(JointEffect):
         return self.change * (z + heat * gain / 2) * s.qd, 0.0, 0.0, z + heat * gain
 
 
-def _but_the_last(mechanism, names):
-    return names[:-1]
+def _but_the_last(mechanism, signature):
+    return signature.joints[:-1]
 
 
 class CoupledFriction(JointEffect):
@@ -291,6 +291,6 @@ class CoupledFriction(JointEffect):
 
     def __call__(self, s, z):
         w = s.qd[:-1] + s.qd[1:]
-        shared = self.viscous * w + self.dry * jnp.tanh(w / self.speed)
+        shared = self.viscous[:-1] * w + self.dry[:-1] * jnp.tanh(w / self.speed[:-1])
         none = jnp.zeros((1,))
         return jnp.concatenate([shared, none]) + jnp.concatenate([none, shared]), 0.0, 0.0, z
