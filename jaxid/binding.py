@@ -103,8 +103,11 @@ def parse_effect(text: str, chain: Chain) -> tuple[type[Effect], str | None]:
     """`dead_zone` or `dead_zone@tau`."""
     name, _, place = text.partition("@")
     kind = catalogue.effect_class(name)
-    if place and place not in chain.places(kind):
-        raise UsageError(f"{name} cannot act at {place!r}{nearest(place, chain.places(kind))}")
+    places = chain.offers(kind)
+    if not places:
+        raise UsageError(f"{name} has no place in {chain.mechanism.name}")
+    if place and place not in places:
+        raise UsageError(f"{name} cannot act at {place!r}{nearest(place, places)}")
     return kind, place or None
 
 
@@ -151,13 +154,14 @@ def bind(
             theta[layout.index(name)] = prior.value
             stated.add(layout.index(name))
 
-    chain = layout.model(theta)  # with what the dataset states
+    chain = layout.model(theta)  # type: ignore[arg-type]  # with what the dataset states
     layout = Layout(chain)
     fixed |= {layout.index(name) for name in chain.mechanism.held() if name in layout.names and name not in priors}
     own = {i for i, e in enumerate(layout.entries) if e.owner < 0 or chain.effects[e.owner].name in present}
     free = sorted(i for i in own if i not in fixed)
     for kind, place in added:
-        free += [i for i in layout.of_effect(kind.name, place) if i not in free]
+        places = [place] if place else chain.offers(kind)
+        free += [i for p in places for i in layout.of_effect(kind.name, p) if i not in free]
 
     motions: dict[str, Motion] = {}
     if set(chain.signature.joints) <= set(names):

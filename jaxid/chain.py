@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import abc
 from collections.abc import Callable, Iterable
-from typing import Any, ClassVar, NamedTuple
+from typing import Any, ClassVar, NamedTuple, TypeVar
 
 import equinox as eqx
 import jax
@@ -43,6 +43,7 @@ class Signals(NamedTuple):
     load: Float[Array, " nq"]  # torque that arrives at the joint
     h: Array
     command: Command
+    qd0: Float[Array, " nq"]  # joint speed at the step's beginning
 
 
 class Effect(eqx.Module):
@@ -63,11 +64,30 @@ class Effect(eqx.Module):
     contains: ClassVar[tuple[str, ...]] = ()  # other effects that it comprises
     location: eqx.AbstractClassVar[str]  # "input" | "joint" | "output": the kind of place its parameters are counted by
 
+    def transfer(self, omega: Float[Array, " lines"]) -> tuple[Float[Array, "lines n"], Float[Array, "lines n"]] | None:
+        """Real and imaginary part of what a linear effect at an input or output does to its n channels at omega, rad/s; None:
+        nothing."""
+        return None
+
+    #: Effects of one port act in the order of their stage, then as they were given: what happens to the command before it
+    #: reaches the drive comes first, what edits a mechanism before what wraps it.
+    stage: ClassVar[int] = 1
+    #: Whether its torque at one joint depends on the speed of another.
+    couples: ClassVar[bool] = False
+    #: At which of its places it makes sense on a mechanism; None: at all.
+    offered: ClassVar[Callable[[Mechanism, Signature], tuple[str, ...]] | None] = None
+
+
+def drives(mechanism: Mechanism, signature: Signature) -> tuple[str, ...]:
+    """The inputs that are no mere switches or shares."""
+    return tuple(name for name, unit in signature.inputs if unit != "1")
+
 
 class InputEffect(Effect):
     """Between command and joint: (u, signals, state) -> u, state."""
 
     location: ClassVar[str] = "input"
+    offered: ClassVar = staticmethod(drives)
 
     @abc.abstractmethod
     def __call__(self, u: Float[Array, " nu"], s: Signals, z: Any) -> tuple[Float[Array, " nu"], Any]: ...
@@ -75,10 +95,6 @@ class InputEffect(Effect):
     @abc.abstractmethod
     def start(self, u: Float[Array, " nu"]) -> Any:
         """State after the input `u` has been held for long; () for an effect without state."""
-
-    def transfer(self, omega: Float[Array, " lines"]) -> tuple[Float[Array, "lines nu"], Float[Array, "lines nu"]] | None:
-        """Real and imaginary part of its linear response at omega; None leaves the input unchanged."""
-        return None
 
 
 class JointEffect(Effect):
@@ -113,14 +129,22 @@ class OutputEffect(Effect):
     @abc.abstractmethod
     def start(self, y: Float[Array, " ny"]) -> Any: ...
 
-    def transfer(self, omega: Float[Array, " lines"]) -> tuple[Float[Array, "lines ny"], Float[Array, "lines ny"]] | None:
-        """Real and imaginary part of its linear response at omega; None leaves the output unchanged."""
-        return None
+
+class RecordEffect(Effect):
+    """Between sensor and file: (times [time], series [time ny]) -> series. The motion knows nothing of it."""
+
+    location: ClassVar[str] = "output"
+
+    @abc.abstractmethod
+    def __call__(self, t: Float[Array, " time"], y: Float[Array, "time ny"]) -> Float[Array, "time ny"]: ...
 
 
 def neutral(kind: Callable[..., Effect]) -> Effect:
     """An effect that does nothing: every parameter at its default."""
     return kind()
+
+
+Port = TypeVar("Port", bound=Effect)
 
 
 class Carry(NamedTuple):
@@ -182,10 +206,14 @@ class Chain(eqx.Module):
         return [names.index(j) for j in self.signature.joints] if set(self.signature.joints) <= set(names) else []
 
     def places(self, effect: Effect | type[Effect]) -> tuple[str, ...]:
-        """Names of the locations an effect can act at in this model."""
+        """Names of the locations that an effect's parameters are counted by in this model."""
         if effect.location == "joint":
             return self.signature.joints
         return tuple(n for n, _ in (self.signature.inputs if effect.location == "input" else self.signature.outputs))
+
+    def offers(self, effect: Effect | type[Effect]) -> tuple[str, ...]:
+        """Those of its places where an effect makes sense in this model: its candidates in a diagnosis."""
+        return self.places(effect) if effect.offered is None else effect.offered(self.mechanism, self.signature)
 
     def _widened(self, effect: Effect) -> Effect:
         n = len(self.places(effect))
@@ -218,12 +246,16 @@ class Chain(eqx.Module):
 
     # ---- one step
 
+    def at(self, port: type[Port]) -> list[tuple[int, Port]]:
+        """The effects at one port with their positions, in the order in which they act."""
+        found = [(i, e) for i, e in enumerate(self.effects) if isinstance(e, port)]
+        return sorted(found, key=lambda pair: pair[1].stage)
+
     def body(self) -> Mechanism:
         """The mechanism with all body effects applied."""
         mechanism = self.mechanism
-        for e in self.effects:
-            if isinstance(e, BodyEffect):
-                mechanism = e(mechanism)
+        for _, e in self.at(BodyEffect):
+            mechanism = e(mechanism)
         return mechanism
 
     def has_states(self) -> bool:
@@ -251,18 +283,16 @@ class Chain(eqx.Module):
     def commanded(self, s: Signals, z: tuple) -> tuple[Float[Array, " nu"], tuple]:
         """Inputs after the input effects."""
         u, z_new = s.command.u, list(z)
-        for i, e in enumerate(self.effects):
-            if isinstance(e, InputEffect):
-                u, z_new[i] = e(u, s, z[i])
+        for i, e in self.at(InputEffect):
+            u, z_new[i] = e(u, s, z[i])
         return u, tuple(z_new)
 
     def friction(self, s: Signals, z: tuple) -> tuple[Array, Array, Array, tuple]:
         """Smooth opposing torque, dry levels (minus, plus), effect states at the end of the step."""
         smooth, minus, plus, z_new = jnp.zeros_like(s.qd), jnp.zeros_like(s.qd), jnp.zeros_like(s.qd), list(z)
-        for i, e in enumerate(self.effects):
-            if isinstance(e, JointEffect):
-                f, m, p, z_new[i] = e(s, z[i])
-                smooth, minus, plus = smooth + f, minus + m, plus + p
+        for i, e in self.at(JointEffect):
+            f, m, p, z_new[i] = e(s, z[i])
+            smooth, minus, plus = smooth + f, minus + m, plus + p
         return smooth, jnp.maximum(minus, 0.0), jnp.maximum(plus, 0.0), tuple(z_new)
 
     def step(self, body: Mechanism, carry: Carry, command: Command) -> tuple[Carry, Float[Array, " ny"]]:
@@ -279,11 +309,10 @@ class Chain(eqx.Module):
     ) -> tuple[Float[Array, " ny"], tuple]:
         """What the sensors record at the beginning of a step with net joint torque `tau`, and the effects' next states."""
         q, v = body.port(carry.x)
-        s = Signals(command.t, q, v, jnp.zeros_like(q), command.h, command)
+        s = Signals(command.t, q, v, jnp.zeros_like(q), command.h, command, v)
         y, z = body.output(carry.x, tau, rests)[: len(self.signature.outputs)], list(carry.z)
-        for i, e in enumerate(self.effects):
-            if isinstance(e, OutputEffect):
-                y, z[i] = e(y, s, carry.z[i])
+        for i, e in self.at(OutputEffect):
+            y, z[i] = e(y, s, carry.z[i])
         return y, tuple(z)
 
     def advance(self, body: Mechanism, carry: Carry, command: Command) -> tuple[Carry, Float[Array, " nq"]]:
@@ -292,16 +321,16 @@ class Chain(eqx.Module):
         x, z, lam, acc = carry
         h, eps = command.h, self.smoothing_velocity
         q, v = body.port(x)
-        s = Signals(command.t + h / 2, q + h / 2 * v, v + h / 2 * acc, jnp.zeros_like(q), h, command)
-        u, z = self.commanded(s, z)
+        s = Signals(command.t + h / 2, q + h / 2 * v, v + h / 2 * acc, jnp.zeros_like(q), h, command, v)
+        u, after = self.commanded(s, z)
         s = s._replace(load=body.drive(self.signature, u, s.q, s.qd))
 
         def law(qd):
-            F, minus, plus, _ = self.friction(s._replace(qd=qd), z)
-            return F - body.drive(self.signature, u, s.q, qd), minus, plus
+            now = s._replace(qd=qd)
+            F, minus, plus, _ = self.friction(now, z)
+            return F - body.drive(self.signature, self.commanded(now, z)[0], s.q, qd), minus, plus
 
-        (F, minus, plus), (slope, _, _) = jax.jvp(law, (s.qd,), (jnp.ones_like(v),))
-        F, minus, plus, slope = (fence(a) for a in (F, minus, plus, slope))
+        F, minus, plus, slope = (fence(a) for a in self._linearised(law, s.qd))
         if eps == 0:
             lam = jnp.where(v > 0, plus, jnp.where(v < 0, -minus, jnp.clip(lam, -minus, plus)))
         else:
@@ -309,17 +338,33 @@ class Chain(eqx.Module):
 
         free = body.free(h, x, -F - lam)
         # Smooth law, linearised at the prediction, at the middle velocity (v + w) / 2: stable at any slope.
-        B = inverse(jnp.eye(v.shape[0]) + free.A * slope / 2)
-        w = dot(B, free.qd + dot(free.A, slope * (s.qd - v / 2)))
+        push = lambda dv: slope * dv if slope.ndim == 1 else dot(slope, dv)
+        B = inverse(jnp.eye(v.shape[0]) + (free.A * slope if slope.ndim == 1 else dot(free.A, slope)) / 2)
+        w = dot(B, free.qd + dot(free.A, push(s.qd - v / 2)))
         A = dot(B, free.A)
         dry, end, bend = solve_dry(v, w + dot(A, lam), A, minus, plus, lam, eps)
         # A joint that sticks stands exactly still: rounding left here would ruin every later decision and gradient.
         sticks = (end == 0) & (minus + plus > 0)
         w = jnp.where(sticks, 0.0, w + dot(A, lam - dry))
-        correction = lam - dry - slope * ((v + w) / 2 - s.qd)
-        x = body.close(h, x, free, correction, w, h * bend)
-        _, _, _, z = self.friction(s._replace(qd=(v + w) / 2), z)
+        correction, shift = lam - dry - push((v + w) / 2 - s.qd), h * bend
+        moved = body.port(body.close(h, x, free, correction, w, shift))[0] - q
+        x = body.close(h, x, free, correction, w, shift - jnp.where(sticks & (v == 0), moved, 0.0))
+        _, _, _, z = self.friction(s._replace(qd=(v + w) / 2), after)
         return Carry(x, z, dry, (w - v) / h), correction - F - lam
+
+    def _linearised(self, law: Callable, qd: Float[Array, " nq"]) -> tuple[Array, Array, Array, Array]:
+        """The law at qd, and its slope: [nq] where each joint's torque depends on its own speed alone, else [nq nq]."""
+        if not any(e.couples for e in self.effects):
+            (F, minus, plus), (slope, _, _) = jax.jvp(law, (qd,), (jnp.ones_like(qd),))
+            return F, minus, plus, slope
+        F, minus, plus = law(qd)
+        return F, minus, plus, jax.jacfwd(lambda qd: law(qd)[0])(qd)
+
+    def recorded(self, t: Float[Array, " time"], y: Float[Array, "time ny"]) -> Float[Array, "time ny"]:
+        """The sensors' series as the file holds it; times strictly increasing."""
+        for _, e in self.at(RecordEffect):
+            y = e(t, y)
+        return y
 
     # ---- the same objects without integration
 
@@ -333,7 +378,7 @@ class Chain(eqx.Module):
     ) -> tuple[Float[Array, " nq"], tuple]:
         """Missing torque of a measured motion, drive(u) - (M qdd + bias + friction), and the effects' next states."""
         body = self.body()
-        s = Signals(command.t, q, qd, jnp.zeros_like(q), command.h, command)
+        s = Signals(command.t, q, qd, jnp.zeros_like(q), command.h, command, qd)
         u, z = self.commanded(s, z)
         tau = body.drive(self.signature, u, q, qd)
         F, minus, plus, z = self.friction(s._replace(load=tau), z)
@@ -347,7 +392,7 @@ class Chain(eqx.Module):
         body = self.body()
         q, qd = body.port(x)
         command = Command(t, jnp.zeros(()), u, u, lambda d: u)
-        s = Signals(t, q, qd, jnp.zeros_like(q), jnp.zeros(()), command)
+        s = Signals(t, q, qd, jnp.zeros_like(q), jnp.zeros(()), command, qd)
         u, z = self.commanded(s, self.start(q, qd, u).z)
         tau = body.drive(self.signature, u, q, qd)
         F, minus, plus, _ = self.friction(s._replace(load=tau), z)

@@ -93,7 +93,10 @@ def simulate_lane(
         command = command_at(samples, i, first, last, reach)
         return chain.step(body, carry, command)
 
-    return _blocks_of(step, chain.start(start[:nq], start[nq:], samples.u[begin]), steps, length, len(chain.signature.outputs))
+    y = _blocks_of(step, chain.start(start[:nq], start[nq:], samples.u[begin]), steps, length, len(chain.signature.outputs))
+    k = jnp.arange(length)
+    beyond = jnp.maximum(begin + k - last, 0) * samples.h[last]  # the loop goes on to the end of its block, and so does time
+    return chain.recorded(samples.t[jnp.minimum(begin + k, last)] + beyond, y)
 
 
 def torque_lane(

@@ -20,7 +20,7 @@ from jax.flatten_util import ravel_pytree
 from jaxtyping import Array, Float
 
 from jaxid import samples as recorded
-from jaxid.chain import Chain, Command, InputEffect, OutputEffect, Signals
+from jaxid.chain import Chain, Command, Signals
 from jaxid.engine import Engine, Lane, simulate_lane
 from jaxid.errors import nearest, UsageError
 from jaxid.experiment import Dataset, Experiment, FrequencyResponse as Measured
@@ -44,7 +44,7 @@ def transfer(
     z0 = chain.start(q0, still, u0).z
 
     def friction(qd, load):
-        return chain.friction(Signals(command.t, q0, qd, load, command.h, command), z0)[0]
+        return chain.friction(Signals(command.t, q0, qd, load, command.h, command, qd), z0)[0]
 
     ny = len(chain.signature.outputs)
     own = body.transfer(omega, jax.jvp(lambda qd: friction(qd, still), (still,), (jnp.ones_like(still),))[1])
@@ -67,8 +67,8 @@ def transfer(
         response = C @ X + D
         re, im = response.real, response.imag
     for e in chain.effects:
-        if isinstance(e, InputEffect | OutputEffect) and (factor := e.transfer(omega)) is not None:
-            re, im = _times((re, im), factor, -2 if isinstance(e, InputEffect) else -1)
+        if (factor := e.transfer(omega)) is not None:
+            re, im = _times((re, im), factor, -2 if e.location == "input" else -1)
     return re, im
 
 
@@ -95,10 +95,10 @@ class Lines:
 def merged(measured: Measured) -> Lines:
     """Median over repeats, weights from their scatter (both robust to outliers); without repeats 2 % of the gain."""
     order = np.argsort(measured.omega, kind="stable")
-    omega, response = measured.omega[order], measured.response[order]
+    omega, response = measured.omega[order], np.asarray(measured.response, complex)[order]
     first = np.append(True, np.diff(omega) > 1e-9 * omega[1:])
     groups = np.split(response, np.flatnonzero(first)[1:])
-    middle = np.array([np.median(g.real) + 1j * np.median(g.imag) for g in groups])
+    middle = np.array([np.median(np.real(g)) + 1j * np.median(np.imag(g)) for g in groups])
     counts = np.array([g.size for g in groups])
     if np.median(counts) >= 3:
         parts = [np.concatenate([np.real(g - m), np.imag(g - m)]) for g, m in zip(groups, middle, strict=True)]

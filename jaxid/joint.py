@@ -3,7 +3,8 @@
 Given the velocity that each joint would reach without dry friction and the compliance of the mechanism at the joints (the
 Delassus matrix A = d qd / d tau over the step), find the dry torque `lam` that opposes motion:
 lam = +level_plus while sliding forwards, -level_minus while sliding backwards, anything in between while sticking
-(Moreau's time-stepping). One joint is solved in closed form; several by projected Gauss-Seidel.
+(Moreau's time-stepping). One joint is solved in closed form; several by projected Gauss-Seidel, and once more with the
+sticking joints eliminated where another one reverses.
 
 A joint that reaches zero velocity inside the step slides for the fraction f of the step, then sticks or leaves from zero
 for the remaining 1 - f; its path over the step is that of both parts. That keeps the step second order through stick-slip
@@ -15,6 +16,8 @@ from __future__ import annotations
 import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float
+
+from jaxid.arithmetic import dot, inverse
 
 
 #: Gauss-Seidel stops when no dry torque changes by more than what makes this fraction of the step's largest velocity change.
@@ -69,20 +72,20 @@ def solve_dry(
     """
     nq = v0.shape[0]
 
-    def law(v0: Array, free: Array, minus: Array, plus: Array) -> tuple[Array, Array]:
+    def law(j: int, alone: Array, a: Array) -> tuple[Array, Array]:
         if smoothing_velocity == 0:
-            return _slide_or_stick(v0, free, minus, plus)
-        return _smoothed(v0, free, minus, plus, smoothing_velocity)
+            return _slide_or_stick(v0[j], alone, a * level_minus[j], a * level_plus[j])
+        return _smoothed(v0[j], alone, a * level_minus[j], a * level_plus[j], smoothing_velocity)
 
-    def sweep(old: Vector) -> tuple[Vector, Vector, Vector]:
+    def sweep(free: Vector, A: Array, old: Vector) -> tuple[Vector, Vector, Vector]:
         lam, w, mean = list(old), list(free), list(free)
         for j in range(nq):
             alone = free[j] - sum((A[j, k] * lam[k] for k in range(nq) if k != j), jnp.zeros(()))
-            w[j], mean[j] = law(v0[j], alone, A[j, j] * level_minus[j], A[j, j] * level_plus[j])
+            w[j], mean[j] = law(j, alone, A[j, j])
             lam[j] = (alone - w[j]) / A[j, j]
         return jnp.stack(lam), jnp.stack(w), jnp.stack(mean)
 
-    first = sweep(lam)
+    first = sweep(free, A, lam)
     if nq == 1:
         return first
 
@@ -94,7 +97,33 @@ def solve_dry(
 
     def again(carry):
         count, old, _ = carry
-        new = sweep(old[0])
+        new = sweep(free, A, old[0])
         return count + 1, new, jnp.max(jnp.abs(jnp.diagonal(A) * (new[0] - old[0])))
 
-    return jax.lax.while_loop(unsettled, again, (1, first, jnp.full((), jnp.inf)))[1]
+    solved = jax.lax.while_loop(unsettled, again, (1, first, jnp.full((), jnp.inf)))[1]
+    if smoothing_velocity != 0:
+        return solved
+
+    # A joint that reverses moves the torque that holds a sticking one within the step, so one mean torque for both parts of
+    # the step would be wrong to first order. With the sticking joints eliminated (what holds them answers at once), the
+    # others see the mechanism as it is while those are held.
+    def pinned(carry):
+        count, old, held, _, _ = carry
+        both = held[:, None] & held[None, :]
+        hold = jnp.where(both, inverse(jnp.where(both, A, jnp.eye(nq))), 0.0)  # what a velocity of the held joints takes
+        others = jnp.where(held[:, None], jnp.eye(nq), A - dot(A, dot(hold, A)))
+        new, w, mean = sweep(jnp.where(held, 0.0, free - dot(A, dot(hold, free))), others, jnp.where(held, 0.0, old[0]))
+        new = jnp.where(held, dot(hold, free - dot(A, jnp.where(held, 0.0, new))), new)
+        slips = held & ((new > level_plus) | (new < -level_minus))
+        new = jnp.where(slips, jnp.clip(new, -level_minus, level_plus), new)
+        change = jnp.where(jnp.any(slips), jnp.inf, jnp.max(jnp.abs(jnp.diagonal(A) * (new - old[0]))))
+        return count + 1, (new, jnp.where(held, 0.0, w), jnp.where(held, 0.0, mean)), held & ~slips, change, jnp.any(slips)
+
+    held = (v0 == 0) & (solved[1] == 0)
+    turns = jnp.any(held) & jnp.any(solved[2] != 0)
+    start = (0, solved, held, jnp.where(turns, jnp.inf, 0.0), turns)
+    return jax.lax.while_loop(
+        lambda c: (c[0] < SWEEPS) & ((c[3] > TOLERANCE * scale) | c[4]),
+        pinned,
+        start,
+    )[1]

@@ -78,7 +78,7 @@ class Layout:
             if e.owner >= 0 and self.chain.effects[e.owner].name == effect and (location is None or e.location == location)
         ]
 
-    def boxes(self, joints: Sequence[Reference], inputs: Sequence[Reference]) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    def boxes(self, joints: Sequence[Reference], inputs: Sequence[Reference] = ()) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """(lower, upper, scale) of every number, effects' bounds resolved at their joint or input channel."""
         rows = []
         for e in self.entries:

@@ -44,6 +44,9 @@ class Quantity:
     def __truediv__(self, other: Quantity | float) -> Quantity:
         return self._combine(other, -1)
 
+    def __rtruediv__(self, other: float) -> Quantity:
+        return Quantity(float(other))._combine(self, -1)
+
     def __neg__(self) -> Quantity:
         return Quantity(-self.coefficient, self.powers)
 

@@ -7,6 +7,7 @@ from typing import ClassVar
 from jaxtyping import Array
 
 from jaxid.arithmetic import sin
+from jaxid.coupling import turned
 from jaxid.mechanism import Rigid, Signature
 from jaxid.models.effects import ConstantTorque, CoulombFriction, ViscousFriction
 from jaxid.parameter import param
@@ -30,3 +31,7 @@ class Pendulum(Rigid):
 
     def matrices(self, q, qd):
         return self.inertia[None, None], self.gravity_torque * sin(q)
+
+    def tilted(self, angle):
+        """On a base turned by `angle` [1] about the pivot."""
+        return turned(self, angle)

@@ -8,9 +8,10 @@ import jax.numpy as jnp
 from jaxtyping import Array
 
 from jaxid.arithmetic import sincos
+from jaxid.coupling import turned
 from jaxid.mechanism import Rigid, Signature
 from jaxid.models.effects import CoulombFriction, ViscousFriction
-from jaxid.parameter import constant, param
+from jaxid.parameter import constant, param, with_fields
 
 
 class PlanarArm(Rigid):
@@ -53,3 +54,18 @@ class PlanarArm(Rigid):
         M = jnp.stack([jnp.stack([M11, M12]), jnp.stack([M12, M22])])
         bias = jnp.stack([-k * s2 * (2 * qd[0] * qd[1] + qd[1] ** 2) + g1, k * s2 * qd[0] ** 2 + g2])
         return M, bias
+
+    def loaded(self, mass):
+        """With a point mass [2] at the far end of each link."""
+        held = {}
+        for k, m, c, I, p, l in (
+            (1, self.m1, self.c1, self.I1, mass[0], self.l1),
+            (2, self.m2, self.c2, self.I2, mass[1], self.l2),
+        ):
+            share = p / (m + p)
+            held |= {f"m{k}": m + p, f"c{k}": c + share * (l - c), f"I{k}": I + share * m * (l - c) ** 2}
+        return with_fields(self, held)
+
+    def tilted(self, angle):
+        """On a base turned by angle[0] about the first joint's axis."""
+        return turned(self, angle.at[1:].set(0.0))

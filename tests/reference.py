@@ -26,9 +26,9 @@ Plant = Callable[[np.ndarray, np.ndarray], tuple[np.ndarray, np.ndarray]]
 # ---- mechanisms: (q, v) -> mass matrix, everything else that stands on its side of the equation
 
 
-def pendulum(inertia: float = 0.08, gravity_torque: float = 1.5) -> Plant:
+def pendulum(inertia: float = 0.08, gravity_torque: float = 1.5, tilt: float = 0.0) -> Plant:
     M = np.array([[inertia]])
-    return lambda q, v: (M, gravity_torque * np.sin(q))
+    return lambda q, v: (M, gravity_torque * np.sin(q + tilt))
 
 
 def joint(inertia: float = 0.1) -> Plant:
@@ -37,9 +37,10 @@ def joint(inertia: float = 0.1) -> Plant:
 
 
 def planar_arm(
-    m1=4.0, m2=2.5, c1=0.25, c2=0.2, I1=0.12, I2=0.05, l1=0.5, gravity=9.81
+    m1=4.0, m2=2.5, c1=0.25, c2=0.2, I1=0.12, I2=0.05, l1=0.5, gravity=9.81, tilt=0.0
 ) -> Plant:  # fmt: skip
-    """Two links by virtual power: M = sum m J'J + I w'w, bias = sum m J'(Jdot v + g)."""
+    """Two links by virtual power: M = sum m J'J + I w'w, bias = sum m J'(Jdot v + g); `tilt` turns the base under gravity."""
+    gx, gy = gravity * sin(tilt), gravity * cos(tilt)
 
     def plant(q, v):
         a, b = float(q[0]), float(q[0] + q[1])
@@ -49,15 +50,38 @@ def planar_arm(
         x1, y1 = l1 * ca + x2, l1 * sa + y2
         # Its acceleration at constant rates, and gravity; the first link's is radial and does no work.
         first, both = float(v[0]) ** 2, float(v[0] + v[1]) ** 2
-        ax = -l1 * sa * first - c2 * sb * both
-        ay = l1 * ca * first + c2 * cb * both + gravity
+        ax = -l1 * sa * first - c2 * sb * both + gx
+        ay = l1 * ca * first + c2 * cb * both + gy
         M12 = m2 * (x1 * x2 + y1 * y2) + I2
         M11 = m1 * c1 * c1 + I1 + I2 + m2 * (x1 * x1 + y1 * y1)
         M22 = m2 * (x2 * x2 + y2 * y2) + I2
-        bias = [m2 * (x1 * ax + y1 * ay) + m1 * c1 * sa * gravity, m2 * (x2 * ax + y2 * ay)]
+        bias = [m2 * (x1 * ax + y1 * ay) + m1 * c1 * (sa * gy + ca * gx), m2 * (x2 * ax + y2 * ay)]
         return np.array([[M11, M12], [M12, M22]]), np.array(bias)
 
     return plant
+
+
+def loaded_arm(payload1: float, payload2: float, l2: float = 0.4) -> Plant:
+    """The arm with point masses at the ends of both links: each a link of its own without inertia, at c = l."""
+    bare = planar_arm()
+    first = planar_arm(m1=payload1, m2=0.0, c1=0.5, c2=0.0, I1=0.0, I2=0.0)
+    second = planar_arm(m1=0.0, m2=payload2, c1=0.0, c2=l2, I1=0.0, I2=0.0)
+
+    def plant(q, v):
+        parts = [f(q, v) for f in (bare, first, second)]
+        return sum(M for M, _ in parts), sum(b for _, b in parts)
+
+    return plant
+
+
+def heavier(plant: Plant, inertia: Any) -> Plant:
+    """More inertia on the diagonal."""
+
+    def heavy(q, v):
+        M, bias = plant(q, v)
+        return M + np.diag(np.broadcast_to(inertia, len(q))), bias
+
+    return heavy
 
 
 def spring_cart(mass: float = 2.0, stiffness: float = 40.0) -> Plant:
@@ -90,18 +114,40 @@ class Truth:
     delay: Any = 0.0
     other_hold: Any = 0.0
     lag_s: Any = 0.0
+    scale: Any = 0.0
+    droop: Any = 0.0
+    limit: Any = np.inf
+    back_emf: Any = 0.0
+    ripple: Any = 0.0  # amplitude of the sine, of the cosine, order
+    ripple_cosine: Any = 0.0
+    ripple_order: Any = 1.0
+    spring: Any = 0.0
+    uneven: Any = 0.0  # dry friction over position: sine, cosine, order
+    uneven_cosine: Any = 0.0
+    uneven_order: Any = 1.0
+    shared_viscous: Any = 0.0
+    shared_dry: Any = 0.0
+    shared_speed: Any = 1.0
 
-    def smooth(self, v: np.ndarray) -> np.ndarray:
+    def smooth(self, q: np.ndarray, v: np.ndarray) -> np.ndarray:
         """Torque against motion that is continuous in v."""
-        return self.viscous * v + self.viscous_asymmetry * abs(v) + self.drag * abs(v) * v + self.offset + self.thinning(v)
+        f = (self.viscous + self.back_emf) * v + self.viscous_asymmetry * abs(v) + self.drag * abs(v) * v + self.offset
+        f = f + self.ripple * np.sin(self.ripple_order * q) + self.ripple_cosine * np.cos(self.ripple_order * q)
+        f = f + self.spring * q + self.thinning(v)
+        if np.any(self.shared_viscous) or np.any(self.shared_dry):
+            w = v[0] + v[1]
+            f = f + np.ravel(self.shared_viscous)[0] * w
+            f = f + np.ravel(self.shared_dry)[0] * np.tanh(w / np.ravel(self.shared_speed)[0])
+        return f
 
     def thinning(self, v: np.ndarray) -> np.ndarray:
         """Power law, rounded off below 1 mrad/s."""
         return self.power * (v * v + 1e-6) ** ((self.exponent - 1) / 2) * v
 
-    def dry(self, v: np.ndarray, drive: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    def dry(self, q: np.ndarray, v: np.ndarray, drive: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Levels of dry friction (backwards, forwards)."""
         level = self.coulomb + self.stribeck * np.exp(-((v / self.stribeck_speed) ** 2)) + self.load * abs(drive)
+        level = level + self.uneven * np.sin(self.uneven_order * q) + self.uneven_cosine * np.cos(self.uneven_order * q)
         return np.maximum(level - self.dry_asymmetry, 0), np.maximum(level + self.dry_asymmetry, 0)
 
     @property
@@ -112,6 +158,14 @@ class Truth:
 #: effect -> {its parameter: name in Truth}
 EFFECTS: dict[str, dict[str, str]] = {
     "dead_zone": {"width": "dead_zone"},
+    "saturation": {"limit": "limit"},
+    "torque_scale": {"gain": "scale"},
+    "supply_droop": {"droop": "droop"},
+    "back_emf": {"constant": "back_emf"},
+    "actuator_lag": {"lag": "lag_s"},
+    "input_delay": {"delay": "delay"},
+    "input_hold": {"share": "other_hold"},
+    "torque_ripple": {"sine": "ripple", "cosine": "ripple_cosine", "order": "ripple_order"},
     "viscous_friction": {"coefficient": "viscous"},
     "coulomb_friction": {"level": "coulomb"},
     "asymmetric_friction": {"dry": "dry_asymmetry", "viscous": "viscous_asymmetry"},
@@ -119,9 +173,10 @@ EFFECTS: dict[str, dict[str, str]] = {
     "load_dependent_friction": {"mu": "load"},
     "power_law_friction": {"coefficient": "power", "exponent": "exponent"},
     "quadratic_drag": {"coefficient": "drag"},
+    "position_dependent_friction": {"sine": "uneven", "cosine": "uneven_cosine", "order": "uneven_order"},
+    "coupled_friction": {"viscous": "shared_viscous", "dry": "shared_dry", "speed": "shared_speed"},
     "constant_torque": {"torque": "offset"},
-    "input_delay": {"delay": "delay"},
-    "input_hold": {"share": "other_hold"},
+    "spring_torque": {"stiffness": "spring"},
 }
 
 
@@ -135,7 +190,7 @@ class Piece:
 
 
 def drive(t: np.ndarray, u: np.ndarray, truth: Truth, hold: str = "zero") -> list[Piece]:
-    """Torque of the recorded command u [time nu] after hold, delay, lag and dead zone, exact in time."""
+    """Torque of the recorded command u [time nu] after hold, delay, lag and drive, exact in time."""
     shares = {"zero": 1 - truth.other_hold, "linear": truth.other_hold}
     if hold == "linear":
         shares = {"zero": truth.other_hold, "linear": 1 - truth.other_hold}
@@ -155,12 +210,19 @@ def drive(t: np.ndarray, u: np.ndarray, truth: Truth, hold: str = "zero") -> lis
             slope = shares["linear"] * (u[min(k + 1, len(u) - 1)] - u[k]) / (t[min(k + 1, len(t) - 1)] - t[k])
 
         command: Any = lambda x, base=base, slope=slope, origin=origin: base + slope * (x - origin)
-        if truth.lag_s > 0:  # first order, exact for a constant command
+        if np.any(truth.lag_s > 0):  # first order, exact for a constant command
             command = lambda x, z=lagged, u=base, a=a: u + (z - u) * np.exp(-(x - a) / truth.lag_s)
             lagged = command(b)
-        w = truth.dead_zone
-        out.append(Piece(a, b, lambda x, c=command: c(x) - np.minimum(np.maximum(c(x), -w), w)))
+        out.append(Piece(a, b, lambda x, c=command: driven(c(x), truth)))
     return out
+
+
+def driven(u: np.ndarray, truth: Truth) -> np.ndarray:
+    """Torque that the drive gives for a command: scale, droop, limit, dead zone, one after the other."""
+    u = (1 + truth.scale) * u
+    u = u - truth.droop * abs(u) * u
+    u = np.minimum(np.maximum(u, -np.asarray(truth.limit)), truth.limit)
+    return np.where(u > truth.dead_zone, u - truth.dead_zone, np.where(u < -truth.dead_zone, u + truth.dead_zone, 0.0))
 
 
 # ---- the simulator
@@ -198,8 +260,8 @@ def simulate(
 def _acceleration(plant, truth, tau, q, v, mode):
     """Acceleration in a mode, and the friction that sticking joints need."""
     M, bias = plant(q, v)
-    minus, plus = truth.dry(v, tau)
-    rest = tau - bias - truth.smooth(v)
+    minus, plus = truth.dry(q, v, tau)
+    rest = tau - bias - truth.smooth(q, v)
     r = rest - np.where(mode > 0, plus, -minus)
     a, moving = np.zeros(len(q)), [j for j in range(len(q)) if mode[j]]
     if len(moving) == 1:
@@ -245,7 +307,7 @@ def _through(plant, truth, piece, q, v, mode, rtol, atol):
     longest = LONGEST_STEP
     for _ in range(200):
         mode = _settled(plant, truth, piece.torque(t), q, v, mode)
-        if not mode.any() and truth.other_hold == 0 and truth.lag_s == 0 and np.all(v == 0):
+        if not mode.any() and np.all(truth.other_hold == 0) and np.all(truth.lag_s == 0) and np.all(v == 0):
             return q, v, mode  # everything sticks under a constant torque
         held = mode.copy()
 

@@ -11,6 +11,7 @@ from jaxid.chain import Chain
 from jaxid.engine import Engine, simulate_lane
 from jaxid.experiment import Channel, Dataset, Experiment
 from jaxid.layout import Layout
+from jaxid.parameter import Reference
 from jaxid.samples import Record
 
 
@@ -65,3 +66,18 @@ class Simulator:
 def relative(a: np.ndarray, b: np.ndarray) -> float:
     """Distance of a from b as a share of b, over everything."""
     return float(np.linalg.norm(a - b) / np.linalg.norm(b))
+
+
+#: Magnitudes of the test runs.
+REFERENCE = Reference(torque=1.0, speed=3.0, angle=1.0, duration=1.0, step=0.01)
+
+
+def within_bounds(layout: Layout, references: list[Reference], rng: np.random.Generator, power: int = 1) -> np.ndarray:
+    """A random draw of all numbers but the known constants; `power` > 1 prefers the lower end."""
+    lower, upper, _ = layout.boxes(references)
+    theta = layout.values.copy()
+    for i, e in enumerate(layout.entries):
+        x = rng.uniform() ** power
+        if not e.spec.fixed:
+            theta[i] = lower[i] * (upper[i] / lower[i]) ** x if e.spec.log else lower[i] + x * (upper[i] - lower[i])
+    return theta

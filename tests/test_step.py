@@ -17,11 +17,11 @@ from jaxid.chain import Chain, Command
 from jaxid.joint import solve_dry
 from jaxid.layout import Layout
 from jaxid.mechanism import Lagrangian
-from jaxid.models import Joint, MODELS, Pendulum, PlanarArm
+from jaxid.models import Joint, Pendulum, PlanarArm
 from jaxid.models.effects import LIBRARY
-from jaxid.parameter import constant, param, Reference
+from jaxid.parameter import constant, param
 from jaxid.precision import float64
-from simulated import relative, Simulator
+from simulated import REFERENCE, relative, Simulator, within_bounds
 
 
 # ---- stick-slip
@@ -89,10 +89,12 @@ def test_one_joint_holds_against_gravity_while_the_other_slides():
     truth = ref.Truth(viscous=np.array([1.0, 0.5]), coulomb=np.array([25.0, 0.8]))
     q, _ = ref.simulate(ref.planar_arm(), truth, t, u, start[:2], start[2:])
     assert np.all(q[:, 0] == 0.5) and np.ptp(q[:, 1]) > 0.5
-    y = Simulator(Chain(PlanarArm()), t, u, 1e-3).outputs([ARM | {"coulomb1": 25.0}], start)[0]
-    assert np.max(np.abs(y[:, 0] - 0.5)) < 5e-6
-    # A reversal beside a joint that sticks is resolved to first order only, others to second.
-    assert relative(y, q) < 2e-4
+    error = {}
+    for h in (4e-3, 2e-3):
+        y = Simulator(Chain(PlanarArm()), t, u, h).outputs([ARM | {"coulomb1": 25.0}], start)[0]
+        assert np.all(y[:, 0] == 0.5)  # a joint that sticks does not creep
+        error[h] = relative(y, q)
+    assert error[2e-3] < 2e-5 and error[4e-3] > 3 * error[2e-3]  # second order beside a joint that sticks
 
 
 jitted_solve = jax.jit(lambda v0, free, A, minus, plus, lam: solve_dry(v0, free, A, minus, plus, lam, 0.0))
@@ -216,18 +218,8 @@ def test_arm_equals_mujoco():
         assert np.allclose(mine[1], data.qfrc_bias, rtol=1e-10, atol=1e-10)
 
 
-def within_bounds(layout: Layout, references: list[Reference], rng: np.random.Generator, power: int = 1) -> np.ndarray:
-    """A random draw of all numbers but the known constants; `power` > 1 prefers the lower end."""
-    lower, upper, _ = layout.boxes(references)
-    theta = layout.values.copy()
-    for i, e in enumerate(layout.entries):
-        x = rng.uniform() ** power
-        if not e.spec.fixed:
-            theta[i] = lower[i] * (upper[i] / lower[i]) ** x if e.spec.log else lower[i] + x * (upper[i] - lower[i])
-    return theta
-
-
-SMALL = [m for m in MODELS if len(m.signatures[0].joints) <= 2]  # arms: tests/test_serial_arm.py
+#: The systems whose parameters may lie anywhere in their bounds; tests of the others stand in files of their own.
+SMALL = (Joint, Pendulum, PlanarArm)
 
 
 @pytest.mark.parametrize("kind", SMALL, ids=lambda k: k.name)
@@ -243,125 +235,6 @@ def test_mass_matrix_is_symmetric_and_positive_definite(kind, seed):
         M = np.asarray(body.matrices(*(jnp.asarray(rng.uniform(-3, 3, layout.chain.nq)) for _ in range(2)))[0])
     assert np.array_equal(M, M.T)
     assert np.all(np.linalg.eigvalsh(M / np.sqrt(np.outer(np.diag(M), np.diag(M)))) > 0)
-
-
-# ---- every effect on every mechanism
-
-
-REFERENCE = Reference(torque=1.0, speed=3.0, angle=1.0, duration=1.0, step=0.01)
-CASES = {m.name: (m, m.signatures[0]) for m in SMALL} | {"joint, linear": (Joint, Joint.signatures[1])}
-TORQUE = {"planar_arm": np.array([14.0, 5.0])}
-SPEED = 3.0
-#: Three settings of each effect, in multiples of torque T and speed S of the joint.
-SETTINGS: dict[str, list[dict[str, tuple[float, int, int]]]] = {
-    "dead_zone": [{"width": (w, 1, 0)} for w in (0.05, 0.2, 0.5)],
-    "viscous_friction": [{"coefficient": (b, 1, -1)} for b in (0.02, 0.2, 1.0)],
-    "power_law_friction": [{"coefficient": (b, 1, -1), "exponent": (e, 0, 0)} for b, e in ((0.1, 0.5), (0.3, 0.7), (0.1, 1.6))],
-    "coulomb_friction": [{"level": (c, 1, 0)} for c in (0.03, 0.1, 0.3)],
-    "asymmetric_friction": [
-        {"dry": (0.05, 1, 0)},
-        {"viscous": (-0.1, 1, -1)},
-        {"dry": (-0.03, 1, 0), "viscous": (0.05, 1, -1)},
-    ],
-    "stribeck_friction": [{"extra": (c, 1, 0), "speed": (v, 0, 1)} for c, v in ((0.05, 0.3), (0.1, 0.6), (0.2, 1.0))],
-    "load_dependent_friction": [{"mu": (m, 0, 0)} for m in (0.03, 0.1, 0.3)],
-    "quadratic_drag": [{"coefficient": (d, 1, -2)} for d in (0.02, 0.2, 1.0)],
-    "constant_torque": [{"torque": (c, 1, 0)} for c in (-0.2, 0.03, 0.1)],
-    "input_delay": [{"delay": (d, 0, 0)} for d in (0.0013, 0.006, 0.0271)],
-    "input_hold": [{"share": (s, 0, 0)} for s in (0.2, 0.5, 1.0)],
-}
-#: A power law below 1 is all but dry near rest.
-DRY = ("power_law_friction", "coulomb_friction", "asymmetric_friction", "stribeck_friction", "load_dependent_friction")
-#: Relative L2 error of the outputs at steps of 0.2 ms (arm: 0.1 ms). Dry laws lose accuracy at the events only.
-TOLERANCE = {False: 1e-6, True: 5e-6}
-
-
-def settings_of(effect: str, case: str, nq: int) -> list[dict[str, np.ndarray]]:
-    torque = np.broadcast_to(TORQUE.get(case, np.ones(1)), nq)
-    return [{p: c * torque**a * SPEED**b * np.ones(nq) for p, (c, a, b) in one.items()} for one in SETTINGS[effect]]
-
-
-def named(layout: Layout, effect: str, values: dict[str, np.ndarray]) -> dict[str, float]:
-    """The same with the model's own names."""
-    out = {}
-    for i in layout.of_effect(effect):
-        e = layout.entries[i]
-        if e.field in values:
-            out[e.name] = values[e.field][e.place]
-    return out
-
-
-@pytest.fixture(scope="module", params=CASES, ids=lambda c: c.replace(", ", "_"))
-def product(request):
-    """One mechanism with the whole library at its neutral values, on a command of 0.6 s."""
-    kind, signature = CASES[request.param]
-    nq = len(signature.joints)
-    t = np.arange(61) * 0.01
-    u = ref.multisine(t, 1.5 * np.broadcast_to(TORQUE.get(request.param, np.ones(1)), nq), 5, periods=0.7, lines=4)
-    chain = Chain(kind(), signature=signature)
-    has = [e.name for e in chain.effects]
-    chain = chain.with_effects(*(e() for e in LIBRARY if e.name not in has))
-    step = 1e-4 if nq > 1 else 2e-4
-    return request.param, kind, t, u, step, Simulator(chain, t, u, step, size=8192)
-
-
-@pytest.fixture(scope="module")
-def product_outputs(product):
-    """Outputs of every effect at every setting, in one batch."""
-    case, *_, s = product
-    keys = [(e.name, k) for e in LIBRARY for k in range(3)]
-    values = [named(s.layout, e, settings_of(e, case, s.layout.chain.nq)[k]) for e, k in keys]
-    outputs = dict(zip(keys, s.outputs(values), strict=True))
-    return outputs, s.outputs([{}])[0]
-
-
-def test_settings_cover_the_library():
-    assert set(SETTINGS) == {e.name for e in LIBRARY} == set(ref.EFFECTS)
-
-
-@pytest.mark.parametrize("effect", [e.name for e in LIBRARY])
-def test_effect_against_its_equation(product, product_outputs, effect):
-    case, kind, t, u, step, s = product
-    outputs, neutral = product_outputs
-    for k, values in enumerate(settings_of(effect, case, s.layout.chain.nq)):
-        truth = {ref.EFFECTS[effect][p]: v for p, v in values.items()}
-        truth |= {name: float(truth[name][0]) for name in ("delay", "other_hold") if name in truth}
-        q, _ = ref.simulate(ref.PLANTS[kind.name](), ref.Truth(**truth), t, u)
-        error = relative(outputs[effect, k], q)
-        assert error <= TOLERANCE[effect in DRY], (values, error)
-        assert relative(outputs[effect, k], neutral) > 1e-4  # it does something
-
-
-def test_neutral_effects_are_bitwise_absent(product):
-    case, kind, t, u, step, s = product
-    bare = Simulator(Chain(kind(), (), signature=s.layout.chain.signature), t, u, step, size=8192)
-    assert np.array_equal(s.outputs([{}]), bare.outputs([{}]))
-
-
-def test_neutral_effects_beside_the_builtin_ones_are_bitwise_absent(product):
-    case, kind, t, u, step, s = product
-    nominal = Simulator(Chain(kind(), signature=s.layout.chain.signature), t, u, step, size=8192)
-    torque = float(np.min(TORQUE.get(case, np.ones(1))))
-    values = {n: 0.05 * torque for n in nominal.layout.names if n.startswith(("viscous", "coulomb", "offset"))}
-    assert np.array_equal(s.outputs([values]), nominal.outputs([values]))
-
-
-def test_no_gradient_is_nan(product):
-    """At rest without command, with every effect neutral; and anywhere within the bounds."""
-    case, kind, t, u, step, s = product
-    torque, nq = np.broadcast_to(TORQUE.get(case, np.ones(1)), s.layout.chain.nq), s.layout.chain.nq
-    still = Simulator(s.layout.chain, t[:4], 0 * u[:4], 2e-3)
-    y, dy = still.tangents(s.layout.values)
-    assert np.all(np.isfinite(dy)) and np.all(y == 0)
-    references = [REFERENCE._replace(torque=float(x)) for x in torque]
-    short = Simulator(s.layout.chain, t, u, 2e-3)
-    rng = np.random.default_rng(1)
-    for _ in range(4):
-        theta = s.layout.values.copy()
-        effects = np.array([e.owner >= 0 for e in s.layout.entries])
-        theta[effects] = within_bounds(s.layout, references, rng, 3)[effects]
-        y, dy = short.tangents(theta, rng.normal(size=2 * nq))
-        assert np.all(np.isfinite(y)) and np.all(np.isfinite(dy))
 
 
 # ---- time and holds

@@ -85,7 +85,7 @@ def candidates(bench: Bench, allowed: Sequence[str]) -> list[Candidate]:
     out = []
     for effect in b.chain.effects:
         if effect.name in allowed and not any(i in b.nominal for i in b.layout.of_effect(effect.name)):
-            for place in b.chain.places(effect):
+            for place in b.chain.offers(effect):
                 index = tuple(b.layout.of_effect(effect.name, place))
                 present = any(i in b.nominal for i in b.layout.of_effect(effect.refines, place)) or effect.refines not in allowed
                 out.append(Candidate(effect.name, place, index, "" if present else effect.refines))

@@ -1,0 +1,236 @@
+"""Effects between the command and the joint torque. Where an effect needs a joint's motion, input i drives joint i."""
+
+from __future__ import annotations
+
+from typing import ClassVar
+
+import jax.numpy as jnp
+from jaxtyping import Array
+
+from jaxid.arithmetic import sincos
+from jaxid.chain import drives, InputEffect, JointEffect
+from jaxid.parameter import ANGLE, param, Quantity, SPEED, TORQUE
+
+
+class DeadZone(InputEffect):
+    """A drive that gives nothing below a threshold and lacks the threshold above it."""
+
+    name: ClassVar[str] = "dead_zone"
+    equation: ClassVar[str] = "u -> u - clip(u, -width, width)"
+    signature: ClassVar[str] = "low commands do nothing; above the threshold a constant torque is lost in the sign of u"
+    source: ClassVar[str] = "paper 003, equation (6)"
+    excitation: ClassVar[str] = (
+        "slow ramps of the command through zero with a load or gravity bias, and stops from speed "
+        "(braking has command and motion of opposite sign)"
+    )
+    width: Array = param(0.0, 0.0, TORQUE, scale=0.05 * TORQUE, unit="{u}", meaning="half width of the dead zone")
+    probes: ClassVar[tuple[dict[str, Quantity | float], ...]] = (
+        {"width": 0.03 * TORQUE},
+        {"width": 0.1 * TORQUE},
+        {"width": 0.3 * TORQUE},
+    )
+
+    def start(self, u):
+        return ()
+
+    def __call__(self, u, s, z):
+        return u - jnp.clip(u, -self.width, self.width), z
+
+
+class InputDelay(InputEffect):
+    """A pure transport delay of the command."""
+
+    name: ClassVar[str] = "input_delay"
+    stage: ClassVar[int] = 0
+    equation: ClassVar[str] = "u(t) -> u(t - delay)"
+    signature: ClassVar[str] = "phase lag that grows in proportion to frequency"
+    source: ClassVar[str] = "exact for a held input: mean of the delayed command over the step"
+    excitation: ClassVar[str] = "one multisine with energy up to ten times the bandwidth, and a recorded clock pulse"
+    delay: Array = param(0.0, 0.0, 0.1, scale=0.002, unit="s", meaning="delay of the command")
+    probes: ClassVar[tuple[dict[str, Quantity | float], ...]] = ({"delay": 0.001}, {"delay": 0.004}, {"delay": 0.015})
+
+    def start(self, u):
+        return ()
+
+    def __call__(self, u, s, z):
+        change = s.command.delayed(self.delay) - s.command.u
+        return jnp.where(self.delay > 0, u + change, u), z
+
+    def transfer(self, omega):
+        angle = omega[:, None] * self.delay
+        return jnp.cos(angle), -jnp.sin(angle)
+
+
+class InputHold(InputEffect):
+    """How the command runs between its samples: as stated, or the other of zero-order hold and linear interpolation."""
+
+    name: ClassVar[str] = "input_hold"
+    stage: ClassVar[int] = 0
+    equation: ClassVar[str] = "u -> (1 - share) u_stated + share u_other   (zero-order against linear hold)"
+    signature: ClassVar[str] = "half a sample of lead or lag between command and motion"
+    source: ClassVar[str] = "a wrong hold alone moves well-known tools by 1 to 3 % on a clean pendulum"
+    excitation: ClassVar[str] = "a command that changes at every sample (fast chirp), and the same at half the sampling rate"
+    share: Array = param(0.0, 0.0, 1.0, scale=0.2, unit="1", meaning="0 the stated hold, 1 the other one")
+    probes: ClassVar[tuple[dict[str, Quantity | float], ...]] = ({"share": 1.0},)
+
+    def start(self, u):
+        return ()
+
+    def __call__(self, u, s, z):
+        return u + self.share * (s.command.other - s.command.u), z
+
+
+class Saturation(InputEffect):
+    """A drive that gives no more than its limit."""
+
+    name: ClassVar[str] = "saturation"
+    equation: ClassVar[str] = "u -> clip(u, -limit, limit)"
+    signature: ClassVar[str] = "missing torque at high commands only, in proportion to what exceeds the limit"
+    source: ClassVar[str] = "textbook"
+    excitation: ClassVar[str] = "a staircase of command amplitudes up to the largest that is allowed"
+    limit: Array = param(
+        1e12, 0.02 * TORQUE, 2 * TORQUE, scale=0.05 * TORQUE, unit="{u}", meaning="largest magnitude that passes", log=True
+    )
+    probes: ClassVar[tuple[dict[str, Quantity | float], ...]] = (
+        {"limit": 0.95 * TORQUE},
+        {"limit": 0.8 * TORQUE},
+        {"limit": 0.5 * TORQUE},
+    )
+
+    def start(self, u):
+        return ()
+
+    def __call__(self, u, s, z):
+        return jnp.clip(u, -self.limit, self.limit), z
+
+
+class ActuatorLag(InputEffect):
+    """A drive of first order, followed exactly while the command is held."""
+
+    name: ClassVar[str] = "actuator_lag"
+    equation: ClassVar[str] = "lag du'/dt = u - u'"
+    signature: ClassVar[str] = "phase lag and loss of gain towards high frequency"
+    source: ClassVar[str] = "textbook; exact solution for a held input, mean over the step"
+    excitation: ClassVar[str] = "one multisine with energy up to ten times the bandwidth: a lag bends the phase, a delay does not"
+    lag: Array = param(0.0, 0.0, 0.3, scale=0.003, unit="s", meaning="time constant of the drive")
+    probes: ClassVar[tuple[dict[str, Quantity | float], ...]] = ({"lag": 0.001}, {"lag": 0.006}, {"lag": 0.03}, {"lag": 0.12})
+
+    def start(self, u):
+        return u
+
+    def __call__(self, u, s, z):
+        present = self.lag > 0
+        lag = jnp.where(present, self.lag, 1.0)
+        share = jnp.exp(-s.h / lag)
+        mean = u + (z - u) * lag / s.h * -jnp.expm1(-s.h / lag)
+        return jnp.where(present, mean, u), jnp.where(present, u + (z - u) * share, u)
+
+    def transfer(self, omega):
+        x = omega[:, None] * self.lag
+        return 1 / (1 + x * x), -x / (1 + x * x)
+
+
+class TorqueScale(InputEffect):
+    """A wrong torque constant, gear ratio or amplifier gain."""
+
+    name: ClassVar[str] = "torque_scale"
+    equation: ClassVar[str] = "u -> (1 + gain) u"
+    signature: ClassVar[str] = "missing torque in proportion to the command"
+    source: ClassVar[str] = "textbook"
+    excitation: ClassVar[str] = "motion against a known load: a payload or an inertia that was weighed"
+    gain: Array = param(0.0, -0.9, 5.0, scale=0.03, unit="1", meaning="share by which the drive gives more than commanded")
+    probes: ClassVar[tuple[dict[str, Quantity | float], ...]] = ({"gain": 0.1},)
+
+    def start(self, u):
+        return ()
+
+    def __call__(self, u, s, z):
+        return (1 + self.gain) * u, z
+
+    def transfer(self, omega):
+        return 1 + self.gain + 0 * omega[:, None], 0 * self.gain * omega[:, None]
+
+
+class SupplyDroop(InputEffect):
+    """A supply (or a motor constant) that sags as the command grows."""
+
+    name: ClassVar[str] = "supply_droop"
+    equation: ClassVar[str] = "u -> u (1 - droop |u|)"
+    signature: ClassVar[str] = "missing torque that grows with the square of the command"
+    source: ClassVar[str] = "voltage drop at the inner resistance of the supply, to first order in the current drawn"
+    excitation: ClassVar[str] = (
+        "a staircase of command amplitudes: half of the largest command loses a quarter of what the largest loses"
+    )
+    droop: Array = param(
+        0.0, 0.0, 0.5 / TORQUE, scale=0.02 / TORQUE, unit="1/({u})", meaning="relative loss per unit of the command"
+    )
+    probes: ClassVar[tuple[dict[str, Quantity | float], ...]] = ({"droop": 0.03 / TORQUE}, {"droop": 0.3 / TORQUE})
+
+    def start(self, u):
+        return ()
+
+    def __call__(self, u, s, z):
+        return u * (1 - self.droop * jnp.abs(u)), z
+
+
+def _one_a_joint(mechanism, signature):
+    return drives(mechanism, signature) if len(signature.inputs) == len(signature.joints) else ()
+
+
+class BackEmf(InputEffect):
+    """A drive that loses with the speed of its motor, in units of the command."""
+
+    name: ClassVar[str] = "back_emf"
+    offered: ClassVar = staticmethod(_one_a_joint)
+    equation: ClassVar[str] = "u -> u - constant qd"
+    signature: ClassVar[str] = (
+        "missing torque proportional to velocity, and none where the command is inside a dead zone or limit"
+    )
+    source: ClassVar[str] = "textbook: induced voltage of a motor"
+    excitation: ClassVar[str] = "coasting from speed with the drive switched off against the same speed under command"
+    constant: Array = param(
+        0.0, 0.0, 100 * TORQUE / SPEED, scale=0.1 * TORQUE / SPEED, unit="{u} s/{X}", meaning="command lost per speed"
+    )
+    probes: ClassVar[tuple[dict[str, Quantity | float], ...]] = (
+        {"constant": 0.03 * TORQUE / SPEED},
+        {"constant": 0.3 * TORQUE / SPEED},
+    )
+
+    def start(self, u):
+        return ()
+
+    def __call__(self, u, s, z):
+        return (u - self.constant * s.qd if u.shape == s.qd.shape else u), z
+
+
+class TorqueRipple(JointEffect):
+    """Torque that repeats with position: cogging, torque ripple, gear eccentricity."""
+
+    name: ClassVar[str] = "torque_ripple"
+    equation: ClassVar[str] = "f = sine sin(order q) + cosine cos(order q)"
+    signature: ClassVar[str] = "missing torque periodic in position, the same in both directions and at any speed"
+    source: ClassVar[str] = "textbook; the order is the number of poles, slots or teeth per turn, or found from the data"
+    excitation: ClassVar[str] = "slow constant speed over the whole travel, both ways"
+    sine: Array = param(0.0, -TORQUE, TORQUE, scale=0.02 * TORQUE, unit="{F}", meaning="amplitude of the sine")
+    cosine: Array = param(0.0, -TORQUE, TORQUE, scale=0.02 * TORQUE, unit="{F}", meaning="amplitude of the cosine")
+    order: Array = param(
+        10.0,
+        4 / ANGLE,
+        400 / ANGLE,
+        scale=0.5 / ANGLE,
+        unit="rad/{X}",
+        meaning="periods per turn (a wave number where linear)",
+        log=True,
+    )
+    probes: ClassVar[tuple[dict[str, Quantity | float], ...]] = tuple(
+        {amplitude: 0.02 * TORQUE, "order": 6.2832 * periods / ANGLE}
+        for periods in (1.0, 1.4, 2.0, 2.8, 4.0, 5.5, 8.0, 11.0, 16.0, 23.0)
+        for amplitude in ("sine", "cosine")
+    )
+
+    def start(self, q):
+        return ()
+
+    def __call__(self, s, z):
+        sine, cosine = sincos(self.order * s.q)
+        return self.sine * sine + self.cosine * cosine, 0.0, 0.0, z

@@ -1,0 +1,184 @@
+"""Forces and inertias of the mechanism that a nominal model may lack."""
+
+from __future__ import annotations
+
+from typing import ClassVar, Protocol, runtime_checkable
+
+import jax.numpy as jnp
+from jaxtyping import Array, Float
+
+from jaxid.arithmetic import sincos
+from jaxid.chain import BodyEffect, JointEffect
+from jaxid.coupling import with_inertia
+from jaxid.mechanism import Mechanism
+from jaxid.parameter import ANGLE, DURATION, param, Quantity, SPEED, TORQUE
+
+
+#: Inertia that the drive's torque would swing over the travel at the speed seen.
+INERTIA = TORQUE * ANGLE / (SPEED * SPEED)
+STEP = Quantity(1.0, (("step", 1),))
+
+
+@runtime_checkable
+class Loadable(Protocol):
+    """A mechanism that knows where a payload sits."""
+
+    def loaded(self, mass: Float[Array, " nq"]) -> Mechanism:
+        """The same with a point mass at the far end of each joint's link."""
+        ...
+
+
+@runtime_checkable
+class Tiltable(Protocol):
+    """A mechanism in gravity whose base may stand askew."""
+
+    def tilted(self, angle: Float[Array, " nq"]) -> Mechanism:
+        """The same on a base turned by angle[0] about the first joint's axis."""
+        ...
+
+
+def _where_loadable(mechanism, signature):
+    return signature.joints if isinstance(mechanism, Loadable) else ()
+
+
+def _where_tiltable(mechanism, signature):
+    return signature.joints[:1] if isinstance(mechanism, Tiltable) else ()
+
+
+class ConstantTorque(JointEffect):
+    """A constant torque: cable, unbalanced load, amplifier offset."""
+
+    name: ClassVar[str] = "constant_torque"
+    equation: ClassVar[str] = "f = torque, always"
+    signature: ClassVar[str] = "mean of the missing torque, also at rest"
+    source: ClassVar[str] = "offset of the EMPS and UR10 models"
+    excitation: ClassVar[str] = "a standstill with the drive released, and slow motion both ways"
+    torque: Array = param(
+        0.0, -TORQUE, TORQUE, scale=0.03 * TORQUE, unit="{F}", meaning="constant torque against positive motion"
+    )
+    probes: ClassVar[tuple[dict[str, Quantity | float], ...]] = ({"torque": 0.03 * TORQUE}, {"torque": -0.03 * TORQUE})
+
+    def start(self, q):
+        return ()
+
+    def __call__(self, s, z):
+        return self.torque + 0 * s.q, 0.0, 0.0, z
+
+
+class SpringTorque(JointEffect):
+    """A spring at the joint: cable, hose, gas spring, counterbalance."""
+
+    name: ClassVar[str] = "spring_torque"
+    equation: ClassVar[str] = "f = stiffness q"
+    signature: ClassVar[str] = "missing torque in proportion to position"
+    source: ClassVar[str] = "textbook"
+    excitation: ClassVar[str] = "slow motion over the whole travel, both ways"
+    stiffness: Array = param(
+        0.0,
+        -5 * TORQUE / ANGLE,
+        20 * TORQUE / ANGLE,
+        scale=0.05 * TORQUE / ANGLE,
+        unit="{F}/{X}",
+        meaning="stiffness of the spring",
+    )
+    probes: ClassVar[tuple[dict[str, Quantity | float], ...]] = (
+        {"stiffness": 0.02 * TORQUE / ANGLE},
+        {"stiffness": 0.2 * TORQUE / ANGLE},
+    )
+
+    def start(self, q):
+        return ()
+
+    def __call__(self, s, z):
+        return self.stiffness * s.q, 0.0, 0.0, z
+
+
+class FlexibleMode(JointEffect):
+    """A mass that swings on the joint by a spring: a flexible link or frame, seen from the motor."""
+
+    name: ClassVar[str] = "flexible_mode"
+    equation: ClassVar[str] = (
+        "f = inertia p'';  p'' = w^2 (q - p) + 2 damping_ratio w (qd - p'),  p the mass's position, w = 2 pi frequency"
+    )
+    signature: ClassVar[str] = "a residual in a narrow band of frequencies that rings after steps"
+    source: ClassVar[str] = "textbook; exact solution while the joint keeps its speed over the step"
+    excitation: ClassVar[str] = "steps or a chirp through the resonance, with a free decay after it"
+    inertia: Array = param(0.0, 0.0, 20 * INERTIA, scale=0.02 * INERTIA, unit="{I}", meaning="inertia that swings")
+    frequency: Array = param(
+        5.0, 2 / DURATION, 0.4 / STEP, scale=1 / DURATION, unit="Hz", meaning="natural frequency with the joint held", log=True
+    )
+    damping_ratio: Array = param(0.03, 1e-3, 1.0, scale=0.01, unit="1", meaning="damping ratio with the joint held", log=True)
+    probes: ClassVar[tuple[dict[str, Quantity | float], ...]] = tuple(
+        {"inertia": 0.1 * INERTIA, "frequency": ratio * SPEED / ANGLE, "damping_ratio": 0.05}
+        for ratio in (1.0, 2.0, 4.0, 8.0, 16.0)
+    )
+
+    def start(self, q):
+        # q - p, the mass's speed, and whether there was a step yet.
+        return jnp.zeros_like(q), jnp.zeros_like(q), jnp.zeros_like(q)
+
+    def __call__(self, s, z):
+        e0, p0, begun = z
+        p0 = jnp.where(begun > 0, p0, s.qd0)  # the mass moves with the joint at first
+        w = 2 * jnp.pi * self.frequency
+        decay = self.damping_ratio * w
+        wd = w * jnp.sqrt(jnp.maximum(1 - self.damping_ratio**2, 1e-6))
+        fall = jnp.exp(-decay * s.h)
+        turn_s, turn_c = sincos(wd * s.h)
+        # The mass under a joint at constant speed qd: e'' + 2 decay e' + w^2 e = 0 with e' = qd - p'.
+        r0 = s.qd - p0
+        e1 = fall * (e0 * turn_c + (r0 + decay * e0) / wd * turn_s)
+        r1 = fall * (r0 * turn_c - (decay * r0 + w * w * e0) / wd * turn_s)
+        p1 = s.qd - r1
+        # What the mass gains in momentum over the step, the joint has given.
+        return self.inertia * (p1 - p0) / s.h, 0.0, 0.0, (e1, p1, jnp.ones_like(e1))
+
+
+class ReflectedInertia(BodyEffect):
+    """Inertia of rotor and gear at the joint, which moves with that joint alone."""
+
+    name: ClassVar[str] = "reflected_inertia"
+    stage: ClassVar[int] = 0
+    equation: ClassVar[str] = "M_jj -> M_jj + inertia"
+    signature: ClassVar[str] = "missing torque in proportion to the joint's own acceleration, whatever the other joints do"
+    source: ClassVar[str] = "textbook: gear ratio squared times the rotor's inertia"
+    excitation: ClassVar[str] = "accelerations of one joint while another one accelerates the same and the opposite way"
+    inertia: Array = param(0.0, 0.0, 20 * INERTIA, scale=0.02 * INERTIA, unit="{I}", meaning="inertia at the joint")
+    probes: ClassVar[tuple[dict[str, Quantity | float], ...]] = ({"inertia": 0.02 * INERTIA}, {"inertia": 0.2 * INERTIA})
+
+    def __call__(self, mechanism):
+        return with_inertia(mechanism, self.inertia)
+
+
+class Payload(BodyEffect):
+    """An additional mass at the far end of a link; on models that know where that is."""
+
+    name: ClassVar[str] = "payload"
+    stage: ClassVar[int] = 0
+    offered: ClassVar = staticmethod(_where_loadable)
+    equation: ClassVar[str] = "a point mass at the end of the joint's link: inertia, coupling and gravity together"
+    signature: ClassVar[str] = "gravity and acceleration together, at this joint and those before it"
+    source: ClassVar[str] = "textbook"
+    excitation: ClassVar[str] = "two poses at rest and one fast motion, without the load and with it"
+    mass: Array = param(0.0, -20.0, 200.0, scale=0.02, unit="kg", meaning="mass beyond what the model has")
+    probes: ClassVar[tuple[dict[str, Quantity | float], ...]] = ({"mass": 0.02}, {"mass": 0.3}, {"mass": 3.0})
+
+    def __call__(self, mechanism):
+        return mechanism.loaded(self.mass) if isinstance(mechanism, Loadable) else mechanism
+
+
+class GravityOffset(BodyEffect):
+    """A base that stands askew: gravity turned about the first joint's axis."""
+
+    name: ClassVar[str] = "gravity_offset"
+    stage: ClassVar[int] = 0
+    offered: ClassVar = staticmethod(_where_tiltable)
+    equation: ClassVar[str] = "gravity(q) -> gravity with the base turned by tilt about the first joint's axis"
+    signature: ClassVar[str] = "missing torque that follows the derivative of the gravity torque by position"
+    source: ClassVar[str] = "textbook"
+    excitation: ClassVar[str] = "rests all around the travel, with the joint's zero checked by a level"
+    tilt: Array = param(0.0, -0.5, 0.5, scale=0.01, unit="rad", meaning="angle of the base")
+    probes: ClassVar[tuple[dict[str, Quantity | float], ...]] = ({"tilt": 0.03},)
+
+    def __call__(self, mechanism):
+        return mechanism.tilted(self.tilt) if isinstance(mechanism, Tiltable) else mechanism

@@ -1,0 +1,317 @@
+"""Friction at the joint. Each effect returns (smooth opposing torque, dry level minus, plus, state)."""
+
+from __future__ import annotations
+
+from typing import ClassVar
+
+import jax.numpy as jnp
+from jaxtyping import Array
+
+from jaxid.arithmetic import sincos
+from jaxid.chain import JointEffect
+from jaxid.parameter import ANGLE, DURATION, param, Quantity, SPEED, TORQUE
+
+
+class ViscousFriction(JointEffect):
+    """Friction in proportion to speed."""
+
+    name: ClassVar[str] = "viscous_friction"
+    equation: ClassVar[str] = "f = coefficient qd"
+    signature: ClassVar[str] = "missing torque proportional to velocity, no jump at reversal"
+    source: ClassVar[str] = "textbook"
+    excitation: ClassVar[str] = "constant speeds in both directions, at least three of them"
+    coefficient: Array = param(
+        0.0, 0.0, 100 * TORQUE / SPEED, scale=0.1 * TORQUE / SPEED, unit="{F} s/{X}", meaning="viscous coefficient"
+    )
+    probes: ClassVar[tuple[dict[str, Quantity | float], ...]] = (
+        {"coefficient": 0.03 * TORQUE / SPEED},
+        {"coefficient": 0.3 * TORQUE / SPEED},
+    )
+
+    def start(self, q):
+        return ()
+
+    def __call__(self, s, z):
+        return self.coefficient * s.qd, 0.0, 0.0, z
+
+
+class CoulombFriction(JointEffect):
+    """Dry friction of constant level, with true sticking."""
+
+    name: ClassVar[str] = "coulomb_friction"
+    equation: ClassVar[str] = "f = level sign(qd);  |f| <= level while sticking"
+    signature: ClassVar[str] = "a step of the missing torque at every reversal, standstill"
+    source: ClassVar[str] = "Moreau's time-stepping; seed systems of papers 001 to 003"
+    excitation: ClassVar[str] = "slow reversals with rests between them"
+    level: Array = param(0.0, 0.0, 2 * TORQUE, scale=0.05 * TORQUE, unit="{F}", meaning="dry friction level")
+    probes: ClassVar[tuple[dict[str, Quantity | float], ...]] = (
+        {"level": 0.01 * TORQUE},
+        {"level": 0.05 * TORQUE},
+        {"level": 0.2 * TORQUE},
+    )
+
+    def start(self, q):
+        return ()
+
+    def __call__(self, s, z):
+        return 0.0, self.level, self.level, z
+
+
+class AsymmetricFriction(JointEffect):
+    """Viscous and dry friction that differ by direction; the means of both directions stay with the symmetric laws."""
+
+    name: ClassVar[str] = "asymmetric_friction"
+    equation: ClassVar[str] = "f = viscous |qd| + dry |sign(qd)|: added forwards, taken away backwards"
+    signature: ClassVar[str] = "missing torque with the same sign in both directions of motion, zero at rest"
+    source: ClassVar[str] = "direction-dependent friction of linear drives (EMPS benchmark's own variant)"
+    excitation: ClassVar[str] = "the same constant speeds forwards and backwards, and a standstill"
+    dry: Array = param(0.0, -TORQUE, TORQUE, scale=0.05 * TORQUE, unit="{F}", meaning="half the difference of the dry levels")
+    viscous: Array = param(
+        0.0,
+        -20 * TORQUE / SPEED,
+        20 * TORQUE / SPEED,
+        scale=0.05 * TORQUE / SPEED,
+        unit="{F} s/{X}",
+        meaning="half the difference of the viscous coefficients",
+    )
+    probes: ClassVar[tuple[dict[str, Quantity | float], ...]] = (
+        {"dry": 0.03 * TORQUE},
+        {"dry": -0.03 * TORQUE},
+        {"viscous": 0.1 * TORQUE / SPEED},
+        {"viscous": -0.1 * TORQUE / SPEED},
+    )
+
+    def start(self, q):
+        return ()
+
+    def __call__(self, s, z):
+        return self.viscous * jnp.abs(s.qd), -self.dry, self.dry, z
+
+
+class StribeckFriction(JointEffect):
+    """Additional dry friction at low speed that fades as the surfaces separate."""
+
+    name: ClassVar[str] = "stribeck_friction"
+    refines: ClassVar[str] = "coulomb_friction"
+    equation: ClassVar[str] = "f = extra exp(-(qd / speed)^2) sign(qd)"
+    signature: ClassVar[str] = "a bump of the missing torque at low speed only; breakaway above the sliding level"
+    source: ClassVar[str] = "paper 000 (Stribeck terms of both joints)"
+    excitation: ClassVar[str] = "slow ramps through zero speed and micro-reversals of a few milliradians"
+    extra: Array = param(0.0, 0.0, 2 * TORQUE, scale=0.05 * TORQUE, unit="{F}", meaning="breakaway level above the sliding level")
+    speed: Array = param(0.1, 0.002 * SPEED, SPEED, scale=0.05 * SPEED, unit="{X}/s", meaning="Stribeck velocity", log=True)
+    probes: ClassVar[tuple[dict[str, Quantity | float], ...]] = (
+        {"extra": 0.1 * TORQUE, "speed": 0.02 * SPEED},
+        {"extra": 0.1 * TORQUE, "speed": 0.1 * SPEED},
+        {"extra": 0.1 * TORQUE, "speed": 0.4 * SPEED},
+    )
+
+    def start(self, q):
+        return ()
+
+    def __call__(self, s, z):
+        level = self.extra * jnp.exp(-((s.qd / self.speed) ** 2))
+        return 0.0, level, level, z
+
+
+class LoadDependentFriction(JointEffect):
+    """Dry friction that grows with the torque that passes the gear."""
+
+    name: ClassVar[str] = "load_dependent_friction"
+    equation: ClassVar[str] = "f = mu |load| sign(qd), load the drive torque at the joint"
+    signature: ClassVar[str] = "a step at reversal whose height follows the load"
+    source: ClassVar[str] = "load-dependent models of geared servos (Duclusaud et al., arXiv 2410.08650)"
+    excitation: ClassVar[str] = "the same motion under two or three payloads or poses"
+    mu: Array = param(0.0, 0.0, 0.9, scale=0.03, unit="1", meaning="dry friction per torque transmitted")
+    probes: ClassVar[tuple[dict[str, Quantity | float], ...]] = ({"mu": 0.02}, {"mu": 0.1}, {"mu": 0.3})
+
+    def start(self, q):
+        return ()
+
+    def __call__(self, s, z):
+        level = self.mu * jnp.abs(s.load)
+        return 0.0, level, level, z
+
+
+class QuadraticDrag(JointEffect):
+    """Drag of the surrounding air or fluid."""
+
+    name: ClassVar[str] = "quadratic_drag"
+    equation: ClassVar[str] = "f = coefficient |qd| qd"
+    signature: ClassVar[str] = "missing torque at high speed, in proportion to the square of speed"
+    source: ClassVar[str] = "textbook"
+    excitation: ClassVar[str] = "runs at half and at full top speed"
+    coefficient: Array = param(
+        0.0,
+        0.0,
+        20 * TORQUE / (SPEED * SPEED),
+        scale=0.1 * TORQUE / (SPEED * SPEED),
+        unit="{F} s^2/{X}^2",
+        meaning="drag coefficient",
+    )
+    probes: ClassVar[tuple[dict[str, Quantity | float], ...]] = (
+        {"coefficient": 0.02 * TORQUE / (SPEED * SPEED)},
+        {"coefficient": 0.2 * TORQUE / (SPEED * SPEED)},
+    )
+
+    def start(self, q):
+        return ()
+
+    def __call__(self, s, z):
+        return self.coefficient * jnp.abs(s.qd) * s.qd, 0.0, 0.0, z
+
+
+class LuGreFriction(JointEffect):
+    """Bristle friction: dry friction that builds up over a distance, with presliding before it.
+
+    The bristle is followed exactly at the step's middle speed and enters the step implicitly, so it may be as stiff as it likes.
+    """
+
+    name: ClassVar[str] = "lugre_friction"
+    equation: ClassVar[str] = "f = level (z + relaxation dz/dt);  dz/dt = (qd - |qd| z) / presliding,  |z| <= 1"
+    signature: ClassVar[str] = "hysteresis after each reversal over a fixed distance, not a fixed time; motion below breakaway"
+    source: ClassVar[str] = (
+        "Canudas de Wit, Olsson, Astrom, Lischinsky, IEEE TAC 40(3), 1995, equations (1) to (3), constant g: "
+        "level = g, presliding = g / sigma_0, relaxation = sigma_1 / sigma_0"
+    )
+    excitation: ClassVar[str] = "micro-reversals of a few milliradians around rest, and slow ramps"
+    level: Array = param(0.0, 0.0, 2 * TORQUE, scale=0.05 * TORQUE, unit="{F}", meaning="friction level while sliding")
+    presliding: Array = param(
+        0.01,
+        1e-5 * ANGLE,
+        0.3 * ANGLE,
+        scale=1e-3 * ANGLE,
+        unit="{X}",
+        meaning="distance over which friction builds up",
+        log=True,
+    )
+    relaxation: Array = param(0.0, 0.0, 0.05, scale=0.002, unit="s", meaning="damping of the bristle over its stiffness")
+    probes: ClassVar[tuple[dict[str, Quantity | float], ...]] = (
+        {"level": 0.05 * TORQUE, "presliding": 3e-4 * ANGLE},
+        {"level": 0.05 * TORQUE, "presliding": 3e-3 * ANGLE},
+        {"level": 0.05 * TORQUE, "presliding": 0.03 * ANGLE},
+    )
+
+    def start(self, q):
+        return jnp.zeros_like(q)
+
+    def __call__(self, s, z):
+        x = s.qd * s.h / self.presliding
+        end = z * jnp.exp(-jnp.abs(x)) - jnp.sign(x) * jnp.expm1(-jnp.abs(x))
+        end = jnp.where(jnp.abs(x) < 1e-8, z + x - jnp.abs(x) * z, end)  # the slope of |x| and sign x at rest
+        return self.level * ((z + end) / 2 + self.relaxation * (end - z) / s.h), 0.0, 0.0, end
+
+
+class PositionDependentFriction(JointEffect):
+    """Dry friction that varies with position: eccentric gears, preload, seals."""
+
+    name: ClassVar[str] = "position_dependent_friction"
+    refines: ClassVar[str] = "coulomb_friction"
+    equation: ClassVar[str] = (
+        "f = (sine sin(order q) + cosine cos(order q)) sign(qd), beside the dry level, never below zero in all"
+    )
+    signature: ClassVar[str] = "a step of the missing torque at reversal whose height repeats with position"
+    source: ClassVar[str] = "textbook: first harmonic of a gear's friction"
+    excitation: ClassVar[str] = "slow constant speed over the whole travel, both ways"
+    sine: Array = param(0.0, -TORQUE, TORQUE, scale=0.02 * TORQUE, unit="{F}", meaning="amplitude of the sine")
+    cosine: Array = param(0.0, -TORQUE, TORQUE, scale=0.02 * TORQUE, unit="{F}", meaning="amplitude of the cosine")
+    order: Array = param(
+        1.0,
+        1 / ANGLE,
+        100 / ANGLE,
+        scale=0.3 / ANGLE,
+        unit="rad/{X}",
+        meaning="periods per turn (a wave number where linear)",
+        log=True,
+    )
+    probes: ClassVar[tuple[dict[str, Quantity | float], ...]] = tuple(
+        {amplitude: 0.03 * TORQUE, "order": 6.2832 * periods / ANGLE}
+        for periods in (0.4, 1.0, 2.0, 4.0, 8.0)
+        for amplitude in ("sine", "cosine")
+    )
+
+    def start(self, q):
+        return ()
+
+    def __call__(self, s, z):
+        sine, cosine = sincos(self.order * s.q)
+        level = self.sine * sine + self.cosine * cosine
+        return 0.0, level, level, z
+
+
+class TemperatureDependentFriction(JointEffect):
+    """Viscous friction that changes as the joint warms up by its own motion; a run starts cold.
+
+    No recorded temperature is read: the warmth is a state of the joint, the mean of qd^2 (what viscous friction turns into heat)
+    over its time constant.
+    """
+
+    name: ClassVar[str] = "temperature_dependent_friction"
+    equation: ClassVar[str] = "f = change warmth qd;  time d(warmth)/dt = qd^2 - warmth,  warmth = 0 at the start of a run"
+    signature: ClassVar[str] = "friction that differs between early and late in a run, and after rests"
+    source: ClassVar[str] = "first-order heat balance of a joint"
+    excitation: ClassVar[str] = "the same motion for many minutes from a cold start, with a long rest before it is repeated"
+    change: Array = param(
+        0.0, -20 * TORQUE / (SPEED * SPEED * SPEED), 20 * TORQUE / (SPEED * SPEED * SPEED),
+        scale=0.1 * TORQUE / (SPEED * SPEED * SPEED), unit="{F} s^3/{X}^3",
+        meaning="viscous coefficient gained (lost where negative) per squared speed",
+    )  # fmt: skip
+    time: Array = param(
+        10.0, 0.02 * DURATION, 5 * DURATION, scale=0.1 * DURATION, unit="s", meaning="time constant of warming", log=True
+    )
+    probes: ClassVar[tuple[dict[str, Quantity | float], ...]] = tuple(
+        {"change": -0.1 * TORQUE / (SPEED * SPEED * SPEED), "time": time * DURATION} for time in (0.05, 0.3, 2.0)
+    )
+
+    def start(self, q):
+        return jnp.zeros_like(q)
+
+    def __call__(self, s, z):
+        gain = -jnp.expm1(-s.h / self.time)
+        heat = s.qd**2 - z
+        return self.change * (z + heat * gain / 2) * s.qd, 0.0, 0.0, z + heat * gain
+
+
+def _but_the_last(mechanism, signature):
+    return signature.joints[:-1]
+
+
+class CoupledFriction(JointEffect):
+    """Friction in a gear that two joints share: it opposes the sum of their speeds and acts on both alike.
+
+    It belongs to a joint and the next one. Its dry part is smoothed over `speed`, since between joints none can stick alone.
+    """
+
+    name: ClassVar[str] = "coupled_friction"
+    couples: ClassVar[bool] = True
+    offered: ClassVar = staticmethod(_but_the_last)
+    equation: ClassVar[str] = "f_j = f_j+1 = viscous w + dry tanh(w / speed),  w = qd_j + qd_j+1"
+    signature: ClassVar[str] = "missing torque at a joint that follows the speed of its neighbour, the same at both"
+    source: ClassVar[str] = (
+        "wrists with coupled motors (Staubli TX series), e.g. Gautier, Janot, Vandanjon, IEEE TCST 21(2), 2013"
+    )
+    excitation: ClassVar[str] = "one joint moving while the other rests, then both with equal and with opposite speeds"
+    viscous: Array = param(
+        0.0,
+        0.0,
+        50 * TORQUE / SPEED,
+        scale=0.05 * TORQUE / SPEED,
+        unit="{F} s/{X}",
+        meaning="viscous coefficient of the shared gear",
+    )
+    dry: Array = param(0.0, 0.0, 2 * TORQUE, scale=0.05 * TORQUE, unit="{F}", meaning="dry level of the shared gear")
+    speed: Array = param(
+        0.1, 0.002 * SPEED, 0.5 * SPEED, scale=0.02 * SPEED, unit="{X}/s", meaning="speed over which the dry part turns", log=True
+    )
+    probes: ClassVar[tuple[dict[str, Quantity | float], ...]] = (
+        {"viscous": 0.1 * TORQUE / SPEED, "speed": 0.02 * SPEED},
+        {"dry": 0.05 * TORQUE, "speed": 0.02 * SPEED},
+    )
+
+    def start(self, q):
+        return ()
+
+    def __call__(self, s, z):
+        w = s.qd[:-1] + s.qd[1:]
+        shared = self.viscous[:-1] * w + self.dry[:-1] * jnp.tanh(w / self.speed[:-1])
+        none = jnp.zeros((1,))
+        return jnp.concatenate([shared, none]) + jnp.concatenate([none, shared]), 0.0, 0.0, z

@@ -1,0 +1,138 @@
+"""Effects between the mechanism and the recording."""
+
+from __future__ import annotations
+
+from typing import ClassVar
+
+import jax
+import jax.numpy as jnp
+from jaxtyping import Array, Float
+
+from jaxid.chain import OutputEffect, RecordEffect
+from jaxid.parameter import ANGLE, param, Quantity
+
+
+class SensorBias(OutputEffect):
+    """A sensor whose zero is off."""
+
+    name: ClassVar[str] = "sensor_bias"
+    equation: ClassVar[str] = "y -> y + bias"
+    signature: ClassVar[str] = "a constant offset; where gravity or a spring acts, a motion that belongs to another position"
+    source: ClassVar[str] = "textbook"
+    excitation: ClassVar[str] = "a rest at a position known otherwise (hanging freely, a stop, a level)"
+    bias: Array = param(0.0, -0.5 * ANGLE, 0.5 * ANGLE, scale=0.005 * ANGLE, unit="{y}", meaning="reading at zero")
+    probes: ClassVar[tuple[dict[str, Quantity | float], ...]] = ({"bias": 0.02 * ANGLE},)
+
+    def start(self, y):
+        return ()
+
+    def __call__(self, y, s, z):
+        return y + self.bias, z
+
+
+class SensorScale(OutputEffect):
+    """A sensor with a wrong gain."""
+
+    name: ClassVar[str] = "sensor_scale"
+    equation: ClassVar[str] = "y -> (1 + gain) y"
+    signature: ClassVar[str] = "residual in proportion to the reading"
+    source: ClassVar[str] = "textbook"
+    excitation: ClassVar[str] = "two rests a known distance apart"
+    gain: Array = param(0.0, -0.9, 2.0, scale=0.01, unit="1", meaning="share by which the sensor reads more")
+    probes: ClassVar[tuple[dict[str, Quantity | float], ...]] = ({"gain": 0.03},)
+
+    def start(self, y):
+        return ()
+
+    def __call__(self, y, s, z):
+        return (1 + self.gain) * y, z
+
+    def transfer(self, omega):
+        return 1 + self.gain + 0 * omega[:, None], 0 * self.gain * omega[:, None]
+
+
+class SensorLag(OutputEffect):
+    """A sensor or filter of first order, exact for a signal that runs straight from step to step; settled at the start."""
+
+    name: ClassVar[str] = "sensor_lag"
+    equation: ClassVar[str] = "lag dy'/dt = y - y'"
+    signature: ClassVar[str] = "phase lag and loss of gain towards high frequency, in this channel alone"
+    source: ClassVar[str] = "textbook; exact solution for a ramp"
+    excitation: ClassVar[str] = "one multisine with energy up to ten times the bandwidth, with a second sensor or a clock pulse"
+    lag: Array = param(0.0, 0.0, 0.3, scale=0.003, unit="s", meaning="time constant of the sensor")
+    probes: ClassVar[tuple[dict[str, Quantity | float], ...]] = ({"lag": 0.001}, {"lag": 0.006}, {"lag": 0.03})
+
+    def start(self, y):
+        return y, y, jnp.zeros_like(y)
+
+    def __call__(self, y, s, z):
+        lagged, before, h = z  # reading and signal at the last step's beginning, and how long ago that was
+        present = self.lag > 0
+        lag, h = jnp.where(present, self.lag, 1.0), jnp.where(h > 0, h, 1.0) + 0 * y
+        slope = jnp.where(z[2] > 0, (y - before) / h, 0.0)
+        after = y - slope * lag + (lagged - before + slope * lag) * jnp.exp(-h / lag)
+        reading = jnp.where(present, jnp.where(z[2] > 0, after, y), y)
+        return reading, (reading, y, s.h + 0 * y)
+
+    def transfer(self, omega):
+        x = omega[:, None] * self.lag
+        return 1 / (1 + x * x), -x / (1 + x * x)
+
+
+class SensorDelay(RecordEffect):
+    """A sensor or logger that is late; before the run it reads what it reads first.
+
+    Taken from the simulated series by cubic interpolation, at any delay and sampling.
+    """
+
+    name: ClassVar[str] = "sensor_delay"
+    equation: ClassVar[str] = "y(t) -> y(t - delay)"
+    signature: ClassVar[str] = "phase lag that grows in proportion to frequency, in this channel alone"
+    source: ClassVar[str] = "exact but for the interpolation (four points)"
+    excitation: ClassVar[str] = "a pulse that both the command and this channel record, or closed loop with the command logged"
+    delay: Array = param(0.0, 0.0, 0.1, scale=0.002, unit="s", meaning="delay of the reading")
+    probes: ClassVar[tuple[dict[str, Quantity | float], ...]] = ({"delay": 0.001}, {"delay": 0.004}, {"delay": 0.015})
+
+    def __call__(self, t, y):
+        late = jax.vmap(lambda column, d: interpolated(t, column, t - d), (1, 0), 1)(y, self.delay)
+        return jnp.where(self.delay > 0, late, y)
+
+    def transfer(self, omega):
+        angle = omega[:, None] * self.delay
+        return jnp.cos(angle), -jnp.sin(angle)
+
+
+class TimestampJitter(RecordEffect):
+    """Time stamps that scatter around the true instants.
+
+    What it does to a reading's mean is second order; mostly it is noise that grows with speed, of standard deviation
+    `spread` |dy/dt|.
+    """
+
+    name: ClassVar[str] = "timestamp_jitter"
+    equation: ClassVar[str] = "y -> E y(t + e) = y + spread^2 / 2 d2y/dt2,  e normal with standard deviation spread"
+    signature: ClassVar[str] = "white residuals whose variance grows with the square of speed"
+    source: ClassVar[str] = "second-order expansion"
+    excitation: ClassVar[str] = "the same motion slowly and fast, with a hardware clock beside the recorder's"
+    spread: Array = param(0.0, 0.0, 0.02, scale=0.001, unit="s", meaning="standard deviation of the time stamps")
+    probes: ClassVar[tuple[dict[str, Quantity | float], ...]] = ({"spread": 0.003}, {"spread": 0.01})
+
+    def __call__(self, t, y):
+        h = jnp.diff(t)[:, None]
+        rate = jnp.diff(y, axis=0) / h
+        bend = 2 * jnp.diff(rate, axis=0) / (h[1:] + h[:-1])
+        return y.at[1:-1].add(self.spread**2 / 2 * bend)
+
+
+def interpolated(t: Float[Array, " time"], y: Float[Array, " time"], at: Float[Array, " n"]) -> Float[Array, " n"]:
+    """A series at other times through the four samples around each (Lagrange); the first value before it begins."""
+    k = jnp.clip(jnp.searchsorted(t, at, side="right") - 2, 0, t.shape[0] - 4)
+    total = jnp.zeros_like(at)
+    times, values = [t[k + i] for i in range(4)], [y[k + i] for i in range(4)]
+    for i in range(4):
+        weight = values[i]
+        for j in range(4):
+            if j != i:
+                weight = weight * (at - times[j]) / (times[i] - times[j])
+        total = total + weight
+    return jnp.where(at <= t[0], y[0], total)
