@@ -379,5 +379,14 @@ def main(arguments: list[str] | None = None) -> int:
         return code
 
 
+# These modules build on this one.
+from jaxid.cli_emulate import emulate  # noqa: E402
+from jaxid.cli_record import record  # noqa: E402
+
+
+cli.add_command(emulate)
+cli.add_command(record)
+
+
 if __name__ == "__main__":
     sys.exit(main())

@@ -107,12 +107,16 @@ class Device(Protocol):
         """Takes control; the device answers with the message `armed`."""
         ...
 
-    def play(self, plan: Plan) -> None:
-        """Moves; messages `mark`, `progress` and `done` follow."""
+    def play(self, plan: Plan, data_age: float) -> None:
+        """Moves, and stops when no valid data came for `data_age` s; messages `mark`, `progress` and `done` follow."""
         ...
 
     def beat(self) -> None:
         """Tells the driver that all is well; without it motion ends by itself."""
+        ...
+
+    def losses(self) -> dict[str, int]:
+        """Samples that the line lost, by reason."""
         ...
 
     def stop(self, reason: str) -> str:

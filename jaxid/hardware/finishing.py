@@ -36,6 +36,19 @@ class Recording:
     end_reason: str
     notes: tuple[str, ...]
 
+    @property
+    def text(self) -> str:
+        """What a person wants to read of it."""
+        lines = [
+            f"{self.rows} rows in {self.seconds:.2f} s ({self.rate:.1f} a second), {self.lost} lost, {self.duplicated} duplicated: "
+            f"{self.folder / self.file}",
+            f"complete: {self.end_reason}" if self.complete else f"NOT complete: {self.end_reason}",
+        ]
+        return "\n".join([*lines, *(f"- {n}" for n in self.notes)])
+
+    def to_dict(self) -> dict[str, Any]:
+        return {"schema": 1, "kind": "recording", **self.__dict__, "folder": str(self.folder)}
+
 
 def channel_map(model: str | None, columns: Sequence[Column], joint: int | None, gain: Sequence[float] | None) -> dict[str, dict]:
     """`[channels]` of a dataset: as recorded, or as a model needs them.
@@ -43,6 +56,7 @@ def channel_map(model: str | None, columns: Sequence[Column], joint: int | None,
     With a model, torques are currents times a stated gain (N m/A), which stays visible as `scale`; `joint` picks one joint of
     several for a model with one. Raises `UsageError` where the model cannot be served.
     """
+    columns = [c for c in columns if c.role != "clock"]
     have = {c.name: c for c in columns}
     if model is None:
         return {c.name: _channel(c) for c in columns}
@@ -236,14 +250,17 @@ def _timed(stream: Stream, rows: Rows) -> _Timed:
     if period and median > 1.5 * period:
         notes.append(f"the device sends {1 / median:.1f} samples a second where {1 / period:.1f} were asked for")
         period = median
+    # A device that sends by itself has lost what is not there; one that is asked may have been asked late.
+    polled = bool(stream.info.get("tick_s"))
     missing = np.maximum(np.round(step / period).astype(int) - 1, 0) if period else np.zeros(len(step), int)
-    gaps = [(float(t[k] - zero), float(t[k + 1] - zero), int(missing[k])) for k in np.flatnonzero(missing)]
+    missing[step < 2.5 * period] *= not polled
+    gaps = [(round(float(t[k] - zero), 6), round(float(t[k + 1] - zero), 6), int(missing[k])) for k in np.flatnonzero(missing)]
     rate = (len(t) - 1) / float(t[-1] - t[0]) if len(t) > 1 else 0.0
     if gaps:
         worst = max(gaps, key=lambda g: g[2])
-        notes.append(f"{missing.sum()} samples are missing in {len(gaps)} gaps, the longest of {worst[2]} at {worst[0]:.3f} s")
+        notes.append(f"{len(gaps)} gaps of {missing.sum()} samples together, the longest from {worst[0]:.3f} to {worst[1]:.3f} s")
     repeated = len(rows.device) - len(keep) - back
-    return _Timed(keep, t - zero, zero, host, rate, int(missing.sum()), max(repeated, 0), gaps, notes)
+    return _Timed(keep, np.round(t - zero, 9), zero, host, rate, int(missing.sum()), max(repeated, 0), gaps, notes)
 
 
 def _rising(t: np.ndarray) -> np.ndarray:
@@ -263,8 +280,8 @@ def _onto(table: dict[str, np.ndarray], stream: Stream, rows: dict[str, np.ndarr
     for c in stream.columns:
         table[c.name] = np.interp(t, at, rows[c.name][order])
     notes.append(
-        f"sensor {stream.name}: {1 / step:.1f} samples a second, interpolated linearly at the main times; its own samples are kept "
-        "in a file beside"
+        f"sensor {stream.name}: {1 / step:.1f} samples a second, interpolated linearly at the main times; "
+        "its own samples are kept in a file beside"
     )
     return inside
 

@@ -31,7 +31,7 @@ class Column:
 
     name: str
     unit: str
-    role: str = "auxiliary"  # "input" | "output" | "auxiliary"
+    role: str = "auxiliary"  # "input" | "output" | "auxiliary" | "clock": recorded for the clocks only
     resolution: float | None = None
     noise_std: float | None = None
     hold: str = "zero"

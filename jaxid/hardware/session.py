@@ -73,8 +73,8 @@ def record(
 ) -> Recording | DryRun:
     """Records `seconds` of a device into a dataset folder; with `play` a path is moved and recorded to its end.
 
-    Nothing moves without `live`: the path, the device and the way to the path's start are then only checked (`DryRun`). Limits are
-    the device's own, tightened by `limits`. `model`, `joint` and `gain` (N m/A) say which model the dataset is meant for (see
+    Nothing moves without `live`: the path, the device and the way to the path's start are then only checked (`DryRun`). Limits
+    are the device's own, tightened by `limits`. `model`, `joint` and `gain` (N m/A) say which model the dataset is meant for (see
     `channel_map`); `constants` what is known of this run. `append` adds a run to a folder that an earlier recording made.
 
     Raises `UsageError` before anything moved or was written, `HardwareError` for what ended a recording early: all rows up to
@@ -124,6 +124,10 @@ def record(
             said = _let_go(device, reason)
             if plan is not None:
                 recorder.event("stop", said)
+            losses = device.losses()
+            if losses:
+                text = ", ".join(f"{n} {why.replace('_', ' ')}" for why, n in losses.items())
+                recorder.event("note", f"lost answers, none of them stored: {text}", losses=losses)
             for sensor in serial:
                 if sensor.malformed:
                     recorder.event("note", f"sensor {sensor.spec.name}: {sensor.malformed} lines were not readable and left out")
@@ -288,7 +292,7 @@ def _run(device, sensors, recorder: Recorder, watch: _Watch, plan: Plan | None, 
             if now - heard[id(sensor)] > 2 * SILENCE_S:
                 raise HardwareError(f"sensor {sensor.spec.name} has been silent for {now - heard[id(sensor)]:.1f} s")
         for message in news.messages:
-            _hear(device, recorder, watch, plan, message, now)
+            _hear(device, recorder, watch, plan, bounds.data_age, message, now)
         age = now - watch.heard
         if age > (min(bounds.data_age, SILENCE_S) if watch.moving else SILENCE_S):
             raise HardwareError(f"{device.name}: no data for {age:.2f} s" + (" while it moved" if watch.moving else ""))
@@ -320,11 +324,13 @@ def _judge(device: Device, bounds: Limits, sample: Sample, watch: _Watch) -> Non
         raise HardwareError(f"{device.name}: {why}")
 
 
-def _hear(device: Device, recorder: Recorder, watch: _Watch, plan: Plan | None, message: Mapping[str, Any], now: float) -> None:
+def _hear(
+    device: Device, recorder: Recorder, watch: _Watch, plan: Plan | None, data_age: float, message: Mapping[str, Any], now: float
+) -> None:
     kind = message["kind"]
     if kind == "armed" and plan is not None:
         watch.phase = "playing"
-        device.play(plan)
+        device.play(plan, data_age)
     elif kind == "mark":
         recorder.event("mark", "", name=message["name"], at=message["at"])
     elif kind == "done":

@@ -171,7 +171,7 @@ class UR:
         self._driver = Driver("jaxid.hardware.ur_motion", f"UR at {self.host}")
         self._driver.send("arm", host=self.host, frequency=self.rate)
 
-    def play(self, plan: Plan) -> None:
+    def play(self, plan: Plan, data_age: float) -> None:
         assert self._driver is not None
         self._playing, self._heard = True, time.monotonic()
         self._driver.send("play", lookahead=self.lookahead, gain=self.gain, **plan.order())
@@ -180,8 +180,11 @@ class UR:
         if self._driver is not None:
             self._driver.send("beat")
 
+    def losses(self) -> dict[str, int]:
+        return {}
+
     def stop(self, reason: str) -> str:
-        """servoStop and end of the program by the driver; where it does not confirm at once it is killed and the dashboard asked."""
+        """servoStop and end of the program by the driver; one that does not confirm at once is killed, and the dashboard asked."""
         driver, self._driver, self._playing = self._driver, None, False
         if driver is None:
             return "nothing was moving"
