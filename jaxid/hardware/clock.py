@@ -149,26 +149,36 @@ def _smooth(t: np.ndarray, x: np.ndarray, step: float, derivative: int) -> np.nd
     return differentiate(t, x, cutoff)[derivative]
 
 
-def within_tick(tick: np.ndarray, resolution: float, sent: np.ndarray, received: np.ndarray) -> tuple[np.ndarray, ClockMap]:
-    """Device times finer than the device counts, and the host's clock against it.
+def within_tick(
+    tick: np.ndarray, resolution: float, sent: np.ndarray, received: np.ndarray
+) -> tuple[np.ndarray, ClockMap, float]:
+    """Device times finer than the device counts, the host's clock against it, and the times' standard deviation.
 
-    A sample was taken while its counter read `tick` (s, steps of `resolution`) and while the host waited, between `sent` and
-    `received` (host s). The time is the middle of where both hold, and always inside the tick.
+    A sample was taken while its counter read `tick` (s, steps of `resolution`), a little after the question was `sent` and before
+    the answer was `received` (host s). How long after is the same every time but for jitter, so a line through either host time
+    tells the device's time between two counts; the one that jitters less is taken. No time leaves its tick.
     """
-    middle = (sent + received) / 2
     center = float(tick.mean())
-    weight = 1 / ((received - sent) ** 2 + resolution**2)
-    slope, level = np.polyfit(tick - center, middle - tick - resolution / 2, 1, w=np.sqrt(weight))
-    rest = middle - tick - resolution / 2 - level - slope * (tick - center)
-    sigma = float(np.sqrt(np.average(rest**2, weights=weight) / len(tick)))
-    drift_std = sigma / max(float(tick.std()), 1e-12)
+    best = None
+    for host, word in ((sent, "question"), (received, "answer")):
+        late = host - tick - resolution / 2
+        keep = np.abs(late - np.median(late)) < 3 * resolution  # a delayed question says nothing of the clocks
+        slope, level = np.polyfit(tick[keep] - center, late[keep], 1) if keep.sum() > 3 else (0.0, float(np.median(late)))
+        rest = late - level - slope * (tick - center)
+        low, high = np.percentile(rest, [10, 90])
+        if best is None or high - low < best[0]:
+            best = (high - low, float(slope), float(level), host, rest, word, int(keep.sum()))
+    assert best is not None
+    width, slope, level, host, rest, word, count = best
+    # Rounding down to a tick alone spreads the rest evenly over one resolution; what exceeds it is jitter.
+    spread = width / 0.8 / np.sqrt(12)
+    floor = resolution / np.sqrt(12)
+    blur = float(np.clip(np.sqrt(max(spread**2 - floor**2, 0.0)), 0.05 * resolution, floor))
+    drift_std = float(spread / np.sqrt(count) / max(float(tick.std()), 1e-12))
     text = (
-        f"device counter of {1e3 * resolution:g} ms, refined inside it by the host's clock: drift {1e6 * slope:+.1f} ± "
-        f"{1e6 * drift_std:.1f} ppm, question to answer median {1e3 * np.median(received - sent):.2f} ms"
+        f"device counter of {1e3 * resolution:g} ms, refined to {1e3 * blur:.2f} ms by the times of the {word}s: drift "
+        f"{1e6 * slope:+.1f} ± {1e6 * drift_std:.1f} ppm, question to answer median {1e3 * np.median(received - sent):.2f} ms"
     )
-    spread = float(np.hypot(sigma, drift_std * abs(center)))
-    host = ClockMap(float(level - slope * center), float(slope), spread, float(drift_std), text)
-    low = np.maximum(host.inverse(sent), tick)
-    high = np.minimum(host.inverse(received), tick + resolution)
-    fine = np.where(low <= high, (low + high) / 2, np.clip((low + high) / 2, tick, tick + resolution))
-    return fine, host
+    offset_std = float(np.hypot(spread / np.sqrt(count), drift_std * abs(center)))
+    clock = ClockMap(level - slope * center, slope, offset_std, drift_std, text)
+    return np.clip(clock.inverse(host), tick, tick + resolution * (1 - 1e-6)), clock, blur

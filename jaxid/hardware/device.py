@@ -87,6 +87,10 @@ class Device(Protocol):
         """Its own limits, which a user's can only tighten."""
         ...
 
+    def begin(self) -> None:
+        """Samples flow from now on, and have to be taken."""
+        ...
+
     def filenos(self) -> list[int]:
         """What to wait on."""
         ...

@@ -155,6 +155,11 @@ class Dynamixel:
             temperature=each("temperature_limit", lambda j: 1.0) and tuple(s["temperature_limit"] + 273.15 for s in self.servos),
         )
 
+    def begin(self) -> None:
+        assert self._driver is not None
+        self._driver.send("begin")
+        self._heard = time.monotonic()
+
     def filenos(self) -> list[int]:
         return [] if self._driver is None else [self._driver.fileno()]
 

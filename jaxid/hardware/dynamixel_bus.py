@@ -6,6 +6,7 @@ A cycle writes the command first and reads right after it, so that a row holds t
 
 from __future__ import annotations
 
+import select
 import time
 from collections.abc import Callable, Sequence
 from typing import Any
@@ -18,7 +19,7 @@ from jaxid.hardware.tick import TickClock
 
 PROBES = 25  # questions that measure how long an answer takes
 WATCHDOG = 5  # units of 20 ms
-TRIES = 3
+TRIES = 5
 FORMS = ("sync", "bulk", "fast")
 
 
@@ -34,7 +35,16 @@ class Bus:
         import dynamixel_sdk.port_handler as handler
 
         self.sdk, self.ids, self.form, self._handler = dynamixel_sdk, list(ids), form, handler
-        self.port = dynamixel_sdk.PortHandler(port)
+
+        class Port(dynamixel_sdk.PortHandler):
+            """Waits for bytes in the kernel; the SDK alone would keep a core busy asking for them."""
+
+            def readPort(self, length: int) -> bytes:
+                if length > 0:
+                    select.select([self.ser], [], [], 1e-3)
+                return super().readPort(length)
+
+        self.port = Port(port)
         self.packets: Any = dynamixel_sdk.PacketHandler(2.0)
         self.lost: dict[str, int] = {}
         self.alerts: set[int] = set()
@@ -155,11 +165,11 @@ class Bus:
 
     def expect(self, answer_s: float) -> None:
         """Sets the SDK's time-out after how long an answer takes (its own, 34 ms, is that of a slow adapter)."""
-        self._handler.LATENCY_TIMER = min(16.0, max(1.5, 1e3 * answer_s))
+        self._handler.LATENCY_TIMER = min(16.0, max(4.0, 2e3 * answer_s))  # the SDK waits twice as long, and 2 ms more
 
 
 def main(fd: int) -> None:
-    """Serves orders `open`, `arm`, `play` and `quit` on this end of the line; once open, samples flow."""
+    """Serves orders `open`, `begin`, `arm`, `play` and `quit` on this end of the line; after `begin` samples flow."""
     link = in_driver(fd)
     leash = Leash(link)
     session: Session | None = None
@@ -238,6 +248,9 @@ class Session:
 
     def run(self) -> None:
         """Samples for as long as the supervisor is there; orders come in between."""
+        while (order := self.leash.next_order())["kind"] != "begin":
+            if order["kind"] == "quit":
+                raise Stop("finished")
         deadline = time.monotonic()
         while True:
             self.leash.wait(deadline)

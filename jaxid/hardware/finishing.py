@@ -7,7 +7,7 @@ import json
 import os
 import shutil
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -147,7 +147,7 @@ def finish(folder: str | os.PathLike[str], end_reason: str | None = None) -> Rec
     notes += timed.notes
     table: dict[str, np.ndarray] = {"t": timed.t, "t_host": rows.host[timed.keep] - timed.host(np.array([timed.zero]))[0]}
     table |= {c.name: rows.values[timed.keep, k] for k, c in enumerate(main.columns)}
-    columns, clocks = list(main.columns), {main.name: timed.host.text}
+    columns, clocks = [_blurred(c, table, timed) for c in main.columns], {main.name: timed.host.text}
     out, number = folder.parent, folder.name.removeprefix("run_").removesuffix(SUFFIX)
     extra: dict[str, dict[str, np.ndarray]] = {}
     inside = np.ones(len(timed.t), bool)
@@ -219,10 +219,11 @@ class _Timed:
     duplicated: int
     gaps: list[tuple[float, float, int]]
     notes: list[str]
+    blur: float  # standard deviation of each time (s)
 
 
 def _timed(stream: Stream, rows: Rows) -> _Timed:
-    device, notes = rows.device, []
+    device, notes, blur = rows.device, [], 0.0
     if stream.info.get("tick_s"):
         names = [c.name for c in stream.columns]
         asked, answered = (rows.values[:, names.index(n)] for n in ("t_sent", "t_received"))
@@ -230,7 +231,7 @@ def _timed(stream: Stream, rows: Rows) -> _Timed:
         host: ClockMap | None = None
         fine = device.copy()
         if rising.sum() >= 4:
-            fine[rising], host = within_tick(device[rising], stream.info["tick_s"], asked[rising], answered[rising])
+            fine[rising], host, blur = within_tick(device[rising], stream.info["tick_s"], asked[rising], answered[rising])
         device = fine
     else:
         rising = _rising(device)
@@ -260,7 +261,16 @@ def _timed(stream: Stream, rows: Rows) -> _Timed:
         worst = max(gaps, key=lambda g: g[2])
         notes.append(f"{len(gaps)} gaps of {missing.sum()} samples together, the longest from {worst[0]:.3f} to {worst[1]:.3f} s")
     repeated = len(rows.device) - len(keep) - back
-    return _Timed(keep, np.round(t - zero, 9), zero, host, rate, int(missing.sum()), max(repeated, 0), gaps, notes)
+    return _Timed(keep, np.round(t - zero, 9), zero, host, rate, int(missing.sum()), max(repeated, 0), gaps, notes, blur)
+
+
+def _blurred(column: Column, table: Mapping[str, np.ndarray], timed: _Timed) -> Column:
+    """An angle's noise where its time is known to `blur` only: what it turns in that time is noise like its resolution."""
+    rate = table.get("qd" + column.name[1:]) if column.name.rstrip("0123456789") == "q" else None
+    if rate is None or column.noise_std is not None or timed.blur == 0:
+        return column
+    turned = float(np.sqrt(np.mean((timed.blur * rate) ** 2)))
+    return replace(column, noise_std=float(f"{np.hypot((column.resolution or 0.0) / np.sqrt(12), turned):.3g}"))
 
 
 def _rising(t: np.ndarray) -> np.ndarray:

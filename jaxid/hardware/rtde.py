@@ -33,7 +33,7 @@ VERSION, CONTROLLER, OUTPUTS, START, PAUSE, DATA, TEXT = (ord(c) for c in "VvOSP
 
 
 class RTDEReader:
-    """A connection to port 30004 that delivers every data package.
+    """A connection to port 30004 that delivers every data package after `start`.
 
     `variables` must exist on the controller, those in `optional` may lack; `names` and `sizes` then say what a row holds. Each
     row of `read` is (host time, values). Raises `UsageError` where nobody listens or a variable is unknown, `HardwareError` for
@@ -89,6 +89,9 @@ class RTDEReader:
         self.names, self.recipe = tuple(names), recipe
         self.sizes = tuple(int(TYPES[t][:-1] or 1) for t in types)
         self._layout = struct.Struct(">" + "".join(TYPES[t] for t in types))
+
+    def start(self) -> None:
+        """Lets the controller send; from now on `read` has to be called, for a controller cuts off who does not read."""
         self._send(START)
         if self._answer(START) != b"\1":
             raise HardwareError(f"{self.where}: the controller refuses to send data")

@@ -120,6 +120,7 @@ def record(
         except BaseException as caught:
             error, complete = caught, False
             reason = "interrupted" if isinstance(caught, KeyboardInterrupt) else str(caught) or type(caught).__name__
+            recorder.event("fault", reason)
         finally:
             said = _let_go(device, reason)
             if plan is not None:
@@ -198,6 +199,7 @@ def _refuse_path(play: Trajectory, bounds: Limits, device: Device) -> None:
 
 def _first_samples(device: Device) -> _Watch:
     """Waits for data; raises `HardwareError` where none come."""
+    device.begin()
     now = time.monotonic()
     watch = _Watch(now, now)
     while watch.last is None:

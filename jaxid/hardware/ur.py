@@ -104,6 +104,9 @@ class UR:
     def limits(self) -> Limits:
         return LIMITS
 
+    def begin(self) -> None:
+        self.reader.start()
+
     def filenos(self) -> list[int]:
         return [self.reader.fileno(), *([self._driver.fileno()] if self._driver is not None else [])]
 
