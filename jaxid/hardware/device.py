@@ -107,12 +107,12 @@ class Device(Protocol):
         """How a path would be sent, starting from the sample `values`."""
         ...
 
-    def arm(self, plan: Plan) -> None:
-        """Takes control; the device answers with the message `armed`."""
+    def arm(self, plan: Plan, data_age: float) -> None:
+        """Takes control, with watchdogs that stop after `data_age` s of silence; the message `armed` follows."""
         ...
 
-    def play(self, plan: Plan, data_age: float) -> None:
-        """Moves, and stops when no valid data came for `data_age` s; messages `mark`, `progress` and `done` follow."""
+    def play(self, plan: Plan) -> None:
+        """Moves; messages `mark`, `progress` and `done` follow."""
         ...
 
     def beat(self) -> None:

@@ -255,13 +255,13 @@ class Dynamixel:
         shift = np.array(self.zero if self.mode == "position" else [0] * self.joints)
         return values / np.array([self._scale(j) for j in range(self.joints)]) + shift
 
-    def arm(self, plan: Plan) -> None:
+    def arm(self, plan: Plan, data_age: float) -> None:
         assert self._driver is not None
-        self._driver.send("arm", mode=plan.kind)
+        self._driver.send("arm", mode=plan.kind, data_age=data_age)
 
-    def play(self, plan: Plan, data_age: float) -> None:
+    def play(self, plan: Plan) -> None:
         assert self._driver is not None
-        self._driver.send("play", data_age=data_age, **plan.order())
+        self._driver.send("play", **plan.order())
 
     def beat(self) -> None:
         if self._driver is not None:
@@ -275,7 +275,7 @@ class Dynamixel:
         driver, self._driver = self._driver, None
         if driver is None:
             return "nothing was moving"
-        said = "the driver did not answer and was ended; the bus watchdog of the servo stops it within 0.1 s"
+        said = "the driver did not answer and was ended; the servo's own bus watchdog stops it"
         try:
             driver.link.send("stop", reason=reason)
             until = time.monotonic() + STOPPED_S
@@ -286,7 +286,7 @@ class Dynamixel:
                     if m["kind"] == "stopped":
                         said, until = m.get("said") or "nothing was moving", 0.0
         except EOFError:
-            said = "the driver had ended; the bus watchdog of the servo stops it within 0.1 s"
+            said = "the driver had ended; the servo's own bus watchdog stops it"
         driver.close()
         return said
 

@@ -18,7 +18,6 @@ from jaxid.hardware.tick import TickClock
 
 
 PROBES = 25  # questions that measure how long an answer takes
-WATCHDOG = 5  # units of 20 ms
 TRIES = 5
 FORMS = ("sync", "bulk", "fast")
 
@@ -202,6 +201,7 @@ class Session:
         self.found = [self._inspect(i, order["baud"]) for i in self.bus.ids]
         self.answer_s = self._measure()
         self.mode: str | None = None
+        self.data_age = 0.0
         self.goal: list[int] | None = None
         self.restore: dict[int, int] = {}
 
@@ -298,7 +298,9 @@ class Session:
 
     def _arm(self, order: dict[str, Any]) -> None:
         """Mode, watchdog, a goal that changes nothing, torque, in this order."""
+        self.leash.longest_s = self.data_age = order["data_age"]
         self.leash.tighten(True)
+        watchdog = min(127, max(1, round(self.data_age / x.WATCHDOG_S)))
         self.mode = order["mode"]
         number, register = x.MODES[self.mode]
         for f in self.found:
@@ -311,7 +313,7 @@ class Session:
             if self.restore[identity] != number:
                 self._while_leashed(self.bus.put, identity, x.OPERATING_MODE, number)
             self._while_leashed(self.bus.put, identity, x.BUS_WATCHDOG, 0)  # clears one that has triggered
-            self._while_leashed(self.bus.put, identity, x.BUS_WATCHDOG, WATCHDOG)
+            self._while_leashed(self.bus.put, identity, x.BUS_WATCHDOG, watchdog)
         here = [self.bus.get(i, x.PRESENT_POSITION) for i in self.bus.ids]
         self.goal = here if self.mode == "position" else [0] * len(here)
         self.bus.write(register, self.goal)
@@ -339,7 +341,7 @@ class Session:
                 self.link.send("mark", name=marks[k], at=now)
             if self._cycle():
                 last = time.monotonic()
-            elif time.monotonic() - last > order["data_age"]:
+            elif time.monotonic() - last > self.data_age:
                 raise BusError(f"no valid answer for {time.monotonic() - last:.2f} s while it moved ({self._losses()})")
             overrun = time.monotonic() - deadline - self.period
             if overrun > 0:
@@ -365,7 +367,7 @@ class Session:
         _tried(self.bus.port.closePort)
         if not failed:
             return "torque is off" if self.mode is not None else ""
-        return f"the servo could not be told to stop ({failed[0]}); its bus watchdog stops it within {20 * WATCHDOG} ms"
+        return f"the servo could not be told to stop ({failed[0]}); its bus watchdog stops it within {1e3 * self.data_age:.0f} ms"
 
 
 def _tried(action: Callable[[], Any]) -> list[str]:

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import math
 import random
+import time
 from collections.abc import Mapping, Sequence
 from typing import Any
 
@@ -18,6 +19,7 @@ from jaxid.hardware.plant import Plant
 JOINTS = 6
 STEP = 0.002  # s, 500 Hz
 BANDWIDTH = 40.0  # rad/s, of the emulated joint controllers
+LOOKAHEAD, ACCELERATION = 0.03, 40.0  # s, rad/s^2: of what is asked of them
 #: Defaults of the plant: decoupled pendulums of about a UR10's size, gravity on the three joints that lift.
 PLANT: dict[str, tuple[float, ...]] = {
     "inertia": (2.5, 2.5, 1.2, 0.3, 0.3, 0.2),
@@ -124,7 +126,7 @@ class Arm:
     def inputs(self, values: Mapping[str, float]) -> None:
         """Registers written by a client; `input_int_register_0` is the command of ur_rtde."""
         self.registers.update(values)
-        self._fed = self.time
+        self._fed = time.monotonic()
         if "input_int_register_0" not in values:
             return
         code = int(values["input_int_register_0"])
@@ -159,23 +161,21 @@ class Arm:
 
     def tick(self) -> None:
         """One step: what is told, what the drive does, what the joints do."""
-        if self.running and self._watchdog is not None and self.time - self._fed > self._watchdog:
+        if self.running and self._watchdog is not None and time.monotonic() - self._fed > self._watchdog:
             self.halt("watchdog")
         ahead = []
         for j in range(JOINTS):
-            last = self.target[j]
-            if self.safety != 1 or self.goal is None:
-                wish = 0.0
-            elif self.mode == "speedJ":
-                wish = self.goal[j]
-            else:
-                wish = (self.goal[j] - last) / (0.02 if self.mode == "servoJ" else 0.05)
-            top = 1.0 if self.mode == "moveJ" else math.pi
-            wish = min(max(wish * self.slider, -top), top)
-            # A held program decelerates, it does not jump.
-            rate = 40.0 * STEP if self.mode in ("idle", "moveJ", "speedJ") else math.inf
-            self.target_qd[j] = min(max(wish, self.target_qd[j] - rate), self.target_qd[j] + rate)
-            ahead.append(last + STEP * self.target_qd[j])
+            speed, held = self.target_qd[j], self.safety != 1 or self.goal is None
+            if self.mode == "servoJ" and not held:  # smoothed as by a lookahead time
+                pull = (self.goal[j] - self.target[j]) / LOOKAHEAD**2 - 2 * speed / LOOKAHEAD  # type: ignore[index]
+                speed += STEP * min(max(pull, -ACCELERATION), ACCELERATION)
+            else:  # a held program decelerates, it does not jump
+                wish = 0.0 if held else self.goal[j]  # type: ignore[index]
+                if self.mode == "moveJ" and not held:
+                    wish = min(max((wish - self.target[j]) / 0.05, -1.0), 1.0)
+                speed += min(max(wish - speed, -ACCELERATION * STEP), ACCELERATION * STEP)
+            self.target_qd[j] = min(max(speed, -math.pi), math.pi)
+            ahead.append(self.target[j] + STEP * self.slider * self.target_qd[j])
         if self.mode == "moveJ" and self.goal and max(abs(a - b) for a, b in zip(ahead, self.goal, strict=True)) < 1e-3:
             self.registers["output_int_register_0"] = 2
         self.target = ahead

@@ -21,8 +21,8 @@ class Limits:
     """Bounds of each joint, one number a joint or one for all; None is no bound.
 
     `lower`, `upper` rad; `speed` rad/s; `acceleration` rad/s^2; `current` A; `temperature` K. `step` is the largest change from
-    one command to the next (rad, rad/s or A, as the command is). `data_age` s: how old the newest measurement may be while
-    something moves. `tracking` is how far (rad) a joint may be from where it is told to be.
+    one command to the next (rad, rad/s or A, as the command is). `data_age` s is how long anything may be silent
+    while something moves: the measurements, the recording process, and the driver, for the watchdog of the device itself. `tracking` is how far (rad) a joint may be from where it is told to be.
     """
 
     lower: tuple[float, ...] | None = None
@@ -36,6 +36,8 @@ class Limits:
     data_age: float = 0.1
 
     def __post_init__(self):
+        if isinstance(self.data_age, int | float) and not 0.02 <= self.data_age <= 2.0:
+            raise UsageError(f"limit data_age is {self.data_age!r} s; write 0.02 to 2")
         for f in fields(self):
             value = getattr(self, f.name)
             if value is None:

@@ -276,7 +276,7 @@ def _run(device, sensors, recorder: Recorder, watch: _Watch, plan: Plan | None, 
     beaten = told = 0.0
     if plan is not None:
         watch.phase, watch.asked = "arming", now
-        device.arm(plan)
+        device.arm(plan, bounds.data_age)
     while True:
         _wait(device, sensors, BEAT_S)
         news = device.news()
@@ -294,9 +294,9 @@ def _run(device, sensors, recorder: Recorder, watch: _Watch, plan: Plan | None, 
             if now - heard[id(sensor)] > 2 * SILENCE_S:
                 raise HardwareError(f"sensor {sensor.spec.name} has been silent for {now - heard[id(sensor)]:.1f} s")
         for message in news.messages:
-            _hear(device, recorder, watch, plan, bounds.data_age, message, now)
+            _hear(device, recorder, watch, plan, message, now)
         age = now - watch.heard
-        if age > (min(bounds.data_age, SILENCE_S) if watch.moving else SILENCE_S):
+        if age > (bounds.data_age if watch.moving else SILENCE_S):
             raise HardwareError(f"{device.name}: no data for {age:.2f} s" + (" while it moved" if watch.moving else ""))
         if watch.phase == "arming" and now - watch.asked > ARMED_S:
             raise HardwareError(f"{device.name} did not become ready to move within {ARMED_S:g} s")
@@ -327,12 +327,12 @@ def _judge(device: Device, bounds: Limits, sample: Sample, watch: _Watch) -> Non
 
 
 def _hear(
-    device: Device, recorder: Recorder, watch: _Watch, plan: Plan | None, data_age: float, message: Mapping[str, Any], now: float
+    device: Device, recorder: Recorder, watch: _Watch, plan: Plan | None, message: Mapping[str, Any], now: float
 ) -> None:
     kind = message["kind"]
     if kind == "armed" and plan is not None:
         watch.phase = "playing"
-        device.play(plan, data_age)
+        device.play(plan)
     elif kind == "mark":
         recorder.event("mark", "", name=message["name"], at=message["at"])
     elif kind == "done":

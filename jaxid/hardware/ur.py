@@ -78,7 +78,7 @@ class UR:
         self.where, self.local = host, host.startswith("127.") or host == "localhost"
         self._reader: RTDEReader | None = None
         self._driver: Driver | None = None
-        self._heard = 0.0
+        self._heard, self._patience = 0.0, 0.4
         self._playing = False
 
     def open(self) -> None:
@@ -128,7 +128,7 @@ class UR:
                 if message["kind"] == "stopping":
                     raise HardwareError(f"the motion ended by itself: {message['reason']}")
                 self._playing &= message["kind"] != "done"
-            if self._playing and now - self._heard > 0.4:
+            if self._playing and now - self._heard > self._patience:
                 raise HardwareError(f"{self.host}: the motion driver was silent for {now - self._heard:.2f} s")
         return news
 
@@ -170,11 +170,12 @@ class UR:
         table = np.concatenate([lead, rest, path, end])
         return Plan("position", table, step, limits.lower, limits.upper, largest, here.tolist(), marks)
 
-    def arm(self, plan: Plan) -> None:
+    def arm(self, plan: Plan, data_age: float) -> None:
         self._driver = Driver("jaxid.hardware.ur_motion", f"UR at {self.host}")
-        self._driver.send("arm", host=self.host, frequency=self.rate)
+        self._driver.send("arm", host=self.host, frequency=self.rate, data_age=data_age)
+        self._patience = max(0.4, 1.5 * data_age)
 
-    def play(self, plan: Plan, data_age: float) -> None:
+    def play(self, plan: Plan) -> None:
         assert self._driver is not None
         self._playing, self._heard = True, time.monotonic()
         self._driver.send("play", lookahead=self.lookahead, gain=self.gain, **plan.order())

@@ -9,8 +9,6 @@ from jaxid.hardware.limits import Clamp, Refused
 from jaxid.hardware.link import Closed, in_driver, Leash, Link, Stop
 
 
-#: The controller ends the program by itself when it hears nothing for a tenth of a second.
-WATCHDOG_HZ = 10.0
 DECELERATION = 5.0  # rad/s^2, of servoStop
 _PROGRESS_S = 0.05
 
@@ -25,6 +23,7 @@ def main(fd: int) -> None:
             order = leash.next_order() if control is None else _idle(leash, control)
             if order["kind"] == "arm":
                 control = _take(order)
+                leash.longest_s = order["data_age"]
                 leash.tighten(True)
                 link.send("armed")
             elif order["kind"] == "play":
@@ -51,7 +50,7 @@ def _take(order: dict[str, Any]) -> Any:
             f"ur_rtde cannot be imported ({error}); its wheels end at Python 3.12: recording works without it, motion does not"
         ) from None
     control = rtde_control.RTDEControlInterface(order["host"], order["frequency"])
-    if not control.setWatchdog(WATCHDOG_HZ):
+    if not control.setWatchdog(1 / order["data_age"]):
         raise RuntimeError("the controller did not accept the watchdog")
     return control
 
