@@ -99,7 +99,7 @@ def _serve(name: str, unit: str, role: str, have: Mapping[str, Column], joint: i
             entry = _channel(have[column]) | {"role": role} | ({} if column == name else {"column": column})
             return entry, column
     if stem == "tau":
-        named = [c for c in (f"current{place}", f"current{place}_cmd", f"current_cmd{place}") if c in have]
+        named = [c for c in (f"current{place}", f"current{place}_cmd") if c in have]
         column = next((c for c in named if have[c].role == "input"), next(iter(named), None))
         if column is not None and gain is None:
             return (

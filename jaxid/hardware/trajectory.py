@@ -96,23 +96,24 @@ class Trajectory:
         seed: int = 0,
         rate: float = 500.0,
     ) -> Trajectory:
-        """A sum of sines in a band (Hz), faded in and out over a second, with `rest` s of stillness at both ends.
+        """A sum of sines in a band (Hz), faded in and out over a second (less where it is short), with `rest` s of stillness at both ends.
 
         `amplitude` is the largest excursion from `center` of each joint. For excitation without a model; `jaxid excite`
         optimises one for a model.
         """
-        amplitude = np.atleast_1d(np.asarray(amplitude, float))
-        center = np.broadcast_to(np.asarray(center, float), amplitude.shape)
+        sizes = np.atleast_1d(np.asarray(amplitude, float))
+        centers = np.broadcast_to(np.asarray(center, float), sizes.shape)
         rng = np.random.default_rng(seed)
         t = np.arange(round(duration * rate) + 1) / rate
-        edge = np.clip(np.minimum(t - rest, t[-1] - rest - t) / 1.0, 0.0, 1.0)
+        length = min(1.0, max(t[-1] / 2 - rest, 1e-3))
+        edge = np.clip(np.minimum(t - rest, t[-1] - rest - t) / length, 0.0, 1.0)
         fade = edge**3 * (10 - 15 * edge + 6 * edge**2)  # rises from 0 to 1 without a jump in speed or acceleration
-        values = np.empty((len(t), len(amplitude)))
-        for j, a in enumerate(amplitude):
+        values = np.empty((len(t), len(sizes)))
+        for j, a in enumerate(sizes):
             f = np.geomspace(*frequencies, lines) * rng.uniform(0.95, 1.05, lines)
             phase = rng.uniform(0, 2 * np.pi, lines)
             x = np.sum(np.sin(2 * np.pi * f[:, None] * t + phase[:, None]) / f[:, None] ** 0.5, axis=0) * fade
-            values[:, j] = center[j] + a * x / np.abs(x).max()
+            values[:, j] = centers[j] + a * x / np.abs(x).max()
         return cls(t, values, kind, f"multisine, {lines} lines from {frequencies[0]:g} to {frequencies[1]:g} Hz, seed {seed}")
 
     def sampled(self, step: float) -> np.ndarray:

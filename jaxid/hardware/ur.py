@@ -92,7 +92,7 @@ class UR:
         return self._reader
 
     def stream(self) -> Stream:
-        columns = [Column(f"{stem}{j + 1}", unit, role) for stem, (_, unit, role) in VECTORS.items() for j in range(JOINTS)]
+        columns = [Column(_numbered(stem, j + 1), unit, role) for stem, (_, unit, role) in VECTORS.items() for j in range(JOINTS)]
         columns += [Column(name, "1") for name in SCALARS]
         if "actual_main_voltage" in self.reader.names:
             columns.append(Column("voltage", "V"))
@@ -210,6 +210,12 @@ class UR:
         if self._reader is not None:
             self._reader.close()
             self._reader = None
+
+
+def _numbered(stem: str, joint: int) -> str:
+    """`q` and `q_cmd` of joint 3 are q3 and q3_cmd."""
+    base, _, tail = stem.partition("_")
+    return f"{base}{joint}" + (f"_{tail}" if tail else "")
 
 
 def _confirmed(driver: Driver, reason: str) -> bool:
