@@ -51,7 +51,8 @@ def ur10(host, plant, log) -> int:
 def dynamixel(ids, baud, latency, return_delay, seed, plant, log) -> int:
     """XM430-W350 servos on a pseudo terminal, paced like a wire.
 
-    Orders: silent SHARE, crc SHARE, drop_byte SHARE, late SECONDS [SHARE], noise HEX, latency SECONDS, overload [ID], unplug.
+    Orders: silent SHARE, crc SHARE, drop_byte SHARE, late SECONDS [SHARE], noise HEX, latency SECONDS, overload [ID],
+    wrap_in SECONDS (of the millisecond counter), unplug.
     """
     from jaxid import runtime
     from jaxid.hardware.emulator_dynamixel import serve

@@ -40,6 +40,8 @@ class Servo:
         self.pending: tuple[int, bytes] | None = None
         self.fed = 0.0
         self.drive = 0.0
+        self.shift = 0.0  # s, of the counter against the clock
+        self.triggered: Callable[[int], None] = lambda identity: None
         for register, value in (
             (x.MODEL_NUMBER, MODEL), (x.FIRMWARE, 46), (x.ID, identity), (x.BAUD_RATE, 3), (x.RETURN_DELAY, 250),
             (x.OPERATING_MODE, 3), (x.PROTOCOL, 2), (x.TEMPERATURE_LIMIT, 80), (x.CURRENT_LIMIT, 1193), (x.VELOCITY_LIMIT, 200),
@@ -74,6 +76,7 @@ class Servo:
         watchdog = self.get(x.BUS_WATCHDOG)
         if watchdog > 0 and now - self.fed > watchdog * x.WATCHDOG_S:
             self.set(x.BUS_WATCHDOG, -1)
+            self.triggered(self.identity)
             self.set(x.GOAL_CURRENT, 0)
             self.set(x.GOAL_VELOCITY, 0)
         mode, limit = self.get(x.OPERATING_MODE), self.get(x.CURRENT_LIMIT) * CURRENT
@@ -89,7 +92,7 @@ class Servo:
     def show(self, now: float) -> None:
         """Brings the readable values up to date."""
         q, qd = self.plant.q[self.joint], self.plant.qd[self.joint]
-        self.set(x.TICK, int(now * 1000) % x.TICK_WRAP)
+        self.set(x.TICK, int((now + self.shift) * 1000) % x.TICK_WRAP)
         self.set(x.PRESENT_CURRENT, round(self.drive / CURRENT))
         self.set(x.PRESENT_VELOCITY, round(qd / x.VELOCITY))
         self.set(x.PRESENT_POSITION, round(q / x.POSITION) + x.CENTER)
@@ -134,6 +137,8 @@ class Bench:
         self.plant, self.log, self.clock = plant, log, clock
         self.torque_constant = float(settings.get("torque_constant", TORQUE_CONSTANT))
         self.servos = {i: Servo(i, j, plant) for j, i in enumerate(identities)}
+        for s in self.servos.values():
+            s.triggered = lambda identity: self.log("watchdog", id=identity)
         self.now = clock()
 
     def advance(self) -> None:
@@ -151,6 +156,11 @@ class Bench:
             self.now += step
         for s in self.servos.values():
             s.show(self.now)
+
+    def wrap_in(self, seconds: float) -> None:
+        """Sets all counters so that they start again from 0 after so long."""
+        for s in self.servos.values():
+            s.shift = x.TICK_WRAP * x.TICK_S - (self.clock() + seconds) % (x.TICK_WRAP * x.TICK_S)
 
     def overload(self, identity: int) -> None:
         servo = self.servos[identity]

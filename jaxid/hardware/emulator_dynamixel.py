@@ -81,6 +81,7 @@ class Bus:
             "noise": lambda words: setattr(self, "noise", bytes.fromhex(words[0]) if words else b""),
             "latency": lambda words: setattr(self, "latency", float(words[0])),
             "overload": lambda words: self.bench.overload(first(words)),
+            "wrap_in": lambda words: self.bench.wrap_in(float(words[0])),
             "unplug": lambda words: self._unplug(),
         }
 

@@ -326,9 +326,7 @@ def _judge(device: Device, bounds: Limits, sample: Sample, watch: _Watch) -> Non
         raise HardwareError(f"{device.name}: {why}")
 
 
-def _hear(
-    device: Device, recorder: Recorder, watch: _Watch, plan: Plan | None, message: Mapping[str, Any], now: float
-) -> None:
+def _hear(device: Device, recorder: Recorder, watch: _Watch, plan: Plan | None, message: Mapping[str, Any], now: float) -> None:
     kind = message["kind"]
     if kind == "armed" and plan is not None:
         watch.phase = "playing"
