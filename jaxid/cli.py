@@ -379,5 +379,15 @@ def main(arguments: list[str] | None = None) -> int:
         return code
 
 
-if __name__ == "__main__":
-    sys.exit(main())
+if __name__ == "__main__":  # run as a file: the modules below need it under its own name
+    from jaxid.cli import main as main_
+
+    sys.exit(main_())
+
+# These modules build on this one.
+from jaxid.cli_emulate import emulate  # noqa: E402
+from jaxid.cli_record import record  # noqa: E402
+
+
+cli.add_command(emulate)
+cli.add_command(record)
