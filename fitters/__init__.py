@@ -4,20 +4,33 @@
 if __name__ != "jaxid.fitters":
     raise ImportError("import jaxid.fitters, not fitters")
 
+from .ade import RandToBestDE
+from .bfgs import BFGS
+from .cmaes import CMAES
 from .de import DifferentialEvolution
+from .ga import GeneticAlgorithm
 from .linear import InstrumentalVariables, LeastSquares, WeightedLeastSquares
 from .lm import descend, LevenbergMarquardt, Path, search
+from .pso import ParticleSwarm
 
 
-FITTERS = (LevenbergMarquardt, DifferentialEvolution, LeastSquares, WeightedLeastSquares, InstrumentalVariables)
+FITTERS = (
+    LevenbergMarquardt, BFGS, DifferentialEvolution, RandToBestDE, ParticleSwarm, GeneticAlgorithm,
+    CMAES, LeastSquares, WeightedLeastSquares, InstrumentalVariables,
+)  # fmt: skip
 
 __all__ = [
+    "BFGS",
+    "CMAES",
     "FITTERS",
     "DifferentialEvolution",
+    "GeneticAlgorithm",
     "InstrumentalVariables",
     "LeastSquares",
     "LevenbergMarquardt",
+    "ParticleSwarm",
     "Path",
+    "RandToBestDE",
     "WeightedLeastSquares",
     "descend",
     "search",
