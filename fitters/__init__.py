@@ -9,14 +9,17 @@ from .bfgs import BFGS
 from .cmaes import CMAES
 from .de import DifferentialEvolution
 from .ga import GeneticAlgorithm
+from .hybrid import Hybrid
 from .linear import InstrumentalVariables, LeastSquares, WeightedLeastSquares
 from .lm import descend, LevenbergMarquardt, Path, search
 from .pso import ParticleSwarm
+from .rde import RecursiveDE
+from .shade import Shade
 
 
 FITTERS = (
-    LevenbergMarquardt, BFGS, DifferentialEvolution, RandToBestDE, ParticleSwarm, GeneticAlgorithm,
-    CMAES, LeastSquares, WeightedLeastSquares, InstrumentalVariables,
+    LevenbergMarquardt, Hybrid, BFGS, DifferentialEvolution, RandToBestDE, RecursiveDE, ParticleSwarm, GeneticAlgorithm,
+    CMAES, Shade, LeastSquares, WeightedLeastSquares, InstrumentalVariables,
 )  # fmt: skip
 
 __all__ = [
@@ -25,12 +28,15 @@ __all__ = [
     "FITTERS",
     "DifferentialEvolution",
     "GeneticAlgorithm",
+    "Hybrid",
     "InstrumentalVariables",
     "LeastSquares",
     "LevenbergMarquardt",
     "ParticleSwarm",
     "Path",
     "RandToBestDE",
+    "RecursiveDE",
+    "Shade",
     "WeightedLeastSquares",
     "descend",
     "search",

@@ -35,6 +35,7 @@ class BFGS(AbstractFitter):
 
 def updated(path: Path, trial: np.ndarray, new: Linear) -> np.ndarray:
     """BFGS update of the path's matrix by the step to `trial`, damped so that it stays positive definite."""
+    assert path.hessian is not None and path.gradient is not None
     B, step, bend = path.hessian, trial - path.z, new.gradient - path.gradient
     along = B @ step
     size = float(step @ along)

@@ -1,7 +1,8 @@
-"""Bounded Levenberg-Marquardt for sums of squares, all starts as one batch.
+"""Bounded Levenberg-Marquardt, all starts as one batch.
 
 Minimise |r(z)|^2 / 2 with lower <= z <= upper: solve (H + mu D) dz = -g on the variables that are not held at a bound, with
 H = J'J, g = J'r, D = diag H, and mu by the gain ratio (Nielsen, Damping Parameter in Marquardt's Method, IMM-REP-1999-05).
+Sums of norms or of absolute values are the same with H of the reweighted least-squares problem (Lawson 1961).
 """
 
 from __future__ import annotations
@@ -14,9 +15,8 @@ from typing import Any, ClassVar
 import jax
 import numpy as np
 
-from jaxid.errors import UsageError
 from jaxid.fitter import AbstractFitter, Log, sampling_box
-from jaxid.objective import AbstractProblem, Linear, linearise
+from jaxid.objective import AbstractProblem, expand, Linear, linearise
 
 
 Expansion = Callable[[Sequence[tuple[AbstractProblem, np.ndarray]], float], list[Linear]]
@@ -30,19 +30,17 @@ class LevenbergMarquardt(AbstractFitter):
     """
 
     name: ClassVar[str] = "lm"
-    source: ClassVar[str] = "Levenberg 1944, Marquardt 1963; damping of Nielsen 1999; bounds by projection"
+    source: ClassVar[str] = "Levenberg 1944, Marquardt 1963; damping of Nielsen 1999; bounds by projection; Lawson 1961"
 
     restarts: int = 4
     iterations: int = 60
     tolerance: float = 1e-10
 
     def minimise(self, problem, starts, key, budget=None, progress=None, seconds=None):
-        if problem.loss_name != "sum_of_squares":
-            raise UsageError(
-                f"lm minimises sums of squares; the loss {problem.loss_name!r} needs bfgs, hybrid or a population (fitter de)"
-            )
         log = Log(problem, self.name, budget, seconds, progress)
-        best, _ = search([[(problem, z) for z in guesses(problem, starts, self.restarts, key)]], self.iterations, self.tolerance, log)
+        best, _ = search(
+            [[(problem, z) for z in guesses(problem, starts, self.restarts, key)]], self.iterations, self.tolerance, log
+        )
         return log.minimum(best[0].z, best[0].converged, log.exhausted or best[0].stopped)
 
 
@@ -124,22 +122,24 @@ def descend(
     tolerance: float,
     share: float = 1.0,
     log: Log | None = None,
-    expansion: Expansion = linearise,
+    expansion: Expansion | None = None,
     curvature: Curvature = lambda path, trial, new: new.hessian,
 ) -> list[Path]:
     """Levenberg-Marquardt on many (problem, start) on the same runs at once; each linearisation of all is one batch.
 
-    `expansion` gives twice the loss with gradient and curvature, by default the sum of squares; `curvature` may put another
-    matrix in the place of that of an accepted trial. A `log` counts evaluations (a share of the records as that share of one)
-    and ends the descent when the budget is used up.
+    `expansion` gives twice the loss with gradient and curvature, by default `linearise` for sums of squares and `expand` for
+    other losses; `curvature` may put another matrix in the place of that of an accepted trial. A `log` counts evaluations (a
+    share of the records as that share of one) and ends the descent when the budget is used up.
     """
+    if expansion is None:
+        expansion = linearise if all(p.loss_name == "sum_of_squares" for p, _ in jobs) else expand
     paths = [Path(p, problem_clip(p, z), history=[]) for p, z in jobs]
     trials = [p.z for p in paths]
     active = list(range(len(paths)))
     each = share * (1 + paths[0].problem.size)
     for iteration in range(iterations + 1):
         if log is not None:
-            active = [] if log.exhausted else active[: int(log.left // each)]
+            active = [] if log.exhausted else active[: int(min(log.left / each, len(active)))]
             if not active:
                 break
         results = expansion([(paths[i].problem, trials[i]) for i in active], share)
@@ -201,7 +201,7 @@ def _step(path: Path) -> np.ndarray:
     lower, upper = path.problem.lower, path.problem.upper
     free = ~(((z <= lower) & (g > 0)) | ((z >= upper) & (g < 0)))
     dz = np.zeros_like(z)
-    scale = np.sqrt(np.diag(H) + 1e-300)
+    scale = np.sqrt(np.maximum(np.diag(H), 0.0) + 1e-300)
     A = H / scale / scale[:, None]
     A[np.diag_indices_from(A)] = 1 + path.mu + 1e-14
     for _ in range(z.size + 1):  # a variable that would leave its bounds goes to the bound, and the rest is solved again

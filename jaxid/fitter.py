@@ -202,6 +202,10 @@ class AbstractPopulation(AbstractFitter):
         """Candidates of a generation."""
         return self.popsize
 
+    def cost(self, problem: AbstractProblem) -> int:
+        """Evaluations of a generation."""
+        return self.offspring
+
     def again(self) -> AbstractPopulation:
         """The fitter of a restart: itself, or one with a larger population."""
         return self
@@ -227,17 +231,17 @@ class AbstractPopulation(AbstractFitter):
         lower, upper, data = problem.lower, problem.upper, problem.data
         with float64():
             key = jnp.asarray(key)
-            course = self.begin(problem, starts, key, log) if course is None else course
-            generations = int(min(self.generations, log.left // self.offspring))
+            now = self.begin(problem, starts, key, log) if course is None else course
+            generations = int(min(self.generations, log.left // self.cost(problem)))
             whole = not self.guided and problem.work * self.offspring < LARGE
             done, chunk = 0, 1
             while done < generations and not log.exhausted:
                 began = log.elapsed
                 if whole:
-                    args = (course, key, np.int32(done + 1), np.int32(min(chunk, generations - done)), lower, upper, data)
+                    args = (now, key, np.int32(done + 1), np.int32(min(chunk, generations - done)), lower, upper, data)
                     program = problem.compiled((type(self), repr(self), "advance"), _advance(self, problem.pure), *args)
                     began = log.elapsed
-                    course, series, count, spread = program(*args)
+                    now, series, count, spread = program(*args)
                     count, series = int(count), np.asarray(series)
                     spent = log.elapsed - began
                     for i in range(count):
@@ -245,16 +249,16 @@ class AbstractPopulation(AbstractFitter):
                     limit = 0.7 if log.limit is None else min(0.7, 0.3 * max(log.limit - log.elapsed, 1e-3))
                     chunk = int(np.clip(count * min(8.0, limit / max(spent, 1e-6)), 1, CHUNK))
                 else:
-                    course, spread = self._generation(problem, course, key, done + 1, log)
+                    now, spread = self._generation(problem, now, key, done + 1, log)
                     count = 1
                 done += count
                 log.show(done, generations)
-                if self.stall and int(course.since) >= self.stall:
-                    return course, True, f"no gain in {self.stall} generations"
+                if self.stall and int(now.since) >= self.stall:
+                    return now, True, f"no gain in {self.stall} generations"
                 if float(spread) <= 1e-9 * float(np.max(upper - lower)):
-                    return course, True, "the population has collapsed to one point"
+                    return now, True, "the population has collapsed to one point"
         full = generations < self.generations
-        return course, False, log.exhausted or ("the budget of evaluations is used up" if full else "all generations done")
+        return now, False, log.exhausted or ("the budget of evaluations is used up" if full else "all generations done")
 
     def begin(self, problem: AbstractProblem, starts: Sequence[np.ndarray], key: PRNGKeyArray, log: Log) -> Course:
         """First population: the starts, and random points of the sampling box. With less budget than that, the rest of it is
@@ -267,9 +271,14 @@ class AbstractPopulation(AbstractFitter):
         losses = np.full(self.popsize, PENALTY)
         count = int(min(self.popsize, log.left))
         losses[:count] = problem.losses(points[:count])
-        program = problem.compiled((type(self), repr(self), "init"), self.init, k1, points, losses)
         log.add(count, float(losses.min()))
-        return Course(program(k1, points, losses), points, losses, np.float64(losses.min()), np.int32(0))
+        return self.course(problem, k1, points, losses)
+
+    def course(self, problem: AbstractProblem, key: PRNGKeyArray, points: np.ndarray, losses: np.ndarray) -> Course:
+        """A course that begins with this evaluated population."""
+        with float64():
+            program = problem.compiled((type(self), repr(self), "init"), self.init, key, points, losses)
+            return Course(program(key, points, losses), points, losses, np.float64(losses.min()), np.int32(0))
 
     def _generation(
         self, problem: AbstractProblem, course: Course, key: PRNGKeyArray, number: int, log: Log

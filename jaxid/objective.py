@@ -5,6 +5,7 @@ on; `jaxid.problem.Problem` makes one of a model and its runs, `FunctionProblem`
 from __future__ import annotations
 
 import abc
+import copy
 import os
 import threading
 import time
@@ -120,6 +121,15 @@ class AbstractProblem(abc.ABC):
     @abc.abstractmethod
     def add_compile_time(self, seconds: float) -> None: ...
 
+    @property
+    @abc.abstractmethod
+    def pieces(self) -> int:
+        """How many pieces the data come in."""
+
+    @abc.abstractmethod
+    def part(self, pieces: Sequence[int], weights: Sequence[float]) -> AbstractProblem:
+        """The problem of some pieces of the data, their squared residuals weighted."""
+
     @classmethod
     @abc.abstractmethod
     def rows(cls, jobs: Sequence[tuple[Any, np.ndarray]], share: float = 1.0) -> Iterator[Rows]:
@@ -169,7 +179,8 @@ class FunctionProblem(AbstractProblem):
     """Any residual in JAX as a problem: `residual(z [size])` gives r [samples] or [samples columns].
 
     The residual counts as divided by its noise. `norm` [columns] is the sum of squares of the measured signal, for the loss
-    `sum_of_norms`. `log` says which entries of z are logarithms (it only matters for where random starts are drawn).
+    `sum_of_norms`. `log` says which entries of z are logarithms (it only matters for where random starts are drawn). `piece`
+    [samples] numbers the pieces in which the data come, from 0.
     """
 
     def __init__(
@@ -181,6 +192,7 @@ class FunctionProblem(AbstractProblem):
         log: Sequence[bool] | np.ndarray | None = None,
         names: Sequence[str] | None = None,
         norm: Sequence[float] | np.ndarray | None = None,
+        piece: Sequence[int] | np.ndarray | None = None,
     ):
         self.lower, self.upper = np.array(lower, np.float64), np.array(upper, np.float64)
         if self.lower.shape != self.upper.shape or self.lower.ndim != 1 or not np.all(self.lower < self.upper):
@@ -192,38 +204,53 @@ class FunctionProblem(AbstractProblem):
         self.log = np.zeros(n, bool) if log is None else np.asarray(log, bool)
         self.loss_name, self.programs, self.work = loss, {}, 0
         self._names = [f"z{i + 1}" for i in range(n)] if names is None else list(names)
-        self._compile_time_s = 0.0
+        self._compile_time_s = [0.0]  # shared by its parts
         self._residual = lambda z: jnp.reshape(r := residual(z), (r.shape[0], -1))
         with float64():
-            shape = jax.eval_shape(self._residual, jax.ShapeDtypeStruct((n,), np.float64)).shape
-        count = np.full(shape[1], float(shape[0]))
-        self._data = _Counts(count, np.ones(shape[1]) if norm is None else np.array(norm, np.float64))
+            samples, columns = jax.eval_shape(self._residual, jax.ShapeDtypeStruct((n,), np.float64)).shape
+        self._piece = np.zeros(samples, int) if piece is None else np.asarray(piece)
+        self._data = Weighted(
+            np.full(columns, float(samples)), np.ones(columns) if norm is None else np.array(norm, np.float64), np.ones(samples)
+        )
 
     @property
     def names(self) -> list[str]:
         return self._names
 
     @property
-    def data(self) -> _Counts:
+    def data(self) -> Weighted:
         return self._data
 
     @property
     def pure(self) -> Losses:
         residual, total = self._residual, LOSSES[self.loss_name]
 
-        def losses(z: Array, data: _Counts) -> Array:
-            r = jax.vmap(residual)(z)
-            sums = jnp.stack([jnp.sum(r**2, 1), jnp.sum(r**2, 1), jnp.sum(jnp.abs(r), 1)], 1)
+        def losses(z: Array, data: Weighted) -> Array:
+            w = data.w[:, None]
+            e = jnp.where(w > 0, jax.vmap(residual)(z), 0.0)
+            sums = jnp.stack([jnp.sum((w * e) ** 2, 1), jnp.sum(e**2, 1), jnp.sum(jnp.abs(e), 1)], 1)
             return penalised(total(sums, data.count, data.norm))
 
         return losses
 
     @property
     def compile_time_s(self) -> float:
-        return self._compile_time_s
+        return self._compile_time_s[0]
 
     def add_compile_time(self, seconds: float) -> None:
-        self._compile_time_s += seconds
+        self._compile_time_s[0] += seconds
+
+    @property
+    def pieces(self) -> int:
+        return int(self._piece.max()) + 1
+
+    def part(self, pieces, weights):
+        twin = copy.copy(self)
+        w = np.zeros(len(self._piece))
+        for piece, weight in zip(pieces, weights, strict=True):
+            w[self._piece == piece] = np.sqrt(weight)
+        twin._data = Weighted(np.full(len(self._data.norm), np.sum(w**2)), self._data.norm, w)
+        return twin
 
     @classmethod
     def rows(cls, jobs: Sequence[tuple[FunctionProblem, np.ndarray]], share: float = 1.0) -> Iterator[Rows]:
@@ -232,15 +259,20 @@ class FunctionProblem(AbstractProblem):
             with float64():
                 z = np.asarray(z, np.float64)
                 r, J = (np.asarray(a) for a in p.compiled("rows", both, z)(z))
-            kept = max(1, round(share * len(r)))
-            yield Rows(j, 0, r[:kept], J[:kept], list(range(p.size)), np.ones((kept, r.shape[1])))
+            kept = np.flatnonzero(p._data.w > 0)
+            kept = kept[: max(1, round(share * len(kept)))]
+            w = p._data.w[kept]
+            yield Rows(
+                j, 0, w[:, None] * r[kept], w[:, None, None] * J[kept], list(range(p.size)), np.tile(w[:, None], r.shape[1])
+            )
 
 
-class _Counts(NamedTuple):
-    """Residuals, and sum of squares of the measured signal, per column."""
+class Weighted(NamedTuple):
+    """Sum of the squared weights and sum of squares of the measured signal, per column; weights per sample."""
 
     count: Any
     norm: Any
+    w: Any
 
 
 def linearise(jobs: Sequence[tuple[AbstractProblem, np.ndarray]], share: float = 1.0) -> list[Linear]:

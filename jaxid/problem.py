@@ -74,9 +74,10 @@ class Problem(AbstractProblem):
         self.upper = np.concatenate([self._search(upper[self.free]), (self.start0 + reach)[rows, columns]])
         typical = 0.02 * (self.upper - self.lower)[: self.free.size] if scale is None else scale[self.free]
         self.scale = np.concatenate([np.where(self.log, 1.0, typical), 0.1 * reach[rows, columns]])
+        self._whole = lower, upper, scale
         self.programs = runs.engine.programs
         self.work = int(runs.engine.steps[self.records].max()) * len(self.records)
-        self.targets = runs.targets
+        self.targets, self.weights = runs.targets, runs.weights
         self._data: Data | None = None
 
     def _start_reach(self) -> np.ndarray:
@@ -132,8 +133,10 @@ class Problem(AbstractProblem):
         if self._data is None:
             engine, records = self.runs.engine, self.records
             count, norm = self._scales()
+            own = self.weights is not self.runs.weights
+            samples = engine.samples._replace(w=self.weights) if own else engine.samples
             self._data = Data(
-                engine.samples, self.base, self.free, self.log, self.start0, self.start_rows, self.start_columns,
+                samples, self.base, self.free, self.log, self.start0, self.start_rows, self.start_columns,
                 engine.overrides[records], engine.where[records],
                 np.array([self.runs.record(r).count for r in records], np.int32), engine.steps[records].max(), count, norm,
             )  # fmt: skip
@@ -157,6 +160,20 @@ class Problem(AbstractProblem):
         tangents. All jobs are on the same runs."""
         return _lanes(jobs, share)
 
+    @property
+    def pieces(self) -> int:
+        return len(self.records)
+
+    def part(self, pieces, weights):
+        records = [self.records[k] for k in pieces]
+        lower, upper, scale = self._whole
+        twin = Problem(self.runs, self.base, self.free, lower, upper, records, self.loss_name, scale)
+        if any(w != 1 for w in weights):
+            twin.weights = self.weights.copy()
+            for number, w in zip(records, weights, strict=True):
+                twin.weights[self.runs.record(number).samples] *= np.sqrt(w)
+        return twin
+
     def with_targets(self, targets: np.ndarray) -> Problem:
         """The same problem with other measurements (the shape of `runs.targets`) in its residual and Jacobian. `losses` goes on
         to compare with the recorded ones."""
@@ -165,12 +182,13 @@ class Problem(AbstractProblem):
         return twin
 
     def _scales(self) -> tuple[np.ndarray, np.ndarray]:
-        """Per residual column: the number of samples, and the sum of squares of the measured signal."""
+        """Per residual column: the number of samples (by their weight), and the sum of squares of the measured signal."""
         count, norm = 0.0, 0.0
         for r in self.records:
             record = self.runs.record(r)
-            w = self.runs.weights[record.samples] > 0
-            count = count + w.sum(0)
+            w = self.weights[record.samples] > 0
+            share = self.weights[record.samples] / np.where(w, self.runs.weights[record.samples], 1.0)
+            count = count + (share**2).sum(0)
             norm = norm + np.sum(np.where(w, self.runs.targets[record.samples], 0.0) ** 2, 0)
         return np.asarray(count, float), np.asarray(norm, float)
 
@@ -249,7 +267,7 @@ def _lanes(jobs: Sequence[tuple[Problem, np.ndarray]], share: float) -> Iterator
         number = jobs[j][0].records[row]
         r = runs.record(number)
         at = r.samples if share == 1 else r.samples[r.samples < r.offset + share * r.count]
-        inside, w = at - r.offset + r.lead, runs.weights[at]
+        inside, w = at - r.offset + r.lead, jobs[j][0].weights[at]
         residual = w * (y[k][inside] - jobs[j][0].targets[at])
         columns = [c for _, _, c in lanes[k:until] if c >= 0]
         J = np.stack([w * dy[k + i][inside] for i in range(len(columns))], -1) if columns else np.zeros((*w.shape, 0))
