@@ -75,7 +75,7 @@ class CMAES(AbstractPopulation):
     def tell(self, state, candidates, losses):
         dim = candidates.shape[1]
         w, mu_eff, c_sigma, d_sigma, c_C, c_1, c_mu = self._constants(dim)
-        best = candidates[jnp.argsort(losses)[: len(w)]]
+        best = candidates[jax.lax.top_k(-losses, len(w))[1]]
         steps = (best - state.mean) / state.scale / state.sigma
         step = w @ steps
         mean = state.mean + state.scale * state.sigma * step

@@ -77,9 +77,19 @@ class DifferentialEvolution(AbstractPopulation):
 def donors(key: PRNGKeyArray, x: Float[Array, "pop dim"], count: int = 3) -> list[Float[Array, "pop dim"]]:
     """For each member `count` others, all different: the population rolled by distinct random distances."""
     pop = x.shape[0]
-    rank = jnp.argsort(jax.random.uniform(key, (pop - 1,), jnp.float32))[:count] + 1
+    draw = jax.random.uniform(key, (count,), jnp.float32)
+    shifts: list[Array] = []
+    ordered: list[Array] = []
+    for k in range(count):
+        shift = 1 + jnp.minimum(jnp.floor(draw[k] * (pop - 1 - k)), pop - 2 - k).astype(jnp.int32)
+        for taken in ordered:  # the draw counts only the distances that are left
+            shift = jnp.where(shift >= taken, shift + 1, shift)
+        shifts.append(shift)
+        for i in range(len(ordered)):
+            ordered[i], shift = jnp.minimum(ordered[i], shift), jnp.maximum(ordered[i], shift)
+        ordered.append(shift)
     twice = jnp.concatenate([x, x])
-    return [jax.lax.dynamic_slice_in_dim(twice, rank[k], pop) for k in range(count)]
+    return [jax.lax.dynamic_slice_in_dim(twice, shift, pop) for shift in shifts]
 
 
 def dithered(F: tuple[float, float], u: Array) -> Array:

@@ -2,15 +2,14 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
 from typing import ClassVar
 
 import jax
 import numpy as np
 
 from jaxid.fitter import AbstractFitter, AbstractPopulation, Course, Log
-from jaxid.fitters.de import DifferentialEvolution
-from jaxid.fitters.lm import descend, problem_clip
+from jaxid.fitters.ade import RandToBestDE
+from jaxid.fitters.lm import problem_clip, search
 from jaxid.objective import AbstractProblem
 
 
@@ -18,14 +17,14 @@ class Hybrid(AbstractFitter):
     """A population, then bounded Levenberg-Marquardt on its `descents` best distinct points and on the start values, all as one
     batch; recommended where nothing is known of the start. Works on every loss.
 
-    The population takes at most `share` of the budget. If the descents gain on it, the search goes on from their points for
-    another of `rounds`.
+    The population takes at most `share` of the budget. A second of the `rounds` starts anew; rounds that end in the same minimum
+    are enough.
     """
 
     name: ClassVar[str] = "hybrid"
     source: ClassVar[str] = "this library; population and descent as their own fitters"
 
-    population: AbstractPopulation = DifferentialEvolution(popsize=40, generations=40)
+    population: AbstractPopulation = RandToBestDE(popsize=24, generations=30)
     descents: int = 6
     iterations: int = 60
     tolerance: float = 1e-10
@@ -34,32 +33,25 @@ class Hybrid(AbstractFitter):
 
     def minimise(self, problem, starts, key, budget=None, progress=None, seconds=None):
         log = Log(problem, self.name, budget, seconds, progress)
-        course, best, converged, stopped = None, problem_clip(problem, starts[0]), False, ""
+        given = [problem_clip(problem, z) for z in starts]
+        best, lowest, converged, stopped = given[0], np.inf, False, ""
         for number in range(self.rounds):
-            if number and (log.exhausted or log.left < 2 * self.population.popsize):
+            if number and log.left < 2 * self.population.popsize:
                 break
-            allowed = self.population.generations
-            if budget is not None:
-                allowed = max(1, min(allowed, int(self.share * log.left / self.population.popsize)))
-            explorer = replace(self.population, generations=allowed)
-            course, _, stopped = explorer.search(problem, starts, jax.random.fold_in(key, number), log, course)
-            found, lowest = course.best
-            if log.exhausted:
-                return log.minimum(found, False, log.exhausted)
-            points = basins(problem, course, self.descents) + [problem_clip(problem, z) for z in starts if number == 0]
-            paths = descend([(problem, z) for z in points], self.iterations, self.tolerance, 1.0, log)
-            path = min(paths, key=lambda p: p.cost)
-            losses = problem.losses(np.array([path.z, found]))
-            gained = losses[0] < losses[1]
-            best, converged, stopped = (path.z, path.converged, path.stopped) if gained else (found, False, stopped)
-            agree = sum(p.cost <= path.cost * (1 + 1e-6) + 1e-300 for p in paths)
-            if agree >= min(3, len(paths)):  # descents from different places end in the same one
+            most = None if budget is None else max(1, int(self.share * log.left / self.population.popsize))
+            course, _, why = self.population.search(problem, given, jax.random.fold_in(key, number), log, most=most)
+            ends = [(course.best[0], False, why)]
+            if not log.exhausted:
+                points = basins(problem, course, self.descents) + given
+                (path,), _ = search([[(problem, z) for z in points]], self.iterations, self.tolerance, log)
+                ends.append((path.z, path.converged, path.stopped))
+            losses = problem.losses(np.array([z for z, _, _ in ends]))
+            k = int(np.argmin(losses))
+            again = number > 0 and abs(losses[k] - lowest) <= 1e-6 * lowest + 1e-300
+            if losses[k] < lowest:
+                lowest, (best, converged, stopped) = float(losses[k]), ends[k]
+            if again or log.exhausted:
                 break
-            points, losses = np.array(course.points), np.array(course.losses)
-            worst = np.argsort(-losses)[: len(paths)]
-            points[worst] = [p.z for p in paths[: len(worst)]]
-            losses[worst] = problem.losses(points[worst])
-            course = self.population.course(problem, jax.random.fold_in(key, 1000 + number), points, losses)
         return log.minimum(best, converged, log.exhausted or stopped)
 
 

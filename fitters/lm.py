@@ -1,7 +1,8 @@
 """Bounded Levenberg-Marquardt, all starts as one batch.
 
-Minimise |r(z)|^2 / 2 with lower <= z <= upper: solve (H + mu D) dz = -g on the variables that are not held at a bound, with
-H = J'J, g = J'r, D = diag H, and mu by the gain ratio (Nielsen, Damping Parameter in Marquardt's Method, IMM-REP-1999-05).
+Minimise |r(z)|^2 / 2 with lower <= z <= upper: solve (H + mu D^2) dz = -g on the variables that are not held at a bound, with
+H = J'J, g = J'r, D^2 the largest diag H so far, and mu such that |D dz| is at most the radius of a trust region (More, The
+Levenberg-Marquardt Algorithm: Implementation and Theory, 1978).
 Sums of norms or of absolute values are the same with H of the reweighted least-squares problem (Lawson 1961).
 """
 
@@ -30,7 +31,7 @@ class LevenbergMarquardt(AbstractFitter):
     """
 
     name: ClassVar[str] = "lm"
-    source: ClassVar[str] = "Levenberg 1944, Marquardt 1963; damping of Nielsen 1999; bounds by projection; Lawson 1961"
+    source: ClassVar[str] = "Levenberg 1944, Marquardt 1963, More 1978; bounds by an active set; reweighting of Lawson 1961"
 
     restarts: int = 4
     iterations: int = 60
@@ -107,8 +108,8 @@ class Path:
     cost: float = np.inf
     gradient: np.ndarray | None = None
     hessian: np.ndarray | None = None
-    mu: float = 1e-3
-    nu: float = 2.0
+    radius: float = np.inf
+    scale: np.ndarray | None = None
     count: int = 0
     linearisations: int = 0
     converged: bool = False
@@ -163,59 +164,88 @@ def _accept(path: Path, trial: np.ndarray, new: Linear, tolerance: float, curvat
     path.linearisations += 1
     path.count = new.count
     finite = np.isfinite(cost) and np.isfinite(new.gradient).all() and np.isfinite(new.hessian).all()
-    first = path.gradient is None
-    if first:
+    if path.gradient is None:
         if not finite:
             path.converged, path.stopped = True, "the start diverges"
             return
         path.cost, path.gradient, path.hessian = cost, new.gradient, new.hessian
+        path.scale = _scale(new.hessian)
+        path.radius = float(np.linalg.norm(path.scale * _typical(path.problem, path.z)))
         assert path.history is not None
         path.history.append((path.linearisations, cost))
         return
-    assert path.gradient is not None and path.hessian is not None and path.history is not None
+    assert path.hessian is not None and path.history is not None and path.scale is not None
     dz = trial - path.z
+    length = float(np.linalg.norm(path.scale * dz))
     predicted = -(path.gradient @ dz + dz @ path.hessian @ dz / 2)
     gained = path.cost - cost if finite else -np.inf
+    rho = gained / max(predicted, 1e-300)
+    if rho < 0.25:
+        path.radius = 0.25 * length if finite else 0.1 * length
+    elif rho > 0.75:
+        path.radius = max(path.radius, 2 * length)
     if finite and gained > 0:
-        rho = gained / max(predicted, 1e-300)
-        path.mu *= float(max(1 / 3, 1 - (2 * min(max(rho, 0.0), 1.0) - 1) ** 3))
-        path.nu = 2.0
-        small = gained <= tolerance * path.cost and predicted <= 100 * tolerance * path.cost
+        small = cost == 0 or (gained <= tolerance * path.cost and predicted <= 100 * tolerance * path.cost)
         path.hessian = curvature(path, trial, new)
         path.z, path.cost, path.gradient = trial, cost, new.gradient
+        path.scale = np.maximum(path.scale, _scale(path.hessian))
         if small:
             path.converged, path.stopped = True, "tolerance"
     else:
         if predicted <= tolerance * path.cost:
             path.converged, path.stopped = True, "tolerance"
-        path.mu *= path.nu
-        path.nu *= 2
-        if path.mu > 1e12:
+        if path.radius <= 1e-12 * np.linalg.norm(path.scale * _typical(path.problem, path.z)):
             path.converged, path.stopped = True, "no step lowers the loss any further"
     path.history.append((path.linearisations, path.cost))
 
 
+def _scale(hessian: np.ndarray) -> np.ndarray:
+    return np.sqrt(np.maximum(np.diag(hessian), 0.0) + 1e-300)
+
+
+def _typical(problem: AbstractProblem, z: np.ndarray) -> np.ndarray:
+    """How far a first step may go: a factor of e, or the size of the variable, and never more than half its range."""
+    log = np.zeros(problem.size, bool)
+    log[: problem.free.size] = problem.log
+    return np.minimum(np.where(log, 1.0, np.maximum(np.abs(z), 5 * problem.scale)), (problem.upper - problem.lower) / 2)
+
+
 def _step(path: Path) -> np.ndarray:
-    assert path.gradient is not None and path.hessian is not None
-    z, g, H = path.z, path.gradient, path.hessian
+    """The next trial: the model's minimum within radius and bounds."""
+    assert path.gradient is not None and path.hessian is not None and path.scale is not None
+    z, g, H, scale = path.z, path.gradient, path.hessian, path.scale
     lower, upper = path.problem.lower, path.problem.upper
     free = ~(((z <= lower) & (g > 0)) | ((z >= upper) & (g < 0)))
     dz = np.zeros_like(z)
-    scale = np.sqrt(np.maximum(np.diag(H), 0.0) + 1e-300)
-    A = H / scale / scale[:, None]
-    A[np.diag_indices_from(A)] = 1 + path.mu + 1e-14
     for _ in range(z.size + 1):  # a variable that would leave its bounds goes to the bound, and the rest is solved again
         index = np.flatnonzero(free)
         if not index.size:
             break
         pull = (g + H @ np.where(free, 0.0, dz))[index] / scale[index]
-        dz[index] = -np.linalg.solve(A[np.ix_(index, index)], pull) / scale[index]
+        held = float(np.sum((scale * np.where(free, 0.0, dz)) ** 2))
+        left = np.sqrt(max(path.radius**2 - held, (0.1 * path.radius) ** 2))
+        dz[index] = _within(H[np.ix_(index, index)] / scale[index] / scale[index][:, None], pull, left) / scale[index]
         out = free & ((z + dz < lower) | (z + dz > upper))
         if not out.any():
             break
         dz = np.where(out, np.clip(z + dz, lower, upper) - z, dz)
         free &= ~out
     return np.clip(z + dz, lower, upper)
+
+
+def _within(A: np.ndarray, b: np.ndarray, radius: float) -> np.ndarray:
+    """The x with |x| <= radius that minimises b'x + x'Ax / 2, A positive semidefinite."""
+    values, vectors = np.linalg.eigh(A)
+    values = np.maximum(values, 1e-14)
+    c = vectors.T @ b
+    mu, x = 0.0, c
+    for _ in range(30):  # Newton on 1 / |x| - 1 / radius, which is nearly linear in mu
+        x = c / (values + mu)
+        size = np.linalg.norm(x)
+        if size <= 1.1 * radius:
+            break
+        mu += (size - radius) / radius * size**2 / np.sum(x**2 / (values + mu))
+    return -vectors @ x
 
 
 def distinct(points: Sequence[np.ndarray]) -> list[np.ndarray]:

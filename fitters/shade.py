@@ -57,7 +57,7 @@ class Shade(AbstractPopulation):
         x = state.population
         pop, dim = x.shape
         k_best, k_a, k_b, k_cross, k_forced = jax.random.split(key, 5)
-        leaders = jnp.argsort(state.losses)[: max(2, round(self.pbest * pop))]
+        leaders = jax.lax.top_k(-state.losses, max(2, round(self.pbest * pop)))[1]
         best = x[leaders[jax.random.randint(k_best, (pop,), 0, len(leaders))]]
         own = jnp.arange(pop)
         a = (own + jax.random.randint(k_a, (pop,), 1, pop)) % pop

@@ -162,7 +162,8 @@ class AbstractPopulation(AbstractFitter):
     """Abstract: a population method in four pure functions over the search vectors z; bounds are kept by the base.
 
     `popsize` and `generations` are fields of every final class. A search ends when it has not gained a relative `tolerance` for
-    `stall` generations (0: never) or the population has collapsed to one point, and starts anew `restarts` times.
+    `stall` generations (0: never) or the population has collapsed to one point, and starts anew at most `restarts` times, until
+    two in a row end in the same minimum.
     """
 
     popsize: eqx.AbstractVar[int]
@@ -219,20 +220,31 @@ class AbstractPopulation(AbstractFitter):
                 break
             own = starts if attempt == 0 else starts[:1]
             course, converged, stopped = fitter.search(problem, own, jax.random.fold_in(key, attempt), log)
+            agree = abs(course.best[1] - best[1]) <= 1e-6 * abs(best[1]) + 1e-300
             best = min(best, course.best, key=lambda pair: pair[1])
+            if attempt and agree and converged:
+                stopped = f"restarts end in the same minimum ({stopped})"
+                break
             fitter = fitter.again()
         return log.minimum(best[0], converged, stopped)
 
     def search(
-        self, problem: AbstractProblem, starts: Sequence[np.ndarray], key: PRNGKeyArray, log: Log, course: Course | None = None
+        self,
+        problem: AbstractProblem,
+        starts: Sequence[np.ndarray],
+        key: PRNGKeyArray,
+        log: Log,
+        course: Course | None = None,
+        most: int | None = None,
     ) -> tuple[Course, bool, str]:
         """One run of the method until a stopping rule holds: (course, converged, why it stopped). With a `course` it goes on
-        from there. Every candidate and the budget are counted in the log."""
+        from there; `most` generations, if that is less than the method's own. Every evaluation is counted in the log."""
         lower, upper, data = problem.lower, problem.upper, problem.data
         with float64():
             key = jnp.asarray(key)
             now = self.begin(problem, starts, key, log) if course is None else course
-            generations = int(min(self.generations, log.left // self.cost(problem)))
+            wanted = self.generations if most is None else min(self.generations, most)
+            generations = int(min(wanted, log.left // self.cost(problem)))
             whole = not self.guided and problem.work * self.offspring < LARGE
             done, chunk = 0, 1
             while done < generations and not log.exhausted:
@@ -257,7 +269,7 @@ class AbstractPopulation(AbstractFitter):
                     return now, True, f"no gain in {self.stall} generations"
                 if float(spread) <= 1e-9 * float(np.max(upper - lower)):
                     return now, True, "the population has collapsed to one point"
-        full = generations < self.generations
+        full = generations < wanted
         return now, False, log.exhausted or ("the budget of evaluations is used up" if full else "all generations done")
 
     def begin(self, problem: AbstractProblem, starts: Sequence[np.ndarray], key: PRNGKeyArray, log: Log) -> Course:
@@ -277,7 +289,7 @@ class AbstractPopulation(AbstractFitter):
     def course(self, problem: AbstractProblem, key: PRNGKeyArray, points: np.ndarray, losses: np.ndarray) -> Course:
         """A course that begins with this evaluated population."""
         with float64():
-            program = problem.compiled((type(self), repr(self), "init"), self.init, key, points, losses)
+            program = problem.compiled((type(self), repr(self), "init"), self.init, key, points, losses, own=False)
             return Course(program(key, points, losses), points, losses, np.float64(losses.min()), np.int32(0))
 
     def _generation(
@@ -287,10 +299,10 @@ class AbstractPopulation(AbstractFitter):
         course = course._replace(state=self.informed(problem, course.state, log))
         name = (type(self), repr(self))
         args = key, np.int32(number), course.state, problem.lower, problem.upper
-        candidates = np.asarray(problem.compiled((*name, "ask"), _proposal(self), *args)(*args))
+        candidates = np.asarray(problem.compiled((*name, "ask"), _proposal(self), *args, own=False)(*args))
         losses = problem.losses(candidates)
         args = course, candidates, losses
-        course, spread = problem.compiled((*name, "tell"), _selection(self), *args)(*args)
+        course, spread = problem.compiled((*name, "tell"), _selection(self), *args, own=False)(*args)
         log.add(self.offspring, float(np.min(losses)))
         return course, spread
 

@@ -30,6 +30,8 @@ PENALTY = 1e30
 #: Blocks of candidates run side by side, one per core; which thread runs a block changes nothing in its result.
 _POOL = ThreadPoolExecutor(max_workers=os.cpu_count() or 1, thread_name_prefix="jaxid-losses")
 _COMPILING = threading.Lock()
+#: Programs that depend on no problem.
+_PROGRAMS: dict[Any, Any] = {}
 
 Losses = Callable[[Array, Any], Array]
 
@@ -139,19 +141,21 @@ class AbstractProblem(abc.ABC):
         """Loss of each candidate, traceable; a candidate that diverges gets PENALTY."""
         return self.pure(z, data)
 
-    def compiled(self, name: Any, function: Callable, *args: Any) -> Any:
-        """The executable of a function for arguments of these shapes, compiled once for all problems of this structure.
+    def compiled(self, name: Any, function: Callable, *args: Any, own: bool = True) -> Any:
+        """The executable of a function for arguments of these shapes, compiled once for all problems of this structure, or for
+        all problems if it does not depend on them (`own` False).
 
         `name` tells functions apart. Call it and its executable in float64.
         """
+        programs = self.programs if own else _PROGRAMS
         leaves, tree = jax.tree.flatten(args)
         key = (name, self.loss_name, tree, tuple((np.shape(a), str(getattr(a, "dtype", type(a)))) for a in leaves))
         with _COMPILING:
-            if key not in self.programs:
+            if key not in programs:
                 began = time.perf_counter()
-                self.programs[key] = jax.jit(function).lower(*args).compile()
+                programs[key] = jax.jit(function).lower(*args).compile()
                 self.add_compile_time(time.perf_counter() - began)
-        return self.programs[key]
+        return programs[key]
 
     def losses(self, z: np.ndarray) -> np.ndarray:
         """Loss of each row of z [pop size], on all cores; the same program and numbers for every fitter."""

@@ -74,7 +74,7 @@ class Problem(AbstractProblem):
         self.upper = np.concatenate([self._search(upper[self.free]), (self.start0 + reach)[rows, columns]])
         typical = 0.02 * (self.upper - self.lower)[: self.free.size] if scale is None else scale[self.free]
         self.scale = np.concatenate([np.where(self.log, 1.0, typical), 0.1 * reach[rows, columns]])
-        self._whole = lower, upper, scale
+        self.whole = lower, upper, scale
         self.programs = runs.engine.programs
         self.work = int(runs.engine.steps[self.records].max()) * len(self.records)
         self.targets, self.weights = runs.targets, runs.weights
@@ -166,7 +166,7 @@ class Problem(AbstractProblem):
 
     def part(self, pieces, weights):
         records = [self.records[k] for k in pieces]
-        lower, upper, scale = self._whole
+        lower, upper, scale = self.whole
         twin = Problem(self.runs, self.base, self.free, lower, upper, records, self.loss_name, scale)
         if any(w != 1 for w in weights):
             twin.weights = self.weights.copy()

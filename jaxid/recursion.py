@@ -55,7 +55,7 @@ def follow(
     """
     course: Course | None = None
     names: list[str] = []
-    online = replace(fitter, generations=generations, stall=0)
+    online = replace(fitter, stall=0)
     for number, problem in enumerate(problems):
         own = jax.random.fold_in(key, number)
         log = Log(problem, fitter.name)
@@ -66,7 +66,7 @@ def follow(
             losses = problem.losses(points)
             log.add(len(points), float(losses.min()))
             course = online.course(problem, jax.random.fold_in(own, 1), points, losses)
-            course, converged, stopped = online.search(problem, starts, own, log, course)
+            course, converged, stopped = online.search(problem, starts, own, log, course, generations)
         names = problem.names
         yield log.minimum(course.best[0], converged, stopped)
 

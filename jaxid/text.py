@@ -270,12 +270,12 @@ def comparison_rows(c: Comparison) -> list[list[str]]:
     """One line a fitter: the cells of the table that terminal and report share."""
     rows = []
     for s in c.table:
-        rate = lambda won, interval, runs=s.runs: f"{won}/{runs} ({percent(interval[0])} to {percent(interval[1])})"
+        low, high = s.success_interval_95
         rows.append(
             [
                 one_line(s.fitter),
-                rate(s.successes, s.success_interval_95),
-                rate(s.in_time, s.in_time_interval_95),
+                f"{s.successes}/{s.runs} ({100 * low:.0f} to {100 * high:.0f} %)",
+                f"{s.in_time}/{s.runs}",
                 spread(s.evaluations_to_target),
                 spread(s.seconds_to_target),
                 count(s.expected_evaluations),

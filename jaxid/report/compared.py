@@ -19,9 +19,11 @@ if TYPE_CHECKING:
 
 
 COLORS = (plot.BLUE, plot.VERMILLION, plot.GREEN, plot.ORANGE, plot.PURPLE, plot.SKY, plot.BLACK, plot.GREY)
-DASHES = ("-", "--", "-.", ":")
+DASHES, MARKERS = ("-", "--", "-.", ":"), ("o", "^", "s", "D")
 #: Shares of the best loss below this are drawn at it.
 LOWEST = 1e-9
+#: A loss so many times the best known is that of a run that has not yet found a simulation that holds.
+DIVERGED = 1e9
 
 
 def section(c: Comparison) -> Section:
@@ -43,10 +45,11 @@ def section(c: Comparison) -> Section:
     )
 
 
-def style(c: Comparison, fitter: str) -> tuple[str, str]:
-    """Colour and dash of a fitter."""
+def style(c: Comparison, fitter: str) -> tuple[str, str, str]:
+    """Colour, dash and marker of a fitter."""
     k = c.fitters.index(fitter)
-    return COLORS[k % len(COLORS)], DASHES[(k // len(COLORS)) % len(DASHES)]
+    turn = (k // len(COLORS)) % len(DASHES)
+    return COLORS[k % len(COLORS)], DASHES[turn], MARKERS[turn]
 
 
 def excess(c: Comparison, loss: np.ndarray) -> np.ndarray:
@@ -68,12 +71,13 @@ def draw_convergence(c: Comparison, axes: Axes, by: str) -> None:
             continue
         grid = np.geomspace(max(min(ends), 1e-4), max(ends) * (1 + 1e-9), 160)
         curves = np.array([excess(c, along(r, grid, column)) for r in runs])
+        curves[curves >= DIVERGED] = np.nan
         seen = np.isfinite(curves).sum(0) >= (len(runs) + 1) / 2
         if not seen.any():
             continue
         with np.errstate(all="ignore"):
             low, middle, high = np.nanpercentile(curves[:, seen], [10, 50, 90], axis=0)
-        color, dash = style(c, fitter)
+        color, dash, _ = style(c, fitter)
         axes.fill_between(grid[seen], low, high, step="post", color=color, alpha=0.12, linewidth=0)
         axes.step(grid[seen], middle, where="post", color=color, linestyle=dash, label=plot.label(fitter, 20))
     axes.axhline(c.tolerance, color=plot.GREY, linestyle="--", linewidth=0.8)
@@ -108,11 +112,18 @@ def _scatter(c: Comparison, figure) -> None:
             x = np.clip([(r.parameters[name] - known.value) / width(known) for r in runs], -plot.LARGEST, plot.LARGEST)
             y = np.full(len(runs), k + 0.7 * ((j + 0.5) / len(fitters) - 0.5))
             won = np.array([r.loss <= c.target for r in runs])
-            color, _ = style(c, fitter)
+            color, _, marker = style(c, fitter)
             axes.scatter(
-                x[won], y[won], s=13, color=color, linewidths=0, alpha=0.8, label=plot.label(fitter, 20) if not k else None
+                x[won],
+                y[won],
+                s=13,
+                marker=marker,
+                color=color,
+                linewidths=0,
+                alpha=0.8,
+                label=plot.label(fitter, 20) if not k else None,
             )
-            axes.scatter(x[~won], y[~won], s=13, facecolors="none", edgecolors=color, linewidths=0.8)
+            axes.scatter(x[~won], y[~won], s=13, marker=marker, facecolors="none", edgecolors=color, linewidths=0.8)
     axes.set_xscale("symlog", linthresh=1.0)
     axes.axvline(0, color=plot.GREY, linewidth=0.8)
     axes.set_yticks(range(len(names)), [plot.label(f"{n} = {text.number(c.best[n].value)} {c.best[n].unit}", 40) for n in names])
@@ -126,12 +137,19 @@ def _cost(c: Comparison, figure) -> None:
     left, right = figure.subplots(1, 2, sharey=True)
     for fitter in c.fitters:
         runs = c.of(fitter)
-        color, _ = style(c, fitter)
+        color, _, marker = style(c, fitter)
         y = excess(c, np.array([r.loss for r in runs]))
         left.scatter(
-            [max(r.evaluations, 1) for r in runs], y, s=14, color=color, alpha=0.75, linewidths=0, label=plot.label(fitter, 20)
+            [max(r.evaluations, 1) for r in runs],
+            y,
+            s=14,
+            marker=marker,
+            color=color,
+            alpha=0.75,
+            linewidths=0,
+            label=plot.label(fitter, 20),
         )
-        right.scatter([max(r.seconds, 1e-4) for r in runs], y, s=14, color=color, alpha=0.75, linewidths=0)
+        right.scatter([max(r.seconds, 1e-4) for r in runs], y, s=14, marker=marker, color=color, alpha=0.75, linewidths=0)
     for axes, title in ((left, "evaluations of a run"), (right, "seconds of a run (without compiling)")):
         axes.axhline(c.tolerance, color=plot.GREY, linestyle="--", linewidth=0.8)
         axes.set_xscale("log")
