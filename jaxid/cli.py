@@ -240,6 +240,13 @@ def catalogue(kind: str, name: str | None, as_json: bool, quiet: bool) -> int:
     return SUCCESS
 
 
+def register() -> None:
+    """Commands that live in modules of their own; they are as light to import as this one."""
+    from jaxid.cli_compare import compare
+
+    cli.add_command(compare)
+
+
 def start(dataset: str, out: Path) -> tuple[Any, Any]:
     """Loads the dataset, then makes sure that results can be written, before any long work."""
     from jaxid import runtime
@@ -357,6 +364,7 @@ def main(arguments: list[str] | None = None) -> int:
         # A terminal that cannot show `±` gets `?` instead of an error; streams replaced by others stay as they are.
         if callable(reconfigure := getattr(stream, "reconfigure", None)):
             reconfigure(errors="replace")
+    register()
     try:
         code = cli.main(args=arguments, prog_name="jaxid", standalone_mode=False)
         sys.stdout.flush()
