@@ -152,7 +152,7 @@ def diagnose(dataset, out, model, max_effects, effects, without, residual, seed,
 def simulate(dataset, parameters, out, model, as_json, quiet) -> int:
     """Run a model on a dataset's inputs.
 
-    Writes run_1.parquet … and simulation.json into DIR.
+    Writes run_1.parquet …, run_1.png … (poses of the mechanism over time) and simulation.json into DIR.
     """
     fitted = read_parameters(parameters)
     jaxid, data = start(dataset, out)
@@ -164,6 +164,8 @@ def simulate(dataset, parameters, out, model, as_json, quiet) -> int:
         partial = out / f"run_{i}.parquet.partial"
         pyarrow.parquet.write_table(pyarrow.table(dict(run)), partial)
         partial.replace(out / f"run_{i}.parquet")
+        if (moving := result.motion(i - 1)) is not None:
+            moving.strip().figure.savefig(out / f"run_{i}.png", dpi=120)
     save(result, out)
     show(result, as_json, quiet)
     return SUCCESS

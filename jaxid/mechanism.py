@@ -116,6 +116,10 @@ class Mechanism(eqx.Module):
     def inverse(self, q: Float[Array, " nq"], qd: Float[Array, " nq"], qdd: Float[Array, " nq"]) -> Float[Array, " nq"]:
         """Joint torque that this motion needs (friction excluded)."""
 
+    def outline(self, x: Any, signature: Signature) -> Float[Array, "points d"] | None:
+        """Points of a line drawing of state x, m, in the plane or in space (z upwards); None: not to be drawn."""
+        return None
+
     def transfer(
         self, omega: Float[Array, " lines"], slope: Float[Array, " nq"]
     ) -> tuple[Float[Array, "lines ny nq"], Float[Array, "lines ny nq"]] | None:

@@ -164,6 +164,13 @@ class FlexibleLink(Mechanism):
         im = jnp.stack([pi, -w2 * (tr * pi + ti * pr)], 1)
         return re[..., None], im[..., None]
 
+    def outline(self, x, signature):
+        phi, _, e, _ = x
+        along = jnp.linspace(0.0, 1.0, self.n_elements + 1) * self.L
+        across = jnp.concatenate([jnp.zeros(1), (self._parts()[0].shapes @ e)[0::2]])
+        c, s = jnp.cos(phi), jnp.sin(phi)
+        return jnp.stack([c * along - s * across, s * along + c * across], 1)
+
     def inverse(self, q, qd, qdd):
         """Torque of the link moved as a rigid body (the deflection is no function of the hub's motion)."""
         return self._parts()[2] * qdd

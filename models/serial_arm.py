@@ -146,6 +146,9 @@ class AbstractArm(Rigid):
         """Frame of each link in the frame before it."""
         return placements(self, self.prismatic, q)
 
+    def outline(self, x, signature):
+        return jnp.concatenate([jnp.zeros((1, 3)), jnp.stack([jnp.asarray(p) for p in self.frames(x[0]).p], -1)])
+
     def frames(self, q: Float[Array, "n *batch"]) -> Placements:
         """Frame of each link in the base frame."""
         return poses(self.placements(q))
