@@ -188,7 +188,8 @@ class FrequencyResponseError(Residual):
     Experiments of kind "frequency_response" are compared with the linear response. From records the response is estimated:
     `output` (default: the last output) over the model's only input, in `band_hz`, from records of equal length and sampling;
     `linear` compares it with the linear response, else with that of the simulated record. `timed` outputs are compared in time
-    besides. `magnitude` takes gains alone (paper 002's loss); else real and imaginary part, which a wrong sign cannot pass.
+    besides; with measured responses in the dataset those are the lines, and the records are compared in time. `magnitude` takes
+    gains alone (paper 002's loss); else real and imaginary part, which a wrong sign cannot pass.
     """
 
     name: ClassVar[str] = "frequency_response"
@@ -199,13 +200,17 @@ class FrequencyResponseError(Residual):
     band_hz: tuple[float, float] = (0.0, 50.0)
     least_input: float = 0.1
 
+    def _alone(self, dataset: Dataset) -> bool:
+        """Whether measured responses are all there is to compare."""
+        return bool(dataset.responses) and not (self.timed and dataset.experiments)
+
     def select(self, dataset, split):
-        if dataset.responses:
+        if self._alone(dataset):
             return tuple(as_experiment(r, dataset) for r in dataset.responses if r.split == split)
         return dataset.split(split)
 
     def runs(self, dataset, experiments, layout, noise, motions, step=recorded.STEP, shape=(0, 0)):
-        if dataset.responses:
+        if self._alone(dataset):
             return self._lines(dataset, experiments, layout)
         return self._records(dataset, experiments, layout, noise, step, shape)
 
@@ -255,6 +260,8 @@ class FrequencyResponseError(Residual):
         outputs = [n for n, _ in chain.signature.outputs]
         output = len(outputs) - 1 if self.output is None else _position(self.output, outputs, "output")
         timed = tuple(_position(n, outputs, "output") for n in self.timed)
+        if dataset.responses:
+            return self._mixed(dataset, experiments, layout, noise, step, shape, timed)
         counts = {len(e.t) for e in experiments}
         spacing = np.concatenate([np.diff(e.t) for e in experiments])
         if len(counts) > 1 or np.ptp(spacing) > 1e-3 * np.median(spacing):
@@ -298,8 +305,52 @@ class FrequencyResponseError(Residual):
             tuple(experiments), layout, (ratio, *(chain.signature.outputs[k] for k in timed)), np.array(own), engine,
             tuple(range(len(records))), (),
             f"{part} response of the records against the {kind} one, {lines} lines where the input has at least "
-            f"{self.least_input:.0%} of its largest amplitude, no window"
-            + (f"; {', '.join(self.timed)} in time" if timed else ""),
+            f"{self.least_input:.0%} of its largest amplitude, no window{'; ' * bool(timed)}{', '.join(self.timed)}"
+            f"{' in time' * bool(timed)}",
+        )  # fmt: skip
+
+    def _mixed(self, dataset, experiments, layout, noise, step, shape, timed) -> Runs:
+        """Measured lines (in the first record's rows) beside records that are compared in time."""
+        if not self.linear:
+            raise UsageError("measured responses are compared with the linear one: say linear=True, or leave `timed` empty")
+        chain, split = layout.chain, experiments[0].split
+        outputs, inputs = ([n for n, _ in c] for c in (chain.signature.outputs, chain.signature.inputs))
+        samples, positions = recorded.build(dataset, experiments, chain, noise, step, size=shape[0])
+        _, iy = recorded.columns(dataset, chain)
+        n = len(samples.t)
+        y, w, x = np.zeros((n, 1 + len(timed))), np.zeros((n, 1 + len(timed))), np.zeros((n, 3))
+        row, records, statements = int(positions[0][0]), [], []
+        measured = [r for r in dataset.responses if r.split == split]
+        for one in measured:
+            lines = merged(one)
+            inside = (lines.omega >= 2 * np.pi * self.band_hz[0]) & (lines.omega <= 2 * np.pi * self.band_hz[1])
+            where = _position(one.output, outputs, "output"), _position(one.input, inputs, "input")
+            target, weight = _parts(lines.response[inside], lines.std[inside], self.magnitude)
+            rows = slice(row, row + target.size)
+            if rows.stop > positions[0][-1] + 1:
+                raise UsageError("there are more lines than steps in the first run: narrow band_hz")
+            y[rows, 0], w[rows, 0] = target, weight
+            x[rows] = np.repeat(np.column_stack([lines.omega[inside], np.tile(where, (inside.sum(), 1))]), 2, 0)
+            row += target.size
+            statements.append(lines.statement)
+        for number, e in enumerate(experiments):
+            p = positions[number]
+            for c, k in enumerate(timed):
+                y[p, 1 + c], w[p, 1 + c] = e.y[:, iy[k]], 1 / noise[k]
+            record = _record(number, e, p, 0, len(e.t), dataset, chain, False)
+            kept = np.flatnonzero((w[p[0] : p[-1] + 1] > 0).any(1)) + p[0]
+            records.append(Record(**{**record.__dict__, "samples": kept}))
+        lane = record_lane(self.magnitude, True, 0, timed, 0, 1)
+        stated = overrides(layout, experiments, records)
+        engine = Engine(layout, samples._replace(y=y, w=w, x=x), records, stated, lane, shape[1])
+        pairs = {(r.output, r.input) for r in measured}
+        ratio = _ratio(chain, *pairs.pop()) if len(pairs) == 1 else ("response", "SI")
+        own = [float(np.median(1 / w[w[:, 0] > 0, 0])) if measured else 1.0, *(noise[k] for k in timed)]
+        return Runs(
+            tuple(experiments), layout, (ratio, *(chain.signature.outputs[k] for k in timed)), np.array(own), engine,
+            tuple(range(len(records))), (),
+            f"{'gain of the' if self.magnitude else 'complex'} linear frequency response "
+            f"({'; '.join(dict.fromkeys(statements))}), {', '.join(self.timed)} in time",
         )  # fmt: skip
 
 
