@@ -54,7 +54,8 @@ def data(highest: float = HIGHEST) -> Dataset:
     priors = {
         "E": ParameterPrior(2e11, 1e10, 1e12),
         "I_m": ParameterPrior(0.002, 1e-4, 0.2),
-        "v": ParameterPrior(0.1, 0.0, 10.0),
+        "v": ParameterPrior(0.08, 0.0, 10.0),
+        "spring_torque.stiffness@phi": ParameterPrior(0.2, 0.0, 10.0),
     }
     model = ModelSpec("flexible_link", without=(), constants=LINK, parameters=priors)
     channels = (Channel("tau", "input", "N m"), Channel("phi", "output", "rad"))

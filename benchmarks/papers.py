@@ -176,8 +176,8 @@ def main() -> dict:
     text = (
         f"{__doc__.split(chr(10), 2)[2].strip()}\n\n{seeds} seeds each. Truth of 002: E 5.7002e10 Pa, I_m 0.0053 kg m^2, tau_c "
         f"0.1071 N m; the paper's own answers {PAPER_LINK} (its J is not given; it claims DE lowest in mean and spread, GA worst "
-        f"mean, PSO largest spread). Truth of 003: {TRACKER}; the paper's mean F over ten runs is 4195 for GA and 8496 for PSO, on "
-        "its own recordings, and counts one angle a test where ours counts both."
+        f"mean, PSO largest spread). Truth of 003: {TRACKER}; the paper's mean F over ten runs is 4195 for GA and 8496 for PSO, "
+        "on its own recordings, and counts one angle a test where ours counts both."
     )
     return {"title": "The papers' experiments on twins", "text": text, "rows": rows}
 

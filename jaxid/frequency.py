@@ -43,11 +43,14 @@ def transfer(
     command = Command(jnp.zeros(()), jnp.ones(()), u0, u0, lambda d: u0)
     z0 = chain.start(q0, still, u0).z
 
-    def friction(qd, load):
-        return chain.friction(Signals(command.t, q0, qd, load, command.h, command, qd), z0)[0]
+    def opposing(q, qd, load):
+        return chain.friction(Signals(command.t, q, qd, load, command.h, command, qd), z0)[0]
 
-    ny = len(chain.signature.outputs)
-    own = body.transfer(omega, jax.jvp(lambda qd: friction(qd, still), (still,), (jnp.ones_like(still),))[1])
+    ny, ones = len(chain.signature.outputs), jnp.ones_like(still)
+    stiffness, slope = (
+        jax.jvp(lambda q, qd: opposing(q, qd, still), (q0, still), along)[1] for along in ((ones, still), (still, ones))
+    )
+    own = body.transfer(omega, slope, stiffness)
     if own is not None:
         re, im = (a[:, :ny] for a in own)
     else:
@@ -56,7 +59,7 @@ def transfer(
         def torque(x, u):
             q, qd = body.port(unravel(x))
             tau = body.drive(chain.signature, u, q, qd)
-            return tau - friction(qd, tau)
+            return tau - opposing(q, qd, tau)
 
         field = lambda x, u: ravel_pytree(body.vector_field(0.0, unravel(x), torque(x, u)))[0]
         moving = jnp.zeros(chain.nq, bool)

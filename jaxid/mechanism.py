@@ -121,10 +121,10 @@ class Mechanism(eqx.Module):
         return None
 
     def transfer(
-        self, omega: Float[Array, " lines"], slope: Float[Array, " nq"]
+        self, omega: Float[Array, " lines"], slope: Float[Array, " nq"], stiffness: Float[Array, " nq"]
     ) -> tuple[Float[Array, "lines ny nq"], Float[Array, "lines ny nq"]] | None:
-        """Real and imaginary part of outputs / joint torques at omega, with viscous friction `slope` at the joints. None: no
-        closed form, the equation of motion is linearised and solved at each line."""
+        """Real and imaginary part of outputs / joint torques at omega, with viscous friction `slope` and springs at the joints.
+        None: no closed form, the equation of motion is linearised and solved at each line."""
         return None
 
     @abc.abstractmethod

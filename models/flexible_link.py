@@ -145,7 +145,7 @@ class FlexibleLink(Mechanism):
         change = qd - x[1]
         return x[0] + h / 2 * (x[1] + qd) + shift, qd, e - bend * change, z - push * change
 
-    def transfer(self, omega, slope):
+    def transfer(self, omega, slope, stiffness):
         """Sum over the clamped modes, in real arithmetic: eta / phi = omega^2 G / (squares - omega^2 + i omega damping)."""
         kept, damping, inertia, _ = self._parts()
         w2 = omega**2
@@ -156,8 +156,8 @@ class FlexibleLink(Mechanism):
             er, ei = scale * a, -scale * b
             jr, ji = jr + kept.participation[k] * er, ji + kept.participation[k] * ei
             tr, ti = tr + kept.tip[k] * er, ti + kept.tip[k] * ei
-        # phi = 1 / (-w2 J + i omega slope);  tip acceleration = -w2 (L + tip) phi
-        dr, di = -w2 * jr, -w2 * ji + omega * slope[0]
+        # phi = 1 / (stiffness - w2 J + i omega slope);  tip acceleration = -w2 (L + tip) phi
+        dr, di = stiffness[0] - w2 * jr, -w2 * ji + omega * slope[0]
         size = dr * dr + di * di
         pr, pi = dr / size, -di / size
         re = jnp.stack([pr, -w2 * (tr * pr - ti * pi)], 1)
