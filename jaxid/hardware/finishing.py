@@ -114,7 +114,7 @@ def _serve(name: str, unit: str, role: str, have: Mapping[str, Column], joint: i
             entry = {"role": role, "unit": unit, "column": column, "scale": scale}
             resolution = have[column].resolution
             return entry | ({} if resolution is None else {"resolution": abs(scale) * resolution}), column
-    several = sorted(c for c in have if c.rstrip("0123456789") == stem)
+    several = sorted(c for c in have if c.rstrip("0123456789") in (stem, "current" if stem == "tau" else stem))
     hint = f" (there is: {', '.join(several)}; pick one with --joint)" if several and not number and joint is None else ""
     return f"it needs {name!r} in {unit}, which this device does not record{hint}", None
 
