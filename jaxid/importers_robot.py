@@ -75,7 +75,7 @@ def import_lerobot(files: Paths, out: str | os.PathLike[str], *, unit: str | Non
 def import_csv(files: Paths, out: str | os.PathLike[str], *, channels: Sequence[str] = (), overwrite: bool = False) -> Path:
     """Any CSV or Parquet file by a map, one run a file: `channels` are `NAME=COLUMN:UNIT:ROLE`, and `t=COLUMN:UNIT` the time.
 
-    ROLE (input, output, auxiliary) may lack for names by convention: q, position … are outputs; tau, force, current, …_cmd inputs.
+    ROLE (input, output, auxiliary) may lack for names by convention: q, position … are outputs; tau, force, …_cmd inputs.
     """
     chosen = [_parse(c) for c in channels]
     times = [c for c in chosen if c[0] == "t"]

@@ -33,13 +33,14 @@ class Bus:
         import dynamixel_sdk
         import dynamixel_sdk.port_handler as handler
 
-        self.sdk, self.ids, self.form, self._handler = dynamixel_sdk, list(ids), form, handler
+        self.sdk: Any = dynamixel_sdk
+        self.ids, self.form, self._handler = list(ids), form, handler
 
         class Port(dynamixel_sdk.PortHandler):
             """Waits for bytes in the kernel; the SDK alone would keep a core busy asking for them."""
 
             def readPort(self, length: int) -> bytes:
-                if length > 0:
+                if length > 0 and self.ser is not None:
                     select.select([self.ser], [], [], 1e-3)
                 return super().readPort(length)
 
@@ -164,7 +165,8 @@ class Bus:
 
     def expect(self, answer_s: float) -> None:
         """Sets the SDK's time-out after how long an answer takes (its own, 34 ms, is that of a slow adapter)."""
-        self._handler.LATENCY_TIMER = min(16.0, max(4.0, 2e3 * answer_s))  # the SDK waits twice as long, and 2 ms more
+        latency_ms = min(16.0, max(4.0, 2e3 * answer_s))  # the SDK waits twice as long, and 2 ms more
+        self._handler.LATENCY_TIMER = latency_ms  # pyright: ignore[reportAttributeAccessIssue]
 
 
 def main(fd: int) -> None:
@@ -213,11 +215,11 @@ class Session:
             known = ", ".join(name for name, _ in x.MODELS.values())
             raise BusError(f"servo {identity} is of model {model}, whose registers are not known here (known: {known})")
         names = {
-            "firmware": x.FIRMWARE, "return_delay": x.RETURN_DELAY, "operating_mode": x.OPERATING_MODE, "drive_mode": x.DRIVE_MODE,
-            "temperature_limit": x.TEMPERATURE_LIMIT, "current_limit": x.CURRENT_LIMIT, "velocity_limit": x.VELOCITY_LIMIT,
-            "max_position": x.MAX_POSITION, "min_position": x.MIN_POSITION, "torque_enable": x.TORQUE_ENABLE,
-            "status_return": x.STATUS_RETURN, "hardware_error": x.HARDWARE_ERROR, "position_p": x.POSITION_P,
-            "position": x.PRESENT_POSITION, "bus_watchdog": x.BUS_WATCHDOG,
+            "firmware": x.FIRMWARE, "return_delay": x.RETURN_DELAY, "operating_mode": x.OPERATING_MODE,
+            "drive_mode": x.DRIVE_MODE, "temperature_limit": x.TEMPERATURE_LIMIT, "current_limit": x.CURRENT_LIMIT,
+            "velocity_limit": x.VELOCITY_LIMIT, "max_position": x.MAX_POSITION, "min_position": x.MIN_POSITION,
+            "torque_enable": x.TORQUE_ENABLE, "status_return": x.STATUS_RETURN, "hardware_error": x.HARDWARE_ERROR,
+            "position_p": x.POSITION_P, "position": x.PRESENT_POSITION, "bus_watchdog": x.BUS_WATCHDOG,
         }  # fmt: skip
         return {"id": identity, "model": model} | {name: self.bus.get(identity, r) for name, r in names.items()}
 
@@ -354,10 +356,10 @@ class Session:
 
     def let_go(self) -> str:
         """Goal zero at once, then torque off and everything as it was; says what could not be done."""
-        failed = []
-        if self.mode is not None:
-            if self.mode != "position":
-                failed += _tried(lambda: self.bus.write(x.MODES[self.mode or ""][1], [0] * len(self.bus.ids)))
+        failed, mode = [], self.mode
+        if mode is not None:
+            if mode != "position":
+                failed += _tried(lambda: self.bus.write(x.MODES[mode][1], [0] * len(self.bus.ids)))
             for identity in self.bus.ids:
                 failed += _tried(lambda i=identity: self.bus.put(i, x.TORQUE_ENABLE, 0))
             for identity in self.bus.ids:
