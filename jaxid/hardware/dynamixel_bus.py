@@ -303,7 +303,7 @@ class Session:
         self.leash.longest_s = self.data_age = order["data_age"]
         self.leash.tighten(True)
         watchdog = min(127, max(1, round(self.data_age / x.WATCHDOG_S)))
-        self.mode = order["mode"]
+        self.mode = str(order["mode"])
         number, register = x.MODES[self.mode]
         for f in self.found:
             identity = f["id"]
@@ -359,7 +359,8 @@ class Session:
         failed, mode = [], self.mode
         if mode is not None:
             if mode != "position":
-                failed += _tried(lambda: self.bus.write(x.MODES[mode][1], [0] * len(self.bus.ids)))
+                register = x.MODES[mode][1]
+                failed += _tried(lambda: self.bus.write(register, [0] * len(self.bus.ids)))
             for identity in self.bus.ids:
                 failed += _tried(lambda i=identity: self.bus.put(i, x.TORQUE_ENABLE, 0))
             for identity in self.bus.ids:

@@ -43,9 +43,9 @@ class Recording:
         """What a person wants to read of it."""
         if self.dry_run:
             return self.end_reason
+        pace = f"{self.rows} rows in {self.seconds:.2f} s ({self.rate:.1f} a second)"
         lines = [
-            f"{self.rows} rows in {self.seconds:.2f} s ({self.rate:.1f} a second), {self.lost} lost, {self.duplicated} duplicated",
-            f"in {self.folder / self.file}",
+            f"{pace}, {self.lost} lost, {self.duplicated} duplicated: {self.folder / self.file}",
             f"complete: {self.end_reason}" if self.complete else f"NOT complete: {self.end_reason}",
         ]
         return "\n".join([*lines, *(f"- {n}" for n in self.notes)])
@@ -137,7 +137,8 @@ def finish(folder: str | os.PathLike[str], end_reason: str | None = None) -> Rec
     events = read_events(folder)
     closed = next((e for e in reversed(events) if e["kind"] == "end"), None)
     if end_reason is None:
-        end_reason = "the recording process ended without closing the recording" if closed is None else str(closed["text"])
+        unknown = "the recording process ended without closing the recording"
+        end_reason = unknown if closed is None else str(closed["text"])
     complete = closed is not None and bool(closed.get("complete"))
     streams = [Stream.from_dict(s) for s in about["streams"]]
     main = streams[0]
