@@ -176,20 +176,30 @@ def simulate(dataset, parameters, out, model, as_json, quiet) -> int:
 @click.argument("files", type=click.Path(path_type=Path), metavar="FILE…", nargs=-1, required=True)
 @OUT
 @click.option("--overwrite", is_flag=True, help="Replace a folder that has other content.")
+@click.option("--unit", metavar="U", help="lerobot: the unit of states and actions.")
+@click.option("--channel", "channels", multiple=True, metavar="NAME=COLUMN:UNIT[:ROLE]", help="csv: a channel, or t; repeat it.")
 @output_options
-def import_(kind, files, out, overwrite, as_json, quiet) -> int:
+def import_(kind, files, out, overwrite, unit, channels, as_json, quiet) -> int:
     """Convert a recording made by others.
 
-    KIND: emps. Several files of one recording become one dataset folder.
+    KIND: emps, ur_rtde_csv, rosbag, mcap, lerobot, csv. Several files of one recording become one dataset folder.
     """
     import jaxid
-    from jaxid import importers
+    from jaxid import importers, importers_robot as robot
     from jaxid.errors import nearest
 
-    converters = {"emps": importers.import_emps}
+    converters: dict[str, Callable[..., Path]] = {
+        "emps": importers.import_emps,
+        "ur_rtde_csv": robot.import_ur_rtde_csv,
+        "rosbag": robot.import_rosbag,
+        "mcap": robot.import_mcap,
+        "lerobot": robot.import_lerobot,
+        "csv": robot.import_csv,
+    }
     if kind not in converters:
         raise jaxid.UsageError(f"unknown kind of recording {kind!r}{nearest(kind, converters)}")
-    folder = converters[kind](files, out, overwrite=overwrite)
+    more = {"lerobot": {"unit": unit}, "csv": {"channels": channels}}.get(kind, {})
+    folder = converters[kind](files, out, overwrite=overwrite, **more)
     data = jaxid.load_dataset(folder, check_model=False)
     if as_json:
         summary = {

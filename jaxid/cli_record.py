@@ -105,7 +105,7 @@ def recover(folder, as_json, quiet) -> int:
 
 
 def _record(device, out, play, limits, sensors, as_json, quiet, gain, constants, **options) -> int:
-    from jaxid.hardware import DryRun, HardwareError, Limits, record, SensorSpec, Trajectory
+    from jaxid.hardware import HardwareError, Limits, record, SensorSpec, Trajectory
 
     if play is not None:
         play = Trajectory.read(play, device.joints, device.kinds[0])
@@ -131,13 +131,7 @@ def _record(device, out, play, limits, sensors, as_json, quiet, gain, constants,
         return FAILED
     finally:
         signal.signal(signal.SIGTERM, before)
-    if isinstance(result, DryRun):
-        if as_json:
-            print(json.dumps({"schema": 1, "kind": "dry_run", "duration_s": result.plan.duration, "text": result.text}, indent=1))
-        elif not quiet:
-            terminal.say(result.text)
-    else:
-        _show(result, as_json, quiet, getattr(device, "advice", []))
+    _show(result, as_json, quiet, getattr(device, "advice", []))
     return SUCCESS
 
 

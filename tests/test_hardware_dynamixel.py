@@ -13,15 +13,14 @@ from pathlib import Path
 import numpy as np
 import pyarrow.parquet as pq
 import pytest
-from emulators import Emulator, PATIENT_S, signed, SLACK_S, writes
 from hypothesis import given, HealthCheck, settings, strategies as st
 
+from emulators import Emulator, PATIENT_S, signed, SLACK_S, writes
 from jaxid.dataset_io import load_dataset
 from jaxid.errors import UsageError
 from jaxid.hardware import Dynamixel, HardwareError, Limits, record, recover, Trajectory, xseries as x
 from jaxid.hardware.dynamixel_bus import Bus
 from jaxid.hardware.link import Driver
-from jaxid.hardware.session import DryRun
 
 
 LIMITS = Limits(data_age=PATIENT_S)
@@ -204,7 +203,7 @@ def test_a_current_stays_a_current_unless_a_gain_is_stated(servo, tmp_path):
 def test_without_live_nothing_is_written(servo, tmp_path):
     since = time.monotonic()
     result = record(Dynamixel(servo.address, mode="current", rate=RATE), tmp_path / "out", play=path())
-    assert isinstance(result, DryRun)
+    assert result.dry_run and not result.complete
     record(Dynamixel(servo.address, rate=RATE), tmp_path / "watched", 0.3)
     assert writes(servo.log(since=since)) == [] and not (tmp_path / "out").exists()
 

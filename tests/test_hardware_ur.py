@@ -13,15 +13,14 @@ from pathlib import Path
 import numpy as np
 import pyarrow.parquet as pq
 import pytest
-from emulators import Emulator, PATIENT_S, servoing, SLACK_S, stops
 from hypothesis import given, HealthCheck, settings, strategies as st
 
+from emulators import Emulator, PATIENT_S, servoing, SLACK_S, stops
 from jaxid.dataset_io import load_dataset
 from jaxid.errors import UsageError
 from jaxid.hardware import HardwareError, Limits, record, recover, Trajectory, UR
 from jaxid.hardware.link import Driver
 from jaxid.hardware.rtde import RTDEReader
-from jaxid.hardware.session import DryRun
 
 
 pytest.importorskip("rtde_control", reason="ur_rtde has no wheel for this Python")
@@ -84,7 +83,7 @@ def test_the_dataset_holds_what_the_robot_did(robot, tmp_path):
 def test_without_live_not_one_byte_moves(robot, tmp_path):
     since = time.monotonic()
     result = record(UR(robot.address), tmp_path / "out", play=path())
-    assert isinstance(result, DryRun) and "Nothing was moved" in result.text
+    assert result.dry_run and "Nothing was moved" in result.text
     record(UR(robot.address), tmp_path / "watched", 0.3)
     assert robot.log("command", "script", "dashboard", "halt", since=since) == []
     assert not (tmp_path / "out").exists()

@@ -13,13 +13,12 @@ if _TYPE_CHECKING:
     from jaxid.hardware.finishing import Recording as Recording
     from jaxid.hardware.limits import Limits as Limits
     from jaxid.hardware.sensor import SensorSpec as SensorSpec
-    from jaxid.hardware.session import DryRun as DryRun, record as record, recover as recover
+    from jaxid.hardware.session import record as record, recover as recover
     from jaxid.hardware.trajectory import Trajectory as Trajectory
     from jaxid.hardware.ur import UR as UR
 
 
 _HOME = {
-    "DryRun": "session",
     "Dynamixel": "dynamixel",
     "HardwareError": "errors",
     "Limits": "limits",

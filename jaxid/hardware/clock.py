@@ -57,7 +57,8 @@ def from_arrivals(device: np.ndarray, host: np.ndarray, blocks: int = 16) -> Clo
     center = float(device.mean())
     x, y = device - center, host - device
     blocks = max(2, min(blocks, len(x) // 8))
-    slope = 0.0
+    slope = level = 0.0
+    first = np.arange(0)
     for _ in range(3):  # the earliest of a block depends a little on the slope
         edge = y - slope * x
         parts = np.array_split(np.arange(len(x)), blocks)
@@ -146,7 +147,8 @@ def _smooth(t: np.ndarray, x: np.ndarray, step: float, derivative: int) -> np.nd
     cutoff = min(0.125 / step, 0.2 / float(np.median(np.diff(t))))
     if derivative == 0:
         return zero_phase(t, x, cutoff)
-    return differentiate(t, x, cutoff)[derivative]
+    _, velocity, acceleration, _ = differentiate(t, x, cutoff)
+    return velocity if derivative == 1 else acceleration
 
 
 def within_tick(

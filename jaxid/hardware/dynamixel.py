@@ -77,7 +77,7 @@ class Dynamixel:
             self.close()
             raise UsageError(str(error)) from None
         self.servos, self.answer_s = opened["servos"], opened["answer_s"]
-        self.zero = [s["position"] if self._zero == "here" else self._zero for s in self.servos]
+        self.zero: list[int] = [s["position"] if self._zero == "here" else int(self._zero) for s in self.servos]
         self._heard = time.monotonic()
         self.advice = self._advise()
         best = 1 / (self.answer_s + (0.0 if self.mode is None else 1e-4) + 3e-4)

@@ -22,7 +22,8 @@ from jaxid.hardware.sensor import SensorSpec
 @dataclass(frozen=True)
 class Recording:
     """What was recorded: `complete` is False where it ended before its time, `end_reason` says why. `lost` and `duplicated`
-    count samples of the main device; `gaps` (t0, t1, samples missing); `notes` are sentences for a person."""
+    count samples of the main device; `gaps` (t0, t1, samples missing); `notes` are sentences for a person. Of a dry run
+    nothing is there but its length and what it found, in `end_reason`."""
 
     folder: Path
     file: str
@@ -35,19 +36,22 @@ class Recording:
     complete: bool
     end_reason: str
     notes: tuple[str, ...]
+    dry_run: bool = False
 
     @property
     def text(self) -> str:
         """What a person wants to read of it."""
+        if self.dry_run:
+            return self.end_reason
+        pace = f"{self.rows} rows in {self.seconds:.2f} s ({self.rate:.1f} a second)"
         lines = [
-            f"{self.rows} rows in {self.seconds:.2f} s ({self.rate:.1f} a second), {self.lost} lost, {self.duplicated} duplicated: "
-            f"{self.folder / self.file}",
+            f"{pace}, {self.lost} lost, {self.duplicated} duplicated: {self.folder / self.file}",
             f"complete: {self.end_reason}" if self.complete else f"NOT complete: {self.end_reason}",
         ]
         return "\n".join([*lines, *(f"- {n}" for n in self.notes)])
 
     def to_dict(self) -> dict[str, Any]:
-        return {"schema": 1, "kind": "recording", **self.__dict__, "folder": str(self.folder)}
+        return {"schema": 1, "kind": "dry_run" if self.dry_run else "recording", **self.__dict__, "folder": str(self.folder)}
 
 
 def channel_map(model: str | None, columns: Sequence[Column], joint: int | None, gain: Sequence[float] | None) -> dict[str, dict]:
@@ -114,7 +118,7 @@ def _serve(name: str, unit: str, role: str, have: Mapping[str, Column], joint: i
             entry = {"role": role, "unit": unit, "column": column, "scale": scale}
             resolution = have[column].resolution
             return entry | ({} if resolution is None else {"resolution": abs(scale) * resolution}), column
-    several = sorted(c for c in have if c.rstrip("0123456789") == stem)
+    several = sorted(c for c in have if c.rstrip("0123456789") in (stem, "current" if stem == "tau" else stem))
     hint = f" (there is: {', '.join(several)}; pick one with --joint)" if several and not number and joint is None else ""
     return f"it needs {name!r} in {unit}, which this device does not record{hint}", None
 
@@ -133,7 +137,8 @@ def finish(folder: str | os.PathLike[str], end_reason: str | None = None) -> Rec
     events = read_events(folder)
     closed = next((e for e in reversed(events) if e["kind"] == "end"), None)
     if end_reason is None:
-        end_reason = closed["text"] if closed is not None else "the recording process ended without closing the recording"
+        unknown = "the recording process ended without closing the recording"
+        end_reason = unknown if closed is None else str(closed["text"])
     complete = closed is not None and bool(closed.get("complete"))
     streams = [Stream.from_dict(s) for s in about["streams"]]
     main = streams[0]
@@ -370,7 +375,7 @@ def _write(out: Path, number: str, table, extra, columns, entry, about, report) 
             if about.get("model") is None and c.role == "output" and known is not None and np.ptp(table[c.name]) > 0:
                 known["role"] = "output"
         if entry["file"] not in [str(e["file"]) for e in array]:  # pyright: ignore[reportGeneralTypeIssues, reportIndexIssue, reportCallIssue, reportArgumentType]
-            array.append(tomlkit.item(entry, _parent=document))  # pyright: ignore[reportAttributeAccessIssue]
+            array.append(tomlkit.item(entry))  # pyright: ignore[reportAttributeAccessIssue]
         _replace(path, tomlkit.dumps(document))
         return
     content: dict[str, Any] = {"name": about["name"], "description": about["description"], "source": about["source"]}

@@ -21,8 +21,9 @@ class Limits:
     """Bounds of each joint, one number a joint or one for all; None is no bound.
 
     `lower`, `upper` rad; `speed` rad/s; `acceleration` rad/s^2; `current` A; `temperature` K. `step` is the largest change from
-    one command to the next (rad, rad/s or A, as the command is). `data_age` s is how long anything may be silent
-    while something moves: the measurements, the recording process, and the driver, for the watchdog of the device itself. `tracking` is how far (rad) a joint may be from where it is told to be.
+    one command to the next (rad, rad/s or A, as the command is). `tracking` is how far (rad) a joint may be from where it is
+    told to be. `data_age` s is how long anything may be silent while something moves: the measurements, the recording process,
+    and the driver, for the watchdog of the device itself.
     """
 
     lower: tuple[float, ...] | None = None

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import os
+import signal
 import stat
 import sys
 import time
@@ -35,6 +36,8 @@ class Orders:
         self._buffer = b""
         self.open = True
         self._piped = False
+        # In the background of a terminal, reading what is typed there would suspend the emulator; ignored, it is an error.
+        signal.signal(signal.SIGTTIN, signal.SIG_IGN)
         try:
             self._piped = stat.S_ISFIFO(os.fstat(sys.stdin.fileno()).st_mode)
             os.set_blocking(sys.stdin.fileno(), False)

@@ -28,14 +28,6 @@ BEAT_S = 0.01
 ARMED_S = 15.0
 
 
-@dataclass(frozen=True)
-class DryRun:
-    """What would have been done: `text` for a person, and the plan."""
-
-    plan: Plan
-    text: str
-
-
 @dataclass
 class _Watch:
     """What is known while recording."""
@@ -70,10 +62,10 @@ def record(
     constants: Mapping[str, float] | None = None,
     append: bool = False,
     progress: Callable[[str, int, int, str], None] | None = None,
-) -> Recording | DryRun:
+) -> Recording:
     """Records `seconds` of a device into a dataset folder; with `play` a path is moved and recorded to its end.
 
-    Nothing moves without `live`: the path, the device and the way to the path's start are then only checked (`DryRun`). Limits
+    Nothing moves without `live`: the path, the device and the way to the path's start are then only checked. Limits
     are the device's own, tightened by `limits`. `model`, `joint` and `gain` (N m/A) say which model the dataset is meant for (see
     `channel_map`); `constants` what is known of this run. `append` adds a run to a folder that an earlier recording made.
 
@@ -107,7 +99,7 @@ def record(
             plan = device.plan(play, bounds, watch.last.values)
             _refuse_state(device, bounds, watch.last)
             if not live:
-                return DryRun(plan, _dry_text(device, play, plan))
+                return Recording(out, "", 0, plan.duration, 0.0, 0, 0, (), False, _dry_text(device, play, plan), (), dry_run=True)
         about = _about(device, out, split, model, joint, gains, constants, play, plan, bounds)
         about["sensor_files"] = [f.model_dump(exclude_none=True) for f in files]
         out.mkdir(parents=True, exist_ok=True)

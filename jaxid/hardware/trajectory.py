@@ -96,7 +96,8 @@ class Trajectory:
         seed: int = 0,
         rate: float = 500.0,
     ) -> Trajectory:
-        """A sum of sines in a band (Hz), faded in and out over a second (less where it is short), with `rest` s of stillness at both ends.
+        """A sum of sines in a band (Hz), faded in and out over a second (less where it is short), with `rest` s of stillness
+        at both ends.
 
         `amplitude` is the largest excursion from `center` of each joint. For excitation without a model; `jaxid excite`
         optimises one for a model.

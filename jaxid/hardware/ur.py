@@ -56,8 +56,8 @@ class UR:
     The controller's time is the clock.
     """
 
-    kinds = ("position",)
-    joints = JOINTS
+    kinds: tuple[str, ...] = ("position",)
+    joints: int = JOINTS
 
     def __init__(
         self,
@@ -188,7 +188,7 @@ class UR:
         return {}
 
     def stop(self, reason: str) -> str:
-        """servoStop and end of the program by the driver; one that does not confirm at once is killed, and the dashboard asked."""
+        """servoStop and end of the program by the driver; one that does not confirm is killed, and the dashboard asked."""
         driver, self._driver, self._playing = self._driver, None, False
         if driver is None:
             return "nothing was moving"

@@ -71,7 +71,7 @@ MODELS = {
 }
 
 
-def decode(content: bytes | list[int], register: Register, base: int = 0) -> int:
+def decode(content: bytes | bytearray | list[int], register: Register, base: int = 0) -> int:
     """The value of a register in a block that begins at address `base`."""
     start = register.address - base
     return int.from_bytes(bytes(content[start : start + register.size]), "little", signed=register.signed)
