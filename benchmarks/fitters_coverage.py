@@ -79,7 +79,7 @@ def main(seeds: int = 60) -> dict:
             table.append(row | {str(n): f"{s:.0f} %" for n, s in zip(found["names"], share, strict=True)})
     text = (
         f"Coverage of stated 95 % intervals over {seeds} twin recordings of 201 samples. By chance alone a true 95 % shows as "
-        f"{100 * (0.95 - 1.96 * np.sqrt(0.95 * 0.05 / seeds)):.0f} to 100 %. The stated noise is that of one sample in both cases."
+        f"{100 * (0.95 - 1.96 * np.sqrt(0.95 * 0.05 / seeds)):.0f} to 100 %. The stated noise is that of one sample."
     )
     return {"title": "Coverage of profiles and bootstrap", "text": text, "rows": table}
 

@@ -1,7 +1,7 @@
 """The pendulum problem that other tools were run on: from anywhere in the box, by every method, and against SciPy.
 
 (m l^2 + J) q'' = u - b q' - m g l sin q with l = 0.3 m and truth m = 1.2, b = 0.08, J = 0.03; 5 s at 200 Hz, six tones held
-between the samples, 1e-3 rad of noise. Here its three numbers are the inertia m l^2 + J, the gravity torque m g l and b. Data come from
+between the samples, 1e-3 rad of noise. Fitted are inertia m l^2 + J, gravity torque m g l and b. Data come from
 SciPy (DOP853 at 1e-12). SciPy's solvers get the same compiled loss, residual and Jacobian in the same process.
 """
 
@@ -104,7 +104,8 @@ def main(starts: int = 50) -> dict:
     batch = time.perf_counter() - began
     row(
         f"lm, {starts} single starts as one batch ({batch:.1f} s wall)",
-        [2 * p.cost / max(1, p.count) <= target for p in paths], [p.linearisations * (1 + problem.size) for p in paths], [batch / starts],
+        [2 * p.cost / max(1, p.count) <= target for p in paths], 
+        [p.linearisations * (1 + problem.size) for p in paths], [batch / starts],
     )  # fmt: skip
     began = time.perf_counter()
     sixteen, _ = search([[(problem, z) for z in points[:16]]], 60, 1e-10)
@@ -146,9 +147,9 @@ def main(starts: int = 50) -> dict:
         evaluations.append(found.nfev)
     row("SciPy differential_evolution, vectorized", reached, evaluations, clock)
     text = (
-        f"First fit from (m, b, J) = (0.6, 0.2, 0.08): {first:.1f} s, {fit.compile_time_s:.1f} s of it compiling; worst parameter "
-        f"off by {100 * error:.3f} % ({off:.1f} of its standard deviations). Then from {starts} random starts over the whole box; "
-        f"reached means within 0.1 % of the best known loss {best:.4f}."
+        f"First fit from (m, b, J) = (0.6, 0.2, 0.08): {first:.1f} s, {fit.compile_time_s:.1f} s of it compiling; worst parameter"
+        f" off by {100 * error:.3f} % ({off:.1f} of its standard deviations). Then from {starts} random starts over the whole"
+        f" box; reached means within 0.1 % of the best known loss {best:.4f}."
     )
     return {"title": "Pendulum problem: from anywhere, by every method", "text": text, "rows": table}
 
