@@ -30,8 +30,9 @@ class State(NamedTuple):
 class CMAES(AbstractPopulation):
     """CMA-ES with bounds by reflection, restarted with twice the population when it stalls (IPOP).
 
-    The modern reference among the populations: it learns the metric of the problem, so that correlated parameters and
-    parameters of different weight cost it little.
+    It learns the metric of the problem, so that correlated parameters and parameters of different weight cost it little: the
+    quickest population on smooth problems of few parameters. With a dozen parameters, some of them near bounds, `shade` reaches
+    the minimum more reliably.
     """
 
     name: ClassVar[str] = "cmaes"

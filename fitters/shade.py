@@ -26,7 +26,7 @@ class State(NamedTuple):
 
 class Shade(AbstractPopulation):
     """Differential evolution that learns its own F and CR from the candidates that were better: current-to-pbest/1/bin with an
-    archive of replaced members. Nothing to tune."""
+    archive of replaced members. Nothing to tune: the population to take where the others need their settings looked after."""
 
     name: ClassVar[str] = "shade"
     source: ClassVar[str] = "Tanabe and Fukunaga, Success-history based parameter adaptation for DE, CEC 2013"

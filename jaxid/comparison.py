@@ -260,7 +260,7 @@ def wilson(successes: int, runs: int) -> tuple[float, float]:
     z, p = 1.959964, successes / runs
     middle, half = p + z * z / (2 * runs), z * np.sqrt(p * (1 - p) / runs + z * z / (4 * runs * runs))
     low, high = (middle - half) / (1 + z * z / runs), (middle + half) / (1 + z * z / runs)
-    return float(max(0.0, low)), float(min(1.0, high))
+    return (0.0 if successes == 0 else float(low)), (1.0 if successes == runs else float(high))
 
 
 def typical(values: np.ndarray) -> Typical:
