@@ -379,5 +379,8 @@ def main(arguments: list[str] | None = None) -> int:
         return code
 
 
+from jaxid import cli_identify as cli_identify  # noqa: E402  adds its command
+
+
 if __name__ == "__main__":
     sys.exit(main())

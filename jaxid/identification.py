@@ -102,6 +102,11 @@ class Identification:
     traces: tuple[Any, ...] = field(default=(), compare=False)
 
     @property
+    def torque_units(self) -> tuple[str, ...]:
+        """Unit of each joint's torque: N m, or N where it slides."""
+        return self.units[self.base_count : self.base_count + self.joints]
+
+    @property
     def joints(self) -> int:
         return len(self.weights)
 

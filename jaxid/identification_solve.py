@@ -168,14 +168,28 @@ def consistent_bodies(x: np.ndarray, prior: np.ndarray) -> np.ndarray:
 
     Pseudo-inertia C U U' C' with C that of the prior and U upper triangular with an exponential diagonal: any x is a body.
     """
-    C = np.linalg.cholesky(pseudo_inertia(prior))
-    U = np.zeros((*x.shape[:-1], 4, 4))
-    diagonal = np.arange(4)
-    U[..., diagonal, diagonal] = np.exp(np.clip(x[..., :4], -30, 30))
-    row, column = np.triu_indices(4, 1)
-    U[..., row, column] = x[..., 4:]
-    A = C @ U
-    return _of_pseudo(A @ np.swapaxes(A, -1, -2))
+    return Bodies(prior)(x)[0]
+
+
+class Bodies:
+    """x -> (inertial parameters [links 10], their slopes [links 10 10] by x); see `consistent_bodies`."""
+
+    def __init__(self, prior: np.ndarray):
+        self.C = np.linalg.cholesky(pseudo_inertia(prior))
+        row, column = np.triu_indices(4, 1)
+        self.row, self.column = np.concatenate([np.arange(4), row]), np.concatenate([np.arange(4), column])
+
+    def __call__(self, x: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        size = x.copy()
+        size[:, :4] = np.exp(np.clip(x[:, :4], -30, 30))
+        U = np.zeros((len(x), 4, 4))
+        U[:, self.row, self.column] = size
+        A = self.C @ U
+        # dU has one entry: C dU A' is column `row` of C times column `column` of A
+        weight = np.concatenate([size[:, :4], np.ones_like(size[:, 4:])], 1)
+        half = (self.C[:, :, self.row] * weight[:, None]).swapaxes(1, 2)[..., None] * A[:, :, self.column].swapaxes(1, 2)[..., None, :]
+        slope = _of_pseudo(half + half.swapaxes(-1, -2))  # [links x ten]
+        return _of_pseudo(A @ A.swapaxes(1, 2)), slope.swapaxes(1, 2)
 
 
 def constrained(
@@ -202,18 +216,32 @@ def constrained(
     start_friction = np.maximum(np.linalg.lstsq(W, b, rcond=WEAK)[0][p:], np.where(levels, 0.0, -np.inf))
     inverse_drive = np.sqrt(np.maximum(prior[:, 10], 1e-3))
 
+    bodies = Bodies(prior[:, :10])
+
     def unpack(x: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        phi = np.column_stack([consistent_bodies(x[: 10 * n].reshape(n, 10), prior[:, :10]), x[10 * n : 11 * n] ** 2])
-        phi[:, 10] *= drives
+        phi = np.column_stack([bodies(x[: 10 * n].reshape(n, 10))[0], drives * x[10 * n : 11 * n] ** 2])
         return phi, np.concatenate([base.values(phi.ravel()), x[11 * n :]])
 
     def residual(x: np.ndarray) -> np.ndarray:
         return np.concatenate([R @ unpack(x)[1] - z, pull * x[: 10 * n]])
 
+    def jacobian(x: np.ndarray) -> np.ndarray:
+        slope = np.zeros((n, 11, 11 * n))
+        link = np.arange(n)
+        each = bodies(x[: 10 * n].reshape(n, 10))[1]
+        for k in range(10):
+            slope[link, :10, 10 * link + k] = each[:, :, k]
+        slope[link, 10, 10 * n + link] = 2 * drives * x[10 * n : 11 * n]
+        out = np.zeros((len(z) + 10 * n, x.size))
+        out[: len(z), : 11 * n] = R[:, :p] @ (base.K @ slope.reshape(11 * n, -1))
+        out[: len(z), 11 * n :] = R[:, p:]
+        out[len(z) + np.arange(10 * n), np.arange(10 * n)] = pull
+        return out
+
     start = np.concatenate([np.zeros(10 * n), inverse_drive, start_friction])
     lower = np.concatenate([np.full(10 * n, -12.0), np.full(n, -1e3), np.where(levels, -1e-9, -np.inf)])
     upper = np.concatenate([np.full(10 * n, 12.0), np.full(n, 1e3), np.full(levels.size, np.inf)])
-    found = search(residual, start, bounds=(lower, upper), x_scale="jac", xtol=1e-8, ftol=1e-8, max_nfev=200)
+    found = search(residual, start, jacobian, bounds=(lower, upper), x_scale="jac", xtol=1e-8, ftol=1e-8, max_nfev=200)
     phi, theta = unpack(found.x)
     theta[p:] = np.where(levels, np.maximum(theta[p:], 0.0), theta[p:])
     return theta, phi
