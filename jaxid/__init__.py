@@ -22,6 +22,7 @@ if _TYPE_CHECKING:
         DatasetError as DatasetError,
         Experiment as Experiment,
     )
+    from jaxid.identification import identify as identify
     from jaxid.problem import Problem as Problem
     from jaxid.results import Diagnosis as Diagnosis, Fit as Fit, Simulation as Simulation
 
@@ -43,6 +44,7 @@ _HOME = {
     "diagnose": "jaxid.api",
     "fit": "jaxid.api",
     "fitters": None,
+    "identify": "jaxid.identification",
     "load_dataset": "jaxid.dataset_io",
     "models": None,
     "save_dataset": "jaxid.dataset_io",

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import importlib
 import json
 import os
 import sys
@@ -22,6 +23,15 @@ LOSSES = ("sum_of_squares", "sum_of_norms", "sum_of_abs")
 T = TypeVar("T")
 
 
+#: Commands that live in modules of their own, as light to import as this one: name -> module that has it under that name.
+MODULES = {
+    "compare": "jaxid.cli_compare",
+    "identify": "jaxid.cli_identify",
+    "record": "jaxid.cli_record",
+    "emulate": "jaxid.cli_emulate",
+}
+
+
 class Commands(click.Group):
     """A group that answers an unknown command with the nearest one."""
 
@@ -33,7 +43,19 @@ class Commands(click.Group):
         return super().resolve_command(ctx, args)
 
 
-@click.group(cls=Commands, context_settings={"help_option_names": ["-h", "--help"], "max_content_width": 100})
+class AllCommands(Commands):
+    """The commands of this module and those of `MODULES`, imported when they are asked for."""
+
+    def list_commands(self, ctx):
+        return sorted({*super().list_commands(ctx), *MODULES})
+
+    def get_command(self, ctx, cmd_name):
+        if cmd_name in MODULES:
+            return getattr(importlib.import_module(MODULES[cmd_name]), cmd_name)
+        return super().get_command(ctx, cmd_name)
+
+
+@click.group(cls=AllCommands, context_settings={"help_option_names": ["-h", "--help"], "max_content_width": 100})
 @click.version_option(package_name="jaxid")
 def cli() -> None:
     """Fits mechanical models to measured data and says where a simulator is wrong, which effect is missing, and how far
@@ -252,13 +274,6 @@ def catalogue(kind: str, name: str | None, as_json: bool, quiet: bool) -> int:
     return SUCCESS
 
 
-def register() -> None:
-    """Commands that live in modules of their own; they are as light to import as this one."""
-    from jaxid.cli_compare import compare
-
-    cli.add_command(compare)
-
-
 def start(dataset: str, out: Path) -> tuple[Any, Any]:
     """Loads the dataset, then makes sure that results can be written, before any long work."""
     from jaxid import runtime
@@ -376,7 +391,6 @@ def main(arguments: list[str] | None = None) -> int:
         # A terminal that cannot show `±` gets `?` instead of an error; streams replaced by others stay as they are.
         if callable(reconfigure := getattr(stream, "reconfigure", None)):
             reconfigure(errors="replace")
-    register()
     try:
         code = cli.main(args=arguments, prog_name="jaxid", standalone_mode=False)
         sys.stdout.flush()
@@ -399,15 +413,5 @@ def main(arguments: list[str] | None = None) -> int:
         return code
 
 
-if __name__ == "__main__":  # run as a file: the modules below need it under its own name
-    from jaxid.cli import main as main_
-
-    sys.exit(main_())
-
-# These modules build on this one.
-from jaxid.cli_emulate import emulate  # noqa: E402
-from jaxid.cli_record import record  # noqa: E402
-
-
-cli.add_command(emulate)
-cli.add_command(record)
+if __name__ == "__main__":
+    sys.exit(main())

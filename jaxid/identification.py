@@ -13,11 +13,12 @@ import numpy as np
 
 from jaxid import identification_solve as solve
 from jaxid.base_parameters import BaseParameters, standard_names
-from jaxid.binding import bind
+from jaxid.binding import resolve_model
 from jaxid.chain import Chain
 from jaxid.errors import nearest, UsageError
 from jaxid.experiment import Dataset
 from jaxid.identification_rows import (
+    exponent_slopes,
     friction_columns,
     full_rows,
     instruments,
@@ -29,6 +30,7 @@ from jaxid.identification_rows import (
     spacing,
 )
 from jaxid.identification_solve import Estimate
+from jaxid.layout import Layout
 from jaxid.payload import Payload, payload_by_difference
 from jaxid.results import SCHEMA, versions
 from jaxid.torque import drive_gains
@@ -115,7 +117,11 @@ class Identification:
 
     def std(self) -> np.ndarray:
         """Standard deviations, nan where the data do not determine a number."""
-        return np.where(self.identifiable, np.sqrt(np.maximum(np.diag(self.covariance), 0.0)), np.nan)
+        return np.where(self.identifiable, np.sqrt(np.maximum(np.diag(self.covariance), 0.0))[: len(self.names)], np.nan)
+
+    def exponent_std(self) -> np.ndarray:
+        """Standard deviations of the exponents, which follow the other parameters in the covariance."""
+        return np.sqrt(np.maximum(np.diag(self.covariance), 0.0))[len(self.names) :]
 
     def friction(self) -> list[dict[str, Any]]:
         """Friction of each joint: id -> value, std, unit."""
@@ -128,7 +134,7 @@ class Identification:
             }  # fmt: skip
         if self.exponents is not None:
             for j in range(n):
-                out[j]["exponent"] = {"value": self.exponents[j], "std": None, "unit": "1"}
+                out[j]["exponent"] = {"value": self.exponents[j], "std": self.exponent_std()[j], "unit": "1"}
         return out
 
     def to_dict(self) -> dict[str, Any]:
@@ -205,7 +211,7 @@ def identify(
         raise UsageError(f"there is no friction law {friction!r}{nearest(friction, (*LAWS, 'auto'))}")
     held_out = any(e.split != "fit" for e in dataset.experiments)
     data = dataset if held_out else dataset.with_splits()
-    chain = bind(model, data, splits=False).chain
+    chain = _stated(resolve_model(model, data), data)
     arm: Any = chain.mechanism
     if not hasattr(arm, "base"):
         raise UsageError(f"identify needs a serial arm (ur10, ur10e, panda, serial_arm); {arm.name} is none. Use jaxid fit")
@@ -225,7 +231,7 @@ def identify(
     symbols = {f"{k}{j + 1}": float(v) for k in ("a", "d") for j, v in enumerate(np.asarray(getattr(arm, k)))}
     result = Identification(
         model=arm.name, method=method, law=law.name, names=tuple(names), expressions=base.expressions(symbols),
-        units=tuple(_units(chain, base, law)), theta=theta, covariance=found.covariance, identifiable=found.identifiable,
+        units=tuple(_units(chain, base, law)), theta=theta, covariance=found.covariance, identifiable=found.identifiable[: len(names)],
         base_count=len(base.kept), exponents=exponent if law.nonlinear else None, condition_number=found.condition,
         condition_number_scaled=found.condition_scaled,
         filter=f"positions: zero-phase Butterworth of order 4, {motion_hz:g} Hz, central differences; torque and columns alike: "
@@ -241,6 +247,18 @@ def identify(
         return result
     payload = payload_by_difference(result, read_reference(reference), base, np.asarray(arm.prismatic), gain_std)
     return Identification(**{**result.__dict__, "payload": payload})
+
+
+def _stated(chain: Chain, dataset: Dataset) -> Chain:
+    """The chain with the constants and start values that the dataset states."""
+    layout = Layout(chain)
+    theta, spec = layout.values.copy(), dataset.model
+    known = dict(spec.constants) if spec is not None else {}
+    known |= {k: p.value for k, p in (spec.parameters if spec is not None else {}).items() if p.value is not None}
+    for name, value in known.items():
+        if name != "smoothing_velocity":
+            theta[layout.index(name)] = value
+    return layout.model(theta)
 
 
 def arm_size(arm: Any) -> int:
@@ -282,7 +300,10 @@ def _solve(law: Law, runs: Sequence[Run], by: Sequence[Run] | None, method: str,
     elif method == "constrained":
         levels = np.array([p in ("F_c", "F_v") for p, _ in law.parameters for _ in range(n)])
         theta, phi = solve.constrained(W, b, base, phi0.reshape(n, 11), levels, arm.motor_side)
-    return theta, exponent, weights, phi, solve.estimate(blocks, weights, theta, instrument)
+    slopes = None
+    if law.nonlinear:
+        slopes = [exponent_slopes(r, law, theta, exponent)[:: spacing(r)] for r in fit]
+    return theta, exponent, weights, phi, solve.estimate(blocks, weights, theta, instrument, slopes)
 
 
 def _exponents(fit: Sequence[Run], law: Law, blocks, weights, p: int, n: int, start: np.ndarray) -> np.ndarray:
@@ -354,11 +375,11 @@ def _units(chain: Chain, base: BaseParameters, law: Law) -> Iterable[str]:
 def _notes(found: Estimate, names: Sequence[str], method: str, law: Law) -> list[str]:
     how = "white" if found.white else f"coloured (memory {found.memory} rows)"
     notes = [f"residuals are {how}: standard deviations from the sandwich covariance of the estimator"]
-    lost = [n for n, seen in zip(names, found.identifiable, strict=True) if not seen]
+    lost = [n for n, seen in zip(names, found.identifiable, strict=False) if not seen]
     if lost:
         notes.append(f"not determined by these data, left at the model's own values: {', '.join(lost)}")
     if law.nonlinear:
-        notes.append("exponents by variable projection; standard deviations are given at these exponents")
+        notes.append("exponents by variable projection")
     if method == "constrained":
         notes.append("inertial parameters of bodies that can exist; standard deviations are those without that constraint")
     return notes

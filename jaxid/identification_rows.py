@@ -119,6 +119,14 @@ def full_rows(run: Run, law: Law, exponent: np.ndarray, raw: bool = False) -> np
     return W
 
 
+def exponent_slopes(run: Run, law: Law, theta: np.ndarray, exponent: np.ndarray) -> np.ndarray:
+    """Derivative of the torque by each joint's exponent, [samples n n], filtered."""
+    n = run.qd.shape[1]
+    p = len(theta) - len(law.parameters) * n
+    slope = theta[p + n : p + 2 * n] * power(run.qd, exponent) * np.log(run.qd**2 + 1e-6) / 2
+    return run.filtered(slope)[:, :, None] * np.eye(n)
+
+
 def spacing(run: Run) -> int:
     """Every how many samples a row says something new: four times the cutoff."""
     rate = 1 / float(np.median(np.diff(run.t)))

@@ -17,6 +17,8 @@ from jaxid.rigid_body import pseudo_inertia
 from jaxid.uncertainty import _long_run, _null_directions, _whiteness
 
 
+#: A column shorter than this share of the longest shows nothing but rounding.
+SEEN = 1e-6
 #: Directions of the scaled columns weaker than this share of the strongest are not determined by the data.
 WEAK = 1e-6
 EXPONENT = (0.1, 1.5)
@@ -48,7 +50,7 @@ def stacked(blocks: Blocks, weights: Sequence[np.ndarray]) -> tuple[np.ndarray, 
 def least_squares(W: np.ndarray, b: np.ndarray, prior: np.ndarray) -> np.ndarray:
     """min |W theta - b|; a direction that the data do not determine stays where `prior` is."""
     size = np.linalg.norm(W, axis=0)
-    size = np.where(size > 1e-12 * max(float(size.max()), 1e-300), size, np.inf)
+    size = np.where(size > SEEN * max(float(size.max()), 1e-300), size, np.inf)
     return prior + np.linalg.lstsq(W / size, b - W @ prior, rcond=WEAK)[0] / size
 
 
@@ -102,12 +104,30 @@ def instrumental(W: np.ndarray, b: np.ndarray, Z: np.ndarray, prior: np.ndarray)
     return least_squares(Q.T @ W, Q.T @ b, prior)
 
 
-def estimate(blocks: Blocks, weights: Sequence[np.ndarray], theta: np.ndarray, by: Blocks | None = None) -> Estimate:
-    """Covariance at theta by the sandwich with the residual's own memory (Newey and West 1987); `by` are instruments."""
+def estimate(
+    blocks: Blocks,
+    weights: Sequence[np.ndarray],
+    theta: np.ndarray,
+    by: Blocks | None = None,
+    slopes: Sequence[np.ndarray] | None = None,
+) -> Estimate:
+    """Covariance at theta; `by` are instruments.
+
+    Rows that follow each other hold the same noise, so each joint counts with the long-run variance of its own residual, over
+    the freedom that the parameters leave it. Where the sandwich of Newey and West (1987) is wider, its standard deviations
+    count; alone it is too narrow here, for tens of parameters take much of the slow part of a short record's residual.
+
+    `slopes` per run [samples n k]: derivatives of the torque by k nonlinear parameters, which follow theta in the covariance.
+    """
+    if slopes is not None:
+        wider = lambda W, D: np.concatenate([W, D], 2)
+        blocks = [(wider(W, D), tau) for (W, tau), D in zip(blocks, slopes, strict=True)]
+        by = None if by is None else [(wider(W, D), tau) for (W, tau), D in zip(by, slopes, strict=True)]
+        theta = np.concatenate([theta, np.zeros(slopes[0].shape[2])])
     W, _ = stacked(blocks, weights)
     Z, _ = stacked(by or blocks, weights)
     size = np.linalg.norm(W, axis=0)
-    seen = size > 1e-12 * max(float(size.max()), 1e-300)
+    seen = size > SEEN * max(float(size.max()), 1e-300)
     scale = np.where(seen, size, 1.0)
     values = np.linalg.svd(W[:, seen] / scale[seen], compute_uv=False)
     plain = np.linalg.svd(W[:, seen], compute_uv=False)
@@ -121,16 +141,35 @@ def estimate(blocks: Blocks, weights: Sequence[np.ndarray], theta: np.ndarray, b
         scores.append((index, np.einsum("tj,tjk->tk", r, C * w[:, None]) / scale))
     white, memory = _whiteness(series)
     count = sum(s.size for s in series)
-    S = _long_run(scores, len(index), memory) * count / max(1, count - len(index))
+    n = blocks[0][1].shape[1]
+    times = [_correlation_time(s, memory) for s in series]
+    free = sum(s.size / k for s, k in zip(series, times, strict=True))  # rows that are worth something of their own
+    freedom = max(0.1, 1 - int(seen.sum()) / free)
+    middle = np.zeros_like(G)
+    for k, (C, _) in enumerate(by or blocks):
+        for j in range(n):
+            s, w = series[n * k + j], weights[k][j]
+            A = C[:, j] * w / scale
+            middle += float(np.mean(s**2)) * times[n * k + j] / freedom * (A.T @ A)
     inverse = np.linalg.pinv(G, rcond=WEAK**2)
-    s2 = float(np.mean(np.concatenate(series) ** 2)) * count / max(1, count - len(index))
-    cov = inverse @ S @ inverse.T
-    floor = s2 * np.diag(inverse @ ((Z / scale).T @ (Z / scale)) @ inverse.T)
-    stretch = np.sqrt(np.maximum(1.0, floor / np.maximum(np.diag(cov), 1e-300)))
+    cov = inverse @ middle @ inverse.T
+    wide = np.diag(inverse @ _long_run(scores, len(index), memory) @ inverse.T) * count / max(1, count - len(index))
+    stretch = np.sqrt(np.maximum(1.0, wide / np.maximum(np.diag(cov), 1e-300)))
     cov = cov * stretch * stretch[:, None] / scale / scale[:, None]
     return Estimate(
         theta, cov, identifiable & seen, float(plain[0] / plain[-1]), float(values[0] / values[-1]), white, memory
     )  # fmt: skip
+
+
+def _correlation_time(r: np.ndarray, memory: int) -> float:
+    """How many rows share one piece of noise: 1 + 2 sum of the autocorrelation up to the first lag where it is lost."""
+    r = r - r.mean()
+    power = float(r @ r)
+    if power <= 0:
+        return 1.0
+    rho = np.array([float(r[k:] @ r[: len(r) - k]) for k in range(1, min(memory, len(r) // 3) + 1)]) / power
+    lost = np.flatnonzero(rho < 0.05)
+    return 1.0 + 2.0 * float(np.sum(rho[: lost[0]] if lost.size else rho))
 
 
 def project_exponents(
@@ -187,9 +226,7 @@ class Bodies:
         A = self.C @ U
         # dU has one entry: C dU A' is column `row` of C times column `column` of A
         weight = np.concatenate([size[:, :4], np.ones_like(size[:, 4:])], 1)
-        half = (self.C[:, :, self.row] * weight[:, None]).swapaxes(1, 2)[..., None] * A[:, :, self.column].swapaxes(1, 2)[
-            ..., None, :
-        ]
+        half = (self.C[:, :, self.row] * weight[:, None]).swapaxes(1, 2)[..., None] * A[:, :, self.column].swapaxes(1, 2)[..., None, :]
         slope = _of_pseudo(half + half.swapaxes(-1, -2))  # [links x ten]
         return _of_pseudo(A @ A.swapaxes(1, 2)), slope.swapaxes(1, 2)
 

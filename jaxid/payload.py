@@ -46,6 +46,8 @@ class Payload:
     def com(self) -> list[tuple[float, float]]:
         """Centre of mass and standard deviations (m); gains cancel in first order."""
         m, out = self.phi[9], []
+        if abs(m) < 1e-12:
+            return [(0.0, float("inf"))] * 3
         for k in (6, 7, 8):
             slope = np.zeros(10)
             slope[k], slope[9] = 1 / m, -self.phi[k] / m**2
@@ -69,7 +71,7 @@ class Payload:
         }  # fmt: skip
         if self.published is not None:
             m = self.published[9]
-            out["paper_001"] = {"mass": m, "com": self.published[6:9] / m, "inertia": self.published[:6]}
+            out["paper_001"] = {"mass": m, "com": self.published[6:9] / (m or np.inf), "inertia": self.published[:6]}
         return out
 
 

@@ -361,7 +361,7 @@ class Simulation:
         }
 
 
-def save_json(result: Fit | Diagnosis | Simulation, path: str | Path) -> Path:
+def save_json(result: Any, path: str | Path) -> Path:
     """Writes a result as JSON, whole or not at all (temporary file, then rename)."""
     path = Path(path)
     path.parent.mkdir(parents=True, exist_ok=True)

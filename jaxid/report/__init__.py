@@ -5,13 +5,14 @@ from __future__ import annotations
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from jaxid.report import answer, background, compared, fitted, missing_force, parameters, ranking, traces
+from jaxid.report import answer, background, compared, fitted, identified, missing_force, parameters, ranking, traces
 from jaxid.report.page import render, render_fragment
 from jaxid.terminal import one_line
 
 
 if TYPE_CHECKING:
     from jaxid.comparison import Comparison
+    from jaxid.identification import Identification
     from jaxid.results import Diagnosis, Fit
 
 
@@ -48,6 +49,16 @@ def write_comparison(comparison: Comparison, path: str | Path) -> Path:
 def comparison_fragment(comparison: Comparison) -> str:
     """Table and pictures as an HTML fragment, for a notebook."""
     return render_fragment([compared.section(comparison)])
+
+
+def write_identification(result: Identification, path: str | Path) -> Path:
+    """Writes the page of an identification (whole or not at all) and returns its path."""
+    return _write(render(f"{one_line(result.dataset)}: identification", [identified.section(result)]), path)
+
+
+def identification_fragment(result: Identification) -> str:
+    """The page of an identification as an HTML fragment, for a notebook."""
+    return render_fragment([identified.section(result)])
 
 
 def diagnosis_fragment(diagnosis: Diagnosis) -> str:

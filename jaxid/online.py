@@ -1,0 +1,157 @@
+"""Recursive least squares on the torque of a serial arm, sample by sample: paper 001, equations (8) to (11).
+
+With K = P Y' (X + Y P Y')^-1, theta <- theta + K (tau - Y theta), P <- P - K Y P, and X the variance of the torque noise (the
+paper's xi, which it calls a forgetting factor but never divides P by), the result is ridge regression: it minimises
+sum |tau - Y theta|^2 / X + |theta - prior|^2 / P0. A true forgetting factor is an option.
+"""
+
+from __future__ import annotations
+
+import functools
+from typing import Any, NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float
+
+from jaxid.errors import UsageError
+from jaxid.identification_rows import REST
+from jaxid.payload import Payload, payload_of, published_rows
+from jaxid.precision import float64
+from jaxid.rigid_body import regressor
+
+
+class Recursion(NamedTuple):
+    """State of the recursion: estimate, its matrix P, and how long the last link's parameters have stood still."""
+
+    theta: Float[Array, " p"]
+    P: Float[Array, "p p"]
+    still: Array  # samples in a row
+    count: Array  # samples so far
+
+
+class Rule(NamedTuple):
+    """Convergence: no watched parameter moves by more than `change` a sample for more than `samples` of them."""
+
+    change: float = 0.005
+    samples: int = 300
+
+
+def ridge_rls(
+    state: Recursion,
+    Y: Float[Array, "n p"],
+    tau: Float[Array, " n"],
+    noise_var: Float[Array, " n"],
+    forgetting: Any = 1.0,
+    watched: Any = slice(None),
+    change: float = Rule().change,
+) -> Recursion:
+    """One sample (pure; jit and scan it). `noise_var` [n] (N m)^2; `forgetting` in (0, 1], 1 forgets nothing."""
+    PY = state.P @ Y.T
+    S = forgetting * jnp.diag(noise_var) + Y @ PY
+    K = jax.scipy.linalg.cho_solve((jnp.linalg.cholesky(S), True), PY.T).T
+    step = K @ (tau - Y @ state.theta)
+    P = (state.P - K @ PY.T) / forgetting
+    still = jnp.where(jnp.max(jnp.abs(step[watched])) < change, state.still + 1, 0)
+    return Recursion(state.theta + step, (P + P.T) / 2, still, state.count + 1)
+
+
+def regressor_row(arm: Any, kept: np.ndarray, q: Array, qd: Array, qdd: Array, exponent: Array) -> Float[Array, "n p"]:
+    """Columns of base parameters, then F_c, F_v, offset of each joint, at one sample."""
+    n = q.shape[0]
+    Y = regressor(arm.placements(q), arm.prismatic, arm.free_fall(), qd, qdd)
+    Y = jnp.concatenate([Y, (jnp.eye(n) * qdd[:, None])[:, :, None]], 2).reshape(n, 11 * n)[:, kept]
+    power = qd * (qd * qd + 1e-6) ** ((exponent - 1) / 2)
+    return jnp.concatenate([Y, jnp.diag(jnp.tanh(qd / REST)), jnp.diag(power), jnp.eye(n)], 1)
+
+
+@functools.partial(jax.jit, static_argnums=(0, 1, 2, 3))
+def _update(structure, shapes, kept, watched, numbers, state, sample):
+    """All numbers of the arm and the settings come in one array, and so does the sample: few arguments, little overhead."""
+    leaves, at = [], 0
+    for shape in shapes:
+        size = int(np.prod(shape))
+        leaves.append(numbers[at : at + size].reshape(shape))
+        at += size
+    n = sample.shape[1]
+    exponent, noise_var = numbers[at : at + n], numbers[at + n : at + 2 * n]
+    forgetting, change = numbers[at + 2 * n], numbers[at + 2 * n + 1]
+    q, qd, qdd, tau = sample
+    Y = regressor_row(jax.tree.unflatten(structure, leaves), np.array(kept), q, qd, qdd, exponent)
+    return ridge_rls(state, Y, tau, noise_var, forgetting, np.array(watched), change)
+
+
+class OnlineIdentification:
+    """Streams samples into the recursion: `update(q, qd, qdd, tau)` after each, `theta`, `std`, `converged`, `payload()`.
+
+    `prior` [p] is the estimate to begin with (base parameters, then F_c, F_v, offset by joint: `names`), usually that of the
+    unloaded arm; `prior_var` its variance (one number or [p], the paper's P0 = 10), `noise_var` the torque noise's (one number
+    or [n], the paper's xi = 100). Motion may be the commanded one, as in the paper.
+    """
+
+    def __init__(
+        self,
+        arm: Any,
+        prior: np.ndarray | None = None,
+        *,
+        exponent: np.ndarray | float = 1.0,
+        noise_var: np.ndarray | float = 100.0,
+        prior_var: np.ndarray | float = 10.0,
+        forgetting: float = 1.0,
+        rule: Rule = Rule(),
+    ):
+        if not 0 < forgetting <= 1:
+            raise UsageError(f"forgetting is {forgetting:g}; it lies above 0 and at most at 1 (1 forgets nothing)")
+        self.arm, self.base, self.rule = arm, arm.base(), rule
+        n, p = len(arm.prismatic), len(self.base.kept) + 3 * len(arm.prismatic)
+        self.names = [*self.base.names, *(f"{k}{j + 1}" for k in ("F_c", "F_v", "offset") for j in range(n))]
+        self.prior = np.zeros(p) if prior is None else np.asarray(prior, np.float64)
+        if self.prior.shape != (p,):
+            raise UsageError(f"the prior has shape {self.prior.shape}; this arm has {p} parameters ({self.names[0]} … {self.names[-1]})")
+        last = str(n)
+        watched = [i for i in range(len(self.base.kept)) if self.names[i].endswith(last) and not self.names[i].startswith("Ia")]
+        if n >= 3:  # the paper watches the last link's parameters that stand alone
+            watched = [i for i in watched if np.count_nonzero(self.base.K[i]) == 1] or watched
+        with float64():
+            full = lambda v, k: jnp.asarray(np.broadcast_to(np.asarray(v, np.float64), k))
+            leaves, structure = jax.tree.flatten(arm)
+            shapes = tuple(np.shape(a) for a in leaves)
+            settings = [np.broadcast_to(exponent, n), np.broadcast_to(noise_var, n), [forgetting, rule.change]]
+            numbers = np.concatenate([np.ravel(np.asarray(a, np.float64)) for a in (*leaves, *settings)])
+            self.watched = tuple(watched)
+            self._static = structure, shapes, tuple(int(i) for i in self.base.kept), self.watched
+            self._numbers = jnp.asarray(numbers)
+            zero = jnp.zeros((), jnp.int32)
+            self.state = Recursion(jnp.asarray(self.prior), jnp.diag(full(prior_var, p)), zero, zero)
+        self.converged_at: int | None = None
+
+    def update(self, q: np.ndarray, qd: np.ndarray, qdd: np.ndarray, tau: np.ndarray) -> None:
+        """One sample: joint motion [n] (rad, m and their rates) and torque [n]. Nothing recompiles after the first."""
+        with float64():
+            self.state = _update(*self._static, self._numbers, self.state, np.array((q, qd, qdd, tau), np.float64))
+
+    def check(self) -> bool:
+        """Whether the rule has been met; remembers at which sample it first was. Waits for the last update."""
+        if self.converged_at is None and int(self.state.still) > self.rule.samples:
+            self.converged_at = int(self.state.count)
+        return self.converged_at is not None
+
+    @property
+    def theta(self) -> np.ndarray:
+        return np.asarray(self.state.theta)
+
+    @property
+    def covariance(self) -> np.ndarray:
+        """P: the covariance of theta if the noise is white with `noise_var` and the prior's variance is `prior_var`."""
+        return np.asarray(self.state.P)
+
+    def payload(self, gain_std: float = 0.0) -> Payload:
+        """The load that the estimate has more than its prior, by all rows and by those of the paper."""
+        p = len(self.base.kept)
+        return payload_of(self.theta[:p] - self.prior[:p], self.covariance[:p, :p], self.base, gain_std)
+
+    def published_mass(self) -> float | None:
+        """Mass by equations (12) and (13) of paper 001; None for an arm that lacks their rows."""
+        found = published_rows(self.theta[: len(self.base.kept)] - self.prior[: len(self.base.kept)], self.base)
+        return None if found is None else float(found[9])

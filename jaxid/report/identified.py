@@ -1,0 +1,105 @@
+"""The page of an identification: how well torque is predicted, friction, base parameters, payload."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from jaxid import text
+from jaxid.report import plot
+from jaxid.report.page import Section
+
+
+if TYPE_CHECKING:
+    from jaxid.identification import Identification
+
+
+def section(result: Identification) -> Section:
+    return Section(
+        "identified.html",
+        {
+            "result": result,
+            "headline": headline(result),
+            "joints": [f"q{j + 1}" for j in range(result.joints)],
+            "friction": friction_rows(result),
+            "base": base_rows(result),
+            "payload": None if result.payload is None else payload_rows(result),
+            "pictures": [(f"Torque in {name} ({split} data)", picture(result, k)) for k, (name, split, *_) in enumerate(result.traces)],
+        },
+    )  # fmt: skip
+
+
+def headline(result: Identification) -> str:
+    """One sentence: the torque error on data that were not fitted, or the payload."""
+    if result.payload is not None:
+        value, std = result.payload.mass
+        return f"The payload is {pair(value, std)} kg."
+    rest = [e for e in result.experiments if e.split != "fit"] or list(result.experiments)
+    worst = max(rest, key=lambda e: e.relative_error)
+    kind = "held-out motion" if worst.split != "fit" else "the fitted motion"
+    return f"Torque is predicted to {100 * worst.relative_error:.2f} % on {kind}."
+
+
+def pair(value: float, std: float | None) -> str:
+    """`3.52 ± 0.03`, rounded to two digits of the standard deviation."""
+    if std is None or not np.isfinite(std) or std <= 0:
+        return text.number(value, 4)
+    decimals = int(np.clip(1 - np.floor(np.log10(std)), 0, 9))
+    return f"{value:.{decimals}f} ± {std:.{decimals}f}"
+
+
+def friction_rows(result: Identification) -> list[tuple[str, str, list[str]]]:
+    """(parameter, unit of the first joint, values by joint)."""
+    joints = result.friction()
+    keys = [k for k in joints[0] if k != "joint"]
+    return [(k, joints[0][k]["unit"], [pair(j[k]["value"], j[k]["std"]) for j in joints]) for k in keys]
+
+
+def base_rows(result: Identification) -> list[tuple[str, str, str, str, str]]:
+    std = result.std()
+    return [
+        (
+            result.names[i], pair(float(result.theta[i]), float(std[i])), result.units[i], result.expressions[i],
+            "" if result.identifiable[i] else "not determined by these data",
+        )
+        for i in range(result.base_count)
+    ]  # fmt: skip
+
+
+def payload_rows(result: Identification) -> list[tuple[str, str, str]]:
+    payload = result.payload
+    assert payload is not None
+    m, std = payload.mass
+    rows = [("mass", f"{pair(m, std)} kg", f"{m - 1.96 * std:.4g} to {m + 1.96 * std:.4g} kg")]
+    for axis, (value, spread) in zip("xyz", payload.com(), strict=True):
+        rows.append(
+            (
+                f"centre of mass {axis}",
+                f"{pair(value, spread)} m",
+                f"{value - 1.96 * spread:.3g} to {value + 1.96 * spread:.3g} m",
+            )
+        )
+    rows.append(("mass of the nearest body that can exist", f"{payload.body[9]:.4g} kg", ""))
+    if payload.published is not None:
+        rows.append(("mass by the three rows of paper 001", f"{payload.published[9]:.4g} kg", ""))
+    return rows
+
+
+def picture(result: Identification, k: int):
+    name, split, t, tau, predicted = result.traces[k]
+
+    def draw(figure):
+        axes = figure.subplots(-(-tau.shape[1] // 2), 2, sharex=True, squeeze=False).ravel()
+        for j in range(tau.shape[1]):
+            axes[j].plot(*plot.thin(t, tau[:, j], 700), color=plot.BLACK, linewidth=1.4, label="measured, filtered")
+            axes[j].plot(*plot.thin(t, predicted[:, j], 700), color=plot.BLUE, linewidth=0.9, label="predicted")
+            axes[j].plot(*plot.thin(t, tau[:, j] - predicted[:, j], 700), color=plot.VERMILLION, linewidth=0.7, label="left over")
+            axes[j].set_title(f"joint {j + 1} ({result.torque_units[j]})", fontsize=9, loc="left")
+        for left in axes[tau.shape[1] :]:
+            left.set_visible(False)
+        for lowest in axes[max(0, tau.shape[1] - 2) : tau.shape[1]]:
+            lowest.set_xlabel("time (s)")
+        figure.legend(*axes[0].get_legend_handles_labels(), loc="outside upper right", ncols=3)
+
+    return plot.svg(f"torque-{k}", (9.2, 1.5 * (-(-tau.shape[1] // 2)) + 0.6), draw)

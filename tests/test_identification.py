@@ -1,0 +1,358 @@
+"""Identification of six-axis arms: a UR10 simulated by Pinocchio, payloads, the recursion; recordings where they are at hand."""
+
+from __future__ import annotations
+
+import json
+import os
+import time
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from click.testing import CliRunner
+
+import jaxid
+from jaxid.cli import cli
+from jaxid.identification import identify
+from jaxid.models import UR10
+from jaxid.online import OnlineIdentification, ridge_rls
+from jaxid.rigid_body import about_origin
+from test_serial_arm import table_of, twin
+
+
+pin: Any = pytest.importorskip("pinocchio")
+
+DATA = Path(os.environ.get("JAXID_DATA", Path(__file__).parents[1] / ".." / "shared" / "data")).resolve()
+HOME = np.array([0, -np.pi / 2, 0, -np.pi / 2, 0, 0])
+#: Paper 001: friction of Table VI (F_c2 := 0), torque noise of Table II, the first payload in frame 6.
+LEVEL = np.array([10.0037, 0.0, 5.1803, 2.7800, 2.0115, 1.7533])
+VISCOUS = np.array([21.6084, 26.4096, 15.1400, 2.7746, 3.4578, 3.5335])
+EXPONENT = np.array([0.5758, 0.2723, 0.6093, 0.9995, 0.8031, 0.7209])
+OFFSET = np.array([-0.3426, 0.0582, 0.1780, 0.6453, 0.6725, 0.5685])
+NOISE = np.array([3.7817, 4.1789, 3.0339, 1.7334, 1.0670, 0.9896])
+LOAD = about_origin(3.5256, [0, 0, 0.0296], [0.0064, 0, 0, 0.0064, 0, 0.0045])
+
+
+def excitation(seed: int, seconds: float = 10.0) -> tuple[np.ndarray, ...]:
+    """Five harmonics of 0.1 Hz about the home pose, as (17) of the paper; t, q, qd, qdd."""
+    rng = np.random.default_rng(seed)
+    t = np.arange(0, seconds, 1 / 125)
+    w = 2 * np.pi * 0.1 * np.arange(1, 6)
+    a, b = rng.normal(size=(2, 5, 6))
+    peak = np.hypot(a, b)
+    shrink = np.maximum((peak / w[:, None]).sum(0) / 1.4, peak.sum(0) / 2.0)
+    a, b = a / shrink, b / shrink
+    s, c, wide = np.sin(np.outer(t, w)), np.cos(np.outer(t, w)), w[:, None]
+    return t, HOME + s @ (a / wide) - c @ (b / wide), c @ a + s @ b, -s @ (a * wide) + c @ (b * wide)
+
+
+def torque(motion: tuple[np.ndarray, ...], load: np.ndarray | None = None, exponent: np.ndarray = EXPONENT) -> np.ndarray:
+    """Joint torque by Pinocchio, plus the paper's friction."""
+    table = table_of(UR10())
+    if load is not None:
+        inertia = table.inertia.copy()
+        inertia[-1] += load
+        table = table.with_inertia(inertia)
+    model = twin(table)
+    model.armature = table.drive_inertia
+    data = model.createData()
+    _, q, qd, qdd = motion
+    tau = np.array([pin.rnea(model, data, *s) for s in zip(q, qd, qdd, strict=True)])
+    return tau + (LEVEL + VISCOUS * np.abs(qd) ** exponent) * np.sign(qd) + OFFSET
+
+
+def recording(load: np.ndarray | None, noise: float, seed: int, exponent: np.ndarray = EXPONENT) -> jaxid.Dataset:
+    """A fitted run and one for validation, other motion."""
+    rng = np.random.default_rng(seed)
+    runs = [excitation(3), excitation(8)]
+    taus = [torque(m, load, exponent) for m in runs]
+    taus = [tau + noise * NOISE * rng.normal(size=tau.shape) for tau in taus]
+    return jaxid.Dataset.from_arrays(
+        [m[0] for m in runs],
+        {f"tau{j + 1}": [tau[:, j] for tau in taus] for j in range(6)},
+        {f"q{j + 1}": [m[1][:, j] for m in runs] for j in range(6)},
+        model="ur10",
+        split=["fit", "validation"],
+    )
+
+
+def truth(base, load: np.ndarray | None = None) -> np.ndarray:
+    table = table_of(UR10())
+    phi = np.column_stack([table.inertia, table.drive_inertia])
+    if load is not None:
+        phi[-1, :10] += load
+    return base.values(phi.ravel())
+
+
+@pytest.fixture(scope="module")
+def quiet():
+    return recording(None, 0.02, 1)
+
+
+@pytest.mark.parametrize("method", ["ls", "wls", "tls", "constrained"])
+def test_base_parameters_and_friction_come_back(quiet, method):
+    r = identify(None, quiet, method=method, friction="power")
+    base = UR10().base()
+    error = np.abs(r.theta[:40] - truth(base))
+    assert np.all(error < 0.02 + 0.02 * np.abs(truth(base))), dict(zip(base.names, error, strict=True))
+    assert max(e.relative_error for e in r.experiments) < 0.01
+    assert r.exponents is not None and np.abs(r.exponents - EXPONENT)[[0, 2, 3, 4, 5]].max() < 0.05
+    assert r.identifiable.all()
+    assert (r.standard is not None) == (method == "constrained")
+
+
+def test_the_right_law_wins_on_held_out_motion(quiet):
+    assert identify(None, quiet).law == "power"
+    assert identify(None, recording(None, 0.02, 1, np.ones(6))).law == "linear"
+
+
+def test_a_constrained_arm_can_be_simulated(quiet):
+    """Noise makes plain estimates unphysical; the constrained ones are bodies that can exist, and predict as well."""
+    from jaxid.rigid_body import pseudo_inertia
+
+    noisy = recording(None, 1.0, 5)
+    plain, bodies = (identify(None, noisy, method=m, friction="power") for m in ("wls", "constrained"))
+    assert bodies.standard is not None
+    phi = np.array(list(bodies.standard.values())).reshape(6, 11)
+    assert np.linalg.eigvalsh(pseudo_inertia(phi[:, :10])).min() > 0 and phi[:, 10].min() >= 0
+    assert (bodies.theta[40:52] >= 0).all()
+    assert bodies.experiments[1].relative_error < 1.05 * plain.experiments[1].relative_error
+
+
+def test_one_moving_joint_leaves_directions_open():
+    """What one joint's motion cannot show is said to be open and stays where the model had it."""
+    t, q, qd, qdd = excitation(3)
+    hold = np.tile(HOME, (len(t), 1))
+    hold[:, 3] = q[:, 3]
+    rates = [np.where(np.arange(6) == 3, x, 0.0) for x in (qd, qdd)]
+    tau = torque((t, hold, *rates)) + 0.01 * np.random.default_rng(0).normal(size=q.shape)
+    wiggle = 1e-12 * np.sin(np.outer(t, np.ones(6)))
+    data = jaxid.Dataset.from_arrays(
+        t, {f"tau{j + 1}": tau[:, j] for j in range(6)}, {f"q{j + 1}": (hold + wiggle)[:, j] for j in range(6)}, model="ur10"
+    )
+    r = identify(None, data, friction="linear")
+    assert not r.identifiable[list(r.names).index("Ixx2")]
+    assert any("not determined" in n for n in r.notes)
+    assert np.abs(r.theta[:40]).max() < 50
+
+
+# ---- payload
+
+
+def test_payload_by_difference():
+    """Mass and centre of mass within their intervals; all rows beat the paper's three at equal data."""
+    empty = identify(None, recording(None, 1.0, 11), friction="power")
+    loaded = identify(None, recording(LOAD, 1.0, 12), friction="power", reference=empty, gain_std=0.0)
+    payload = loaded.payload
+    assert payload is not None and payload.rows == 22 and payload.published is not None
+    m, std = payload.mass
+    assert abs(m - LOAD[9]) < 3 * std and std < 0.2
+    for (value, spread), real in zip(payload.com(), LOAD[6:9] / LOAD[9], strict=True):
+        assert abs(value - real) < 3.5 * spread
+    assert abs(payload.published[9] - LOAD[9]) < 0.5
+    content = loaded.to_dict()["payload"]
+    low, high = content["mass"]["interval_95"]
+    assert low < m < high and high - low == pytest.approx(2 * 1.96 * std, rel=1e-3)
+
+
+def test_payload_rows_are_exact_without_noise():
+    """Equations (12) to (16) and least squares of all rows return the body that was added."""
+    from jaxid.payload import payload_of
+
+    base = UR10().base()
+    found = payload_of(truth(base, LOAD) - truth(base), 1e-6 * np.eye(40), base)
+    assert np.allclose(found.phi, LOAD, atol=1e-9) and np.allclose(found.body, LOAD, atol=1e-6)
+    assert np.allclose(found.published, LOAD, atol=1e-9)
+
+
+def test_impossible_payloads_become_the_nearest_body():
+    """The paper's own identified payload has negative moments of inertia."""
+    from jaxid.payload import nearest_body
+    from jaxid.rigid_body import pseudo_inertia
+
+    paper = np.array([0.0023, -0.0289, -0.0480, -0.0958, 0.0265, -0.0501, -0.0751, 0.0056, 0.1819, 3.5242])
+    assert np.linalg.eigvalsh(pseudo_inertia(paper)).min() < 0
+    body = nearest_body(paper, np.diag(1 / np.array([0.1, 0.1, 0.1, 0.1, 0.1, 0.1, 0.05, 0.05, 0.05, 0.05]) ** 2))
+    assert np.linalg.eigvalsh(pseudo_inertia(body)).min() >= -1e-12 and abs(body[9] - 3.5242) < 0.05
+
+
+def test_references_of_another_arm_are_refused(quiet, tmp_path):
+    with pytest.raises(jaxid.UsageError, match="identification.json of the unloaded arm"):
+        identify(None, quiet, friction="linear", reference={"kind": "fit"})
+    with pytest.raises(jaxid.UsageError, match="cannot be read"):
+        identify(None, quiet, friction="linear", reference=tmp_path / "none.json")
+    other = identify(None, quiet, friction="linear").to_dict()
+    other["names"] = other["names"][1:]
+    with pytest.raises(jaxid.UsageError, match="same model"):
+        identify(None, quiet, friction="linear", reference=other)
+
+
+# ---- online
+
+
+@pytest.fixture(scope="module")
+def stream():
+    """Motion, torque and the written-out regressor of the loaded arm."""
+    motion = excitation(3)
+    return motion, torque(motion, LOAD) + NOISE * np.random.default_rng(4).normal(size=(len(motion[0]), 6))
+
+
+def prior() -> np.ndarray:
+    return np.concatenate([truth(UR10().base()), LEVEL, VISCOUS, OFFSET])
+
+
+def test_recursion_is_ridge_regression(stream):
+    """(8) to (11) with P0 = 10, xi = 100 equal the closed form with prior weight xi / P0, and the stop rule counts."""
+    from jaxid.base_parameters import torque_columns
+    from jaxid.identification_rows import friction_columns, LAWS
+
+    (t, q, qd, qdd), tau = stream
+    online = OnlineIdentification(UR10(), prior(), exponent=EXPONENT)
+    for k in range(600):
+        online.update(q[k], qd[k], qdd[k], tau[k])
+    F = friction_columns(LAWS["power"], qd[:600], EXPONENT)
+    W = np.zeros((600, 6, 58))
+    W[:, :, :40] = torque_columns(UR10(), q[:600], qd[:600], qdd[:600])[:, :, list(online.base.kept)]
+    for i in range(3):
+        W[:, np.arange(6), 40 + 6 * i + np.arange(6)] = F[:, i]
+    W = W.reshape(-1, 58)
+    ridge = np.linalg.solve(W.T @ W + 10 * np.eye(58), W.T @ tau[:600].ravel() + 10 * prior())
+    assert np.abs(online.theta - ridge).max() < 1e-9
+    assert np.allclose(online.covariance, np.linalg.inv(W.T @ W / 100 + np.eye(58) / 10), atol=1e-9)
+    assert [online.names[i] for i in online.watched] == ["Ixy6", "Ixz6", "Iyz6", "Izz6", "mx6", "my6"]  # pi_31 .. pi_36
+
+
+def test_payload_online_and_the_stop_rule(stream):
+    (t, q, qd, qdd), tau = stream
+    online = OnlineIdentification(UR10(), prior(), exponent=EXPONENT, noise_var=NOISE**2, prior_var=10.0)
+    clean = torque((t, q, qd, qdd), LOAD)
+    for k in range(len(t)):
+        online.update(q[k], qd[k], qdd[k], clean[k])
+        online.check() if k % 25 == 0 else None
+    m, std = online.payload().mass
+    assert abs(m - LOAD[9]) < 3 * std + 0.02 and std < 0.1
+    assert abs((online.published_mass() or 0) - LOAD[9]) < 0.1
+    assert online.converged_at is not None and 300 < online.converged_at < len(t)
+
+
+def test_forgetting_follows_a_change():
+    """A load dropped halfway: with a forgetting factor the estimate follows, without it stays between."""
+    motion = excitation(3)
+    half = len(motion[0]) // 2
+    tau = np.concatenate([torque(motion, LOAD)[:half], torque(motion)[half:]])
+    masses = {}
+    for forgetting in (1.0, 0.99):
+        online = OnlineIdentification(UR10(), prior(), exponent=EXPONENT, noise_var=1.0, forgetting=forgetting)
+        for k in range(len(tau)):
+            online.update(*(x[k] for x in motion[1:]), tau[k])
+        masses[forgetting] = online.payload().mass[0]
+    assert abs(masses[0.99]) < 0.3 < 1.0 < masses[1.0]
+    with pytest.raises(jaxid.UsageError, match="forgetting"):
+        OnlineIdentification(UR10(), forgetting=1.5)
+
+
+def test_streaming_does_not_recompile(stream):
+    (t, q, qd, qdd), tau = stream
+    from jaxid import online as module
+
+    online = OnlineIdentification(UR10(), prior(), exponent=EXPONENT)
+    online.update(q[0], qd[0], qdd[0], tau[0])
+    before = module._update._cache_size()
+    times = []
+    for k in range(1, 400):
+        began = time.perf_counter()
+        online.update(q[k], qd[k], qdd[k], tau[k])
+        online.theta
+        times.append(time.perf_counter() - began)
+    assert module._update._cache_size() == before
+    assert np.median(times) < 2e-3  # 500 Hz, on any machine; the figure stands in benchmarks/
+
+
+def test_recursion_is_a_pure_function():
+    import jax
+    import jax.numpy as jnp
+
+    from jaxid.online import Recursion
+    from jaxid.precision import float64
+
+    rng = np.random.default_rng(0)
+    with float64():
+        Y, tau = jnp.asarray(rng.normal(size=(50, 2, 4))), jnp.asarray(rng.normal(size=(50, 2)))
+        zero = jnp.zeros((), jnp.int32)
+        start = Recursion(jnp.zeros(4), 3.0 * jnp.eye(4), zero, zero)
+        end, _ = jax.lax.scan(lambda s, x: (ridge_rls(s, *x, noise_var=jnp.array([1.0, 4.0])), None), start, (Y, tau))
+        w = np.array([1.0, 0.25])
+        H = np.einsum("tji,j,tjk->ik", Y, w, Y) + np.eye(4) / 3
+        assert np.allclose(end.theta, np.linalg.solve(H, np.einsum("tji,j,tj->i", Y, w, tau)), atol=1e-12)
+    assert int(end.count) == 50
+
+
+# ---- instruments
+
+
+def test_instruments_need_the_commanded_motion(quiet):
+    with pytest.raises(jaxid.UsageError, match="q1_cmd"):
+        identify(None, quiet, method="iv", friction="linear")
+
+
+def test_instruments_remove_the_bias_of_noisy_positions():
+    """Encoder noise in the columns shrinks the drive inertias of least squares; instruments bring them back."""
+    runs, rng = [excitation(3), excitation(8)], np.random.default_rng(2)
+    taus = [torque(m, exponent=np.ones(6)) for m in runs]
+    noisy = [m[1] + 2e-3 * rng.normal(size=m[1].shape) for m in runs]
+    data = jaxid.Dataset.from_arrays(
+        [m[0] for m in runs],
+        {f"tau{j + 1}": [tau[:, j] for tau in taus] for j in range(6)},
+        {f"q{j + 1}": [q[:, j] for q in noisy] for j in range(6)},
+        auxiliary={f"q{j + 1}_cmd": [m[1][:, j] for m in runs] for j in range(6)},
+        model="ur10",
+    )
+    real = truth(UR10().base())
+    settings: dict[str, Any] = {"friction": "linear", "cutoff_hz": 8.0, "motion_hz": 25.0}
+    error = {m: np.linalg.norm((identify(None, data, method=m, **settings).theta[:40] - real)) for m in ("ls", "iv")}
+    assert error["iv"] < 0.5 * error["ls"], error
+
+
+# ---- command line, recordings
+
+
+def test_the_command(quiet, tmp_path):
+    jaxid.save_dataset(quiet, tmp_path / "data")
+    out = tmp_path / "out"
+    done = CliRunner().invoke(cli, ["identify", str(tmp_path / "data"), "--out", str(out), "--friction", "power", "--json"])
+    assert done.exit_code == 0, done.output
+    content = json.loads((out / "identification.json").read_text())
+    assert content == json.loads(done.stdout)
+    assert content["schema"] == 1 and content["kind"] == "identification"
+    assert len(content["base_parameters"]) == 40 and len(content["friction"]) == 6
+    assert {"F_c", "F_v", "offset", "exponent"} <= set(content["friction"][0])
+    assert [e["split"] for e in content["experiments"]] == ["fit", "validation"]
+    page = (out / "report.html").read_text()
+    assert "Base parameters" in page and "<script" not in page
+    loaded = CliRunner().invoke(
+        cli,
+        ["identify", str(tmp_path / "data"), "--out", str(tmp_path / "b"), "--friction", "power",
+         "--reference", str(out / "identification.json"), "--quiet"],
+    )  # fmt: skip
+    assert loaded.exit_code == 0, loaded.output
+    assert abs(json.loads((tmp_path / "b" / "identification.json").read_text())["payload"]["mass"]["value"]) < 1e-6
+
+
+def test_models_that_are_no_arm_are_refused():
+    t = np.linspace(0, 2, 201)
+    data = jaxid.Dataset.from_arrays(t, {"tau": np.sin(t)}, {"q": np.sin(3 * t)}, model="pendulum")
+    with pytest.raises(jaxid.UsageError, match="needs a serial arm"):
+        identify(None, data)
+
+
+@pytest.mark.skipif(not (DATA / "ur10e").is_dir(), reason="no recordings at hand")
+def test_ur10e_recordings():
+    """Torque errors of the recording's own README: 3.90, 4.64, 4.54 %; the over-fitting friction law is turned down."""
+    r = identify(None, jaxid.load_dataset(DATA / "ur10e"))
+    errors = [e.relative_error for e in r.experiments]
+    assert errors[0] < 0.0395 and errors[1] < 0.047 and errors[2] < 0.046, errors
+    assert all(e.unfiltered_relative_error > e.relative_error for e in r.experiments)
+    assert r.law == "linear"
+    richer = next(t for t in r.laws if t.law == "stribeck")
+    assert richer.fit < r.laws[0].fit and richer.held_out[1] > r.laws[0].held_out[1]
