@@ -251,7 +251,7 @@ def comparison_headline(c: Comparison) -> str:
     if not best.successes:
         return f"No fitter came within {percent(c.tolerance)} of the best known loss."
     equal = [s for s in table if s.successes * best.runs == best.successes * s.runs]
-    others = f", like {listed(s.fitter for s in equal[1:])}, which took more evaluations" if len(equal) > 1 else ""
+    others = f", like {listed(s.fitter for s in equal[1:])} (at no less cost)" if len(equal) > 1 else ""
     return f"{best.fitter} reached the best known loss in {best.successes} of {best.runs} runs{others}."
 
 
@@ -262,7 +262,7 @@ def comparison_setting(c: Comparison) -> str:
     return (
         f"Every fitter on {c.residual}, {c.loss_name.replace('_', ' ')}, with at most {' and '.join(limits)} a run, from"
         f" {'random starts within the bounds' if c.starts == 'random' else 'the start that the data suggest'}."
-        f" The target is {number(c.target, 5)}: the best known loss {number(c.best_loss, 5)} and {percent(c.tolerance)}."
+        f" The target is {number(c.target, 5)}: the best known loss {number(c.best_loss, 5)} plus {percent(c.tolerance)}."
     )
 
 
