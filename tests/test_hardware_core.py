@@ -82,6 +82,8 @@ def test_a_measurement_beyond_a_limit_is_named():
     assert limits.violation([0, 0.9], [0, 1.9], [0, -2.9]) is None
     assert "q2 = 1.2 rad is above its limit of 1 rad" in (limits.violation([0, 1.2], [0, 0]) or "")
     assert "qd1 = -3 rad/s is below its limit of -2" in (limits.violation([0, 0], [-3, 0]) or "")
+    hot = Limits(temperature=(350.0,)).widened(2).violation([0, 0], [0, 0], [0, 0], [300, 351])
+    assert "temperature2 = 351 K is above its limit of 350 K" in (hot or "")
     assert "current2 is nan" in (limits.violation([0, 0], [0, 0], [0, float("nan")]) or "")
 
 

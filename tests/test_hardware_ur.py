@@ -7,7 +7,9 @@ import os
 import signal
 import subprocess
 import sys
+import threading
 import time
+import tty
 from pathlib import Path
 
 import numpy as np
@@ -18,7 +20,7 @@ from hypothesis import given, HealthCheck, settings, strategies as st
 from emulators import Emulator, PATIENT_S, servoing, SLACK_S, stops
 from jaxid.dataset_io import load_dataset
 from jaxid.errors import UsageError
-from jaxid.hardware import HardwareError, Limits, record, recover, Trajectory, UR
+from jaxid.hardware import HardwareError, Limits, record, recover, SensorSpec, Trajectory, UR
 from jaxid.hardware.link import Driver
 from jaxid.hardware.rtde import RTDEReader
 
@@ -338,6 +340,41 @@ def test_a_second_run_is_added(robot, tmp_path):
     assert second.file == "run_2.parquet"
     data = load_dataset(tmp_path / "out", check_model=False)
     assert [(e.name, e.split) for e in data.experiments] == [("run_1", "fit"), ("run_2", "validation")]
+
+
+def test_a_serial_sensor_beside_the_robot(robot, tmp_path):
+    """Lines at 200 Hz with a clock of their own; in the second run the sensor falls silent."""
+    master, slave = os.openpty()
+    tty.setraw(slave)
+    (tmp_path / "tip.toml").write_text(
+        f'name = "tip"\nport = "{os.ttyname(slave)}"\ncolumns = ["ms", "ax"]\ntime = {{ column = "ms", unit = "ms" }}\n'
+        '[channels.tip]\ncolumn = "ax"\nunit = "m/s^2"\n'
+    )
+    spec, going = SensorSpec.read(tmp_path / "tip.toml"), threading.Event()
+    going.set()
+
+    def write():
+        while going.is_set():
+            now = time.monotonic()
+            os.write(master, f"{1000 * (now - 5):.3f},{np.sin(now):.6f}\n".encode())
+            time.sleep(0.005)
+
+    writer = threading.Thread(target=write, daemon=True)
+    writer.start()
+    result = record(UR(robot.address), tmp_path / "out", 1.5, sensors=[spec])
+    table = pq.read_table(tmp_path / "out" / "run_1.parquet")
+    assert result.complete and len(table) > 500
+    report_ = report(tmp_path / "out")
+    host = table["t_host"].to_numpy() + report_["events"][-1]["host"] - report_["events"][-1]["t"]
+    np.testing.assert_allclose(table["tip"].to_numpy(), np.sin(host), atol=0.02 + SLACK_S / 5)
+    assert "drift" in report_["clocks"]["tip"]
+    going.clear()
+    writer.join()
+    with pytest.raises(HardwareError, match="sensor tip has been silent"):
+        record(UR(robot.address), tmp_path / "silent", 5.0, sensors=[spec])
+    assert report(tmp_path / "silent")["rows"] > 200
+    os.close(slave)
+    os.close(master)
 
 
 def test_everything_listens_on_loopback_only(robot):

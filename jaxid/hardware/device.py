@@ -27,6 +27,7 @@ class Measured(NamedTuple):
     q: Sequence[float]
     qd: Sequence[float]
     current: Sequence[float]
+    temperature: Sequence[float] = ()
 
 
 @dataclass(frozen=True, eq=False)

@@ -95,8 +95,16 @@ class Limits:
                 merged[f.name] = tuple((max if f.name == "lower" else min)(x, y) for x, y in zip(a, b, strict=True))
         return replace(own, **merged)
 
-    def violation(self, q: Sequence[float], qd: Sequence[float], current: Sequence[float] = ()) -> str | None:
-        """One sentence on the first measurement beyond its limit, or None. Positions may pass theirs by one percent."""
+    def violation(
+        self, q: Sequence[float], qd: Sequence[float], current: Sequence[float] = (), temperature: Sequence[float] = ()
+    ) -> str | None:
+        """One sentence on the first measurement beyond its limit, or None; rad, rad/s, A, K.
+
+        Positions may pass theirs by one percent and speeds and currents by ten, for measurements are noisy.
+        """
+        hot = self._violation("temperature", temperature, None, self.temperature, "K", 0.0)
+        if hot is not None:
+            return hot
         return self._violation("q", q, self.lower, self.upper, "rad", 0.01) or next(
             (
                 text

@@ -6,7 +6,9 @@ import datetime
 import os
 import platform
 import select
+import shutil
 import time
+import tomllib
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import ExitStack
 from dataclasses import dataclass, field
@@ -77,21 +79,28 @@ def record(
     number = _next_run(out, append)
     _check_words(device, play, seconds, split)
     with ExitStack() as stack:
-        device.open()
         stack.callback(device.close)
+        device.open()
         serial = [SerialSensor(s) for s in sensors if s.port is not None]
         for sensor in serial:
-            sensor.open()
             stack.callback(sensor.close)
+            sensor.open()
         streams = [device.stream(), *(s.spec.stream() for s in serial)]
         if len({s.name for s in streams}) < len(streams):
             raise UsageError("two devices have the same name; rename a sensor")
         files = [s for s in sensors if s.file is not None]
         columns = [c for s in streams for c in s.columns] + [c for s in files for c in s.stream().columns]
         channel_map(model, columns, joint, gains)
+        if number > 1:
+            _refuse_other_columns(out, [c.name for c in columns])
         bounds = (limits or Limits()).within(device.limits(), device.joints)
         if play is not None:
             _refuse_path(play, bounds, device)
+            if streams[0].period is not None and streams[0].period > bounds.data_age / 2:
+                raise UsageError(
+                    f"{1 / streams[0].period:g} samples a second are too few to move with a data_age of {bounds.data_age:g} s: "
+                    "raise the rate"
+                )
         watch = _first_samples(device)
         assert watch.last is not None
         plan = None
@@ -129,8 +138,9 @@ def record(
                 recorder.close()
             except OSError as full:
                 error = error or HardwareError(f"{folder}: rows could not be written ({full.strerror})")
-        if sum(recorder.counts) == 0 and error is not None:
-            raise error
+        if recorder.counts[0] == 0:
+            shutil.rmtree(folder)
+            raise error or HardwareError(f"{device.name}: nothing was received")
         recording = finish(folder, reason)
         if error is not None:
             if isinstance(error, HardwareError):
@@ -165,6 +175,13 @@ def _next_run(out: Path, append: bool) -> int:
     if append and not out.is_dir():
         raise UsageError(f"{out} does not exist, so no run can be added to it; leave out --append")
     return 1
+
+
+def _refuse_other_columns(out: Path, columns: Sequence[str]) -> None:
+    channels = tomllib.loads((out / "dataset.toml").read_text(encoding="utf-8")).get("channels", {})
+    lacking = [name for name, c in channels.items() if c.get("column", name) not in columns]
+    if lacking:
+        raise UsageError(f"{out} has channels that this recording lacks ({', '.join(lacking)}); record into another folder")
 
 
 def _check_words(device: Device, play: Trajectory | None, seconds: float | None, split: str) -> None:
@@ -263,6 +280,7 @@ def _wait(device: Device, sensors: Sequence[SerialSensor], timeout: float) -> No
 def _run(device, sensors, recorder: Recorder, watch: _Watch, plan: Plan | None, seconds, bounds: Limits, progress) -> str:
     """Until the time is over or the path played; returns why it ended, raises what ended it early."""
     watch.began = watch.heard = now = time.monotonic()
+    silence = max(SILENCE_S, 3 * (recorder.streams[0].period or 0.0))
     total = plan.duration if plan is not None else float(seconds)
     heard = {id(s): now for s in sensors}
     beaten = told = 0.0
@@ -288,7 +306,7 @@ def _run(device, sensors, recorder: Recorder, watch: _Watch, plan: Plan | None, 
         for message in news.messages:
             _hear(device, recorder, watch, plan, message, now)
         age = now - watch.heard
-        if age > (bounds.data_age if watch.moving else SILENCE_S):
+        if age > (bounds.data_age if watch.moving else silence):
             raise HardwareError(f"{device.name}: no data for {age:.2f} s" + (" while it moved" if watch.moving else ""))
         if watch.phase == "arming" and now - watch.asked > ARMED_S:
             raise HardwareError(f"{device.name} did not become ready to move within {ARMED_S:g} s")

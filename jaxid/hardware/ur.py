@@ -133,7 +133,7 @@ class UR:
         return news
 
     def measured(self, values: Sequence[float]) -> Measured:
-        return Measured(values[:6], values[6:12], values[12:18])
+        return Measured(values[:6], values[6:12], values[12:18], values[48:54])
 
     def alarm(self, values: Sequence[float], moving: bool) -> str | None:
         scaling, fraction, _, mode, safety = (values[JOINTS * len(VECTORS) + k] for k in range(len(SCALARS)))
