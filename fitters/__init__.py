@@ -4,20 +4,39 @@
 if __name__ != "jaxid.fitters":
     raise ImportError("import jaxid.fitters, not fitters")
 
+from .ade import RandToBestDE
+from .bfgs import BFGS
+from .cmaes import CMAES
 from .de import DifferentialEvolution
+from .ga import GeneticAlgorithm
+from .hybrid import Hybrid
 from .linear import InstrumentalVariables, LeastSquares, WeightedLeastSquares
 from .lm import descend, LevenbergMarquardt, Path, search
+from .pso import ParticleSwarm
+from .rde import RecursiveDE
+from .shade import Shade
 
 
-FITTERS = (LevenbergMarquardt, DifferentialEvolution, LeastSquares, WeightedLeastSquares, InstrumentalVariables)
+FITTERS = (
+    LevenbergMarquardt, Hybrid, BFGS, DifferentialEvolution, RandToBestDE, RecursiveDE, ParticleSwarm, GeneticAlgorithm,
+    CMAES, Shade, LeastSquares, WeightedLeastSquares, InstrumentalVariables,
+)  # fmt: skip
 
 __all__ = [
+    "BFGS",
+    "CMAES",
     "FITTERS",
     "DifferentialEvolution",
+    "GeneticAlgorithm",
+    "Hybrid",
     "InstrumentalVariables",
     "LeastSquares",
     "LevenbergMarquardt",
+    "ParticleSwarm",
     "Path",
+    "RandToBestDE",
+    "RecursiveDE",
+    "Shade",
     "WeightedLeastSquares",
     "descend",
     "search",

@@ -7,9 +7,13 @@ from typing import ClassVar, NamedTuple
 import equinox as eqx
 import jax
 import jax.numpy as jnp
-from jaxtyping import Array, Float
+import numpy as np
+from jaxtyping import Array, Float, PRNGKeyArray
 
 from jaxid.fitter import AbstractPopulation
+
+
+STRATEGIES = ("rand/1", "best/1", "current-to-best/1")
 
 
 class State(NamedTuple):
@@ -18,8 +22,12 @@ class State(NamedTuple):
 
 
 class DifferentialEvolution(AbstractPopulation):
-    """DE with binomial crossover; `strategy` is rand/1 or best/1 or current-to-best/1. F is drawn anew for every generation
-    within `F`, which keeps the population from stalling."""
+    """Differential evolution; `strategy` is rand/1, best/1 or current-to-best/1, `crossover` bin or exp.
+
+    F is drawn for every member within `F`, which keeps the population from stalling. The three donors of a member are its
+    neighbours at three random distances that a generation shares: shifts of the whole array, which cost a copy where an index
+    for every member costs a gather.
+    """
 
     name: ClassVar[str] = "de"
     source: ClassVar[str] = "Storn and Price 1997; dither of F: Das and Suganthan, IEEE Trans. Evol. Comp. 15, 2011"
@@ -29,10 +37,13 @@ class DifferentialEvolution(AbstractPopulation):
     F: tuple[float, float] = (0.5, 0.9)
     CR: float = 0.9
     strategy: str = eqx.field(static=True, default="rand/1")
+    crossover: str = eqx.field(static=True, default="bin")
 
     def __check_init__(self):
-        if self.strategy not in ("rand/1", "best/1", "current-to-best/1"):
-            raise ValueError(f"strategy {self.strategy!r}: there is rand/1, best/1, current-to-best/1")
+        if self.strategy not in STRATEGIES:
+            raise ValueError(f"strategy {self.strategy!r}: there is {', '.join(STRATEGIES)}")
+        if self.crossover not in ("bin", "exp"):
+            raise ValueError(f"crossover {self.crossover!r}: there is bin, exp")
         if self.popsize < 4:
             raise ValueError("differential evolution needs a population of at least 4")
 
@@ -40,31 +51,71 @@ class DifferentialEvolution(AbstractPopulation):
         return State(population, losses)
 
     def ask(self, key, state, lower, upper):
-        x, losses = state
-        pop, dim = x.shape
-        k_pick, k_F, k_cross, k_forced = jax.random.split(key, 4)
-        # Three different members, none of them the target: shifts of the index by distinct random amounts.
-        shift = jax.random.choice(k_pick, pop - 1, (3,), replace=False) + 1
-        a, b, c = (x[(jnp.arange(pop) + s) % pop] for s in shift)
-        F = self.F[0] + (self.F[1] - self.F[0]) * jax.random.uniform(k_F, (pop, 1))
-        best = x[jnp.argmin(losses)]
-        if self.strategy == "rand/1":
-            mutant = a + F * (b - c)
-        elif self.strategy == "best/1":
-            mutant = best + F * (b - c)
-        else:
-            mutant = x + F * (best - x) + F * (b - c)
-        cross = jax.random.uniform(k_cross, (pop, dim)) < self.CR
-        cross |= jnp.arange(dim) == jax.random.randint(k_forced, (pop, 1), 0, dim)
+        x = state.population
+        k_donors, k_member = jax.random.split(key)
+        a, b, c = donors(k_donors, x)
+        u = jax.random.uniform(k_member, (3, x.shape[0], 1), jnp.float32)
+        difference = dithered(self.F, u[0]) * (b - c)
+        best = x[jnp.argmin(state.losses)]
+        mutant = {
+            "rand/1": lambda: a + difference,
+            "best/1": lambda: best + difference,
+            "current-to-best/1": lambda: x + dithered(self.F, u[0]) * (best - x) + difference,
+        }[self.strategy]()
+        cross = (
+            binomial(k_member, x.shape, self.CR, u[1]) if self.crossover == "bin" else exponential(x.shape, self.CR, u[1], u[2])
+        )
         return jnp.where(cross, mutant, x)
 
     def tell(self, state, candidates, losses):
-        better = losses <= state.losses
-        return State(jnp.where(better[:, None], candidates, state.population), jnp.where(better, losses, state.losses))
-
-    def best(self, state):
-        i = jnp.argmin(state.losses)
-        return state.population[i], state.losses[i]
+        return select(state, candidates, losses)
 
     def spread(self, state):
-        return jnp.max(jnp.max(state.population, 0) - jnp.min(state.population, 0))
+        return extent(state.population)
+
+
+def donors(key: PRNGKeyArray, x: Float[Array, "pop dim"], count: int = 3) -> list[Float[Array, "pop dim"]]:
+    """For each member `count` others, all different: the population rolled by distinct random distances."""
+    pop = x.shape[0]
+    draw = jax.random.uniform(key, (count,), jnp.float32)
+    shifts: list[Array] = []
+    ordered: list[Array] = []
+    for k in range(count):
+        shift = 1 + jnp.minimum(jnp.floor(draw[k] * (pop - 1 - k)), pop - 2 - k).astype(jnp.int32)
+        for taken in ordered:  # the draw counts only the distances that are left
+            shift = jnp.where(shift >= taken, shift + 1, shift)
+        shifts.append(shift)
+        for i in range(len(ordered)):
+            ordered[i], shift = jnp.minimum(ordered[i], shift), jnp.maximum(ordered[i], shift)
+        ordered.append(shift)
+    twice = jnp.concatenate([x, x])
+    return [jax.lax.dynamic_slice_in_dim(twice, shift, pop) for shift in shifts]
+
+
+def dithered(F: tuple[float, float], u: Array) -> Array:
+    return F[0] + (F[1] - F[0]) * u
+
+
+def binomial(key: PRNGKeyArray, shape: tuple[int, int], CR: float, forced: Float[Array, "pop 1"]) -> Array:
+    """Crossover mask: every coordinate with probability CR, to 16 bits, and one for sure; `forced` uniform draws for that."""
+    pop, dim = shape
+    words = jax.random.bits(jax.random.fold_in(key, 1), (pop, -(-dim // 2)), jnp.uint32)
+    halves = jnp.stack([words & 0xFFFF, words >> 16], -1).reshape(pop, -1)[:, :dim]
+    return (halves < np.uint32(round(CR * 65536))) | (jnp.arange(dim) == jnp.floor(forced * dim))
+
+
+def exponential(shape: tuple[int, int], CR: float, start: Float[Array, "pop 1"], length: Float[Array, "pop 1"]) -> Array:
+    """Crossover mask: a cyclic run of coordinates that begins anywhere and goes on with probability CR."""
+    _, dim = shape
+    run = 1 + jnp.floor(jnp.log(jnp.maximum(length, 1e-30)) / np.log(min(max(CR, 1e-9), 1 - 1e-9)))
+    return jnp.mod(jnp.arange(dim) - jnp.floor(start * dim), dim) < jnp.minimum(run, dim)
+
+
+def select(state: State, candidates: Float[Array, "pop dim"], losses: Float[Array, " pop"]) -> State:
+    """Every member is replaced by its candidate unless that is worse."""
+    better = losses <= state.losses
+    return State(jnp.where(better[:, None], candidates, state.population), jnp.where(better, losses, state.losses))
+
+
+def extent(population: Float[Array, "pop dim"]) -> Float[Array, ""]:
+    return jnp.max(jnp.max(population, 0) - jnp.min(population, 0))

@@ -21,7 +21,8 @@ from jaxid.controller import law_of
 from jaxid.errors import UsageError
 from jaxid.fitter import AbstractFitter, Minimum
 from jaxid.noise import noise_floor
-from jaxid.problem import PENALTY, Problem, rows
+from jaxid.objective import AbstractProblem, PENALTY, rows
+from jaxid.problem import Problem
 from jaxid.residual import InverseDynamics, Runs
 from jaxid.uncertainty import _long_run, _null_directions, _whiteness, Covariance
 
@@ -62,6 +63,13 @@ class Blocks:
         return np.concatenate([W.reshape(-1, k) for W in self.W]), np.concatenate([b.ravel() for b in self.b])
 
 
+def of_runs(problem: AbstractProblem, name: str) -> Problem:
+    """The problem, if it is one of a model and its runs."""
+    if not isinstance(problem, Problem):
+        raise UsageError(f"{name} solves the torque residual of a model; a function needs lm or another search")
+    return problem
+
+
 class LeastSquares(AbstractFitter):
     """Ordinary least squares on the inverse-dynamics residual; solved at once, no start values needed."""
 
@@ -69,7 +77,8 @@ class LeastSquares(AbstractFitter):
     source: ClassVar[str] = "textbook; standard deviations by the sandwich of Newey and West 1987"
     residual_name: ClassVar[str] = "inverse_dynamics"
 
-    def minimise(self, problem, starts, key, budget=None, progress=None):
+    def minimise(self, problem, starts, key, budget=None, progress=None, seconds=None):
+        problem = of_runs(problem, self.name)
         at, blocks = linearised(problem, starts[0], self.name)
         theta = solve(problem, at, blocks, blocks)
         return finish(problem, at, blocks, blocks, theta, self.name, "solved directly", 1)
@@ -85,7 +94,8 @@ class WeightedLeastSquares(AbstractFitter):
     iterations: int = 10
     tolerance: float = 1e-6
 
-    def minimise(self, problem, starts, key, budget=None, progress=None):
+    def minimise(self, problem, starts, key, budget=None, progress=None, seconds=None):
+        problem = of_runs(problem, self.name)
         at, plain = linearised(problem, starts[0], self.name)
         blocks, theta = plain, solve(problem, at, plain, plain)
         stopped = "iteration limit"
@@ -119,7 +129,8 @@ class InstrumentalVariables(AbstractFitter):
     tolerance: float = 1e-6
     corrected: bool = True
 
-    def minimise(self, problem, starts, key, budget=None, progress=None):
+    def minimise(self, problem, starts, key, budget=None, progress=None, seconds=None):
+        problem = of_runs(problem, self.name)
         runs = _torque_runs(problem, self.name)
         if runs.dataset is None or runs.dataset.controller is None:
             raise UsageError(
@@ -283,7 +294,7 @@ def finish(
     if np.linalg.norm(plain - linear) > LINEAR * max(np.linalg.norm(plain), 1e-300):
         raise UsageError(f"{name} needs a model that is linear in its parameters over their whole range: use fitter lm")
     found = sandwich(problem, z, blocks, instruments, theta)
-    return LinearMinimum(z, loss, stopped != "iteration limit", stopped, evaluations, [(evaluations, loss)], found)
+    return LinearMinimum(z, loss, stopped != "iteration limit", stopped, evaluations, [(evaluations, loss)], covariance=found)
 
 
 def sandwich(problem: Problem, z: np.ndarray, blocks: Blocks, instruments: Blocks, theta: np.ndarray) -> Covariance:

@@ -1,21 +1,26 @@
-"""Bounded Levenberg-Marquardt for sums of squares, all starts as one batch.
+"""Bounded Levenberg-Marquardt, all starts as one batch.
 
-Minimise |r(z)|^2 / 2 with lower <= z <= upper: solve (H + mu D) dz = -g on the variables that are not held at a bound, with
-H = J'J, g = J'r, D = diag H, and mu by the gain ratio (Nielsen, Damping Parameter in Marquardt's Method, IMM-REP-1999-05).
+Minimise |r(z)|^2 / 2 with lower <= z <= upper: solve (H + mu D^2) dz = -g on the variables that are not held at a bound, with
+H = J'J, g = J'r, D^2 the largest diag H so far, and mu such that |D dz| is at most the radius of a trust region (More, The
+Levenberg-Marquardt Algorithm: Implementation and Theory, 1978).
+Sums of norms or of absolute values are the same with H of the reweighted least-squares problem (Lawson 1961).
 """
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+import math
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from typing import ClassVar
+from typing import Any, ClassVar
 
 import jax
 import numpy as np
 
-from jaxid.errors import UsageError
-from jaxid.fitter import AbstractFitter, Minimum, sampling_box
-from jaxid.problem import Linear, linearise, Problem
+from jaxid.fitter import AbstractFitter, Log, sampling_box
+from jaxid.objective import AbstractProblem, expand, Linear, linearise
+
+
+Expansion = Callable[[Sequence[tuple[AbstractProblem, np.ndarray]], float], list[Linear]]
 
 
 class LevenbergMarquardt(AbstractFitter):
@@ -26,40 +31,30 @@ class LevenbergMarquardt(AbstractFitter):
     """
 
     name: ClassVar[str] = "lm"
-    source: ClassVar[str] = "Levenberg 1944, Marquardt 1963; damping of Nielsen 1999; bounds by projection"
+    source: ClassVar[str] = "Levenberg 1944, Marquardt 1963, More 1978; bounds by an active set; reweighting of Lawson 1961"
 
     restarts: int = 4
     iterations: int = 60
     tolerance: float = 1e-10
 
-    def minimise(self, problem, starts, key, budget=None, progress=None):
-        if problem.loss_name != "sum_of_squares":
-            raise UsageError(
-                f"lm minimises sums of squares; the loss {problem.loss_name!r} needs a population (fitter de) or bfgs"
-            )
-        guesses = [problem_clip(problem, z) for z in starts]
-        if self.restarts:
-            lower, upper = sampling_box(problem, guesses[0])
-            draw = np.random.default_rng(seed_of(key)).uniform(size=(self.restarts, problem.size))
-            random = lower + draw * (upper - lower)
-            random[:, problem.free.size :] = guesses[0][problem.free.size :]
-            guesses += list(random)
-        report = (lambda i, c: progress(self.name, i, self.iterations, f"loss {c:.6g}")) if progress else None
-        limit = None if budget is None else max(1, budget // (1 + problem.size))
-        best, tried = search([[(problem, z) for z in guesses]], steps_of(self.iterations, limit), self.tolerance, report)
-        best = best[0]
-        evaluations = tried * (1 + problem.size)
-        loss = problem.loss(best.z)
-        count = max(1, best.count)
-        history = [(k * (1 + problem.size), 2 * c / count) for k, c in best.history or []]
-        if not np.isfinite(best.cost):
-            why = "the simulation diverges at every start; give other start values or narrower bounds"
-            return Minimum(best.z, loss, False, why, evaluations, history)
-        return Minimum(best.z, loss, best.converged, best.stopped, evaluations, history)
+    def minimise(self, problem, starts, key, budget=None, progress=None, seconds=None):
+        log = Log(problem, self.name, budget, seconds, progress)
+        best, _ = search(
+            [[(problem, z) for z in guesses(problem, starts, self.restarts, key)]], self.iterations, self.tolerance, log
+        )
+        return log.minimum(best[0].z, best[0].converged, log.exhausted or best[0].stopped)
 
 
-def steps_of(iterations: int, limit: int | None) -> int:
-    return iterations if limit is None else max(1, min(iterations, limit))
+def guesses(problem: AbstractProblem, starts: Sequence[np.ndarray], restarts: int, key) -> list[np.ndarray]:
+    """The starts within the bounds, and random ones; unknown starts of runs stay as the first guess has them."""
+    given = [problem_clip(problem, z) for z in starts]
+    if not restarts:
+        return given
+    lower, upper = sampling_box(problem, given[0])
+    draw = np.random.default_rng(seed_of(key)).uniform(size=(restarts, problem.size))
+    random = lower + draw * (upper - lower)
+    random[:, problem.free.size :] = given[0][problem.free.size :]
+    return given + list(random)
 
 
 #: (share of each record, iterations, paths kept) of the stages before the final descent.
@@ -67,28 +62,33 @@ STAGES = ((0.1, 6, 4), (0.4, 6, 3), (1.0, 6, 2))
 
 
 def search(
-    groups: Sequence[Sequence[tuple[Problem, np.ndarray]]], iterations: int, tolerance: float, report=None
+    groups: Sequence[Sequence[tuple[AbstractProblem, np.ndarray]]], iterations: int, tolerance: float, log: Log | None = None
 ) -> tuple[list[Path], int]:
     """The best path of each group of (problem, start), all groups in one batch, and the number of linearisations.
 
     Starts first descend on growing shares of the records: a long oscillation has one basin per cycle that is gained or lost,
-    and a short look finds the right one. The first start of a group also goes straight to the whole.
+    and a short look finds the right one. The first start of a group also goes straight to the whole, and alone if the budget
+    does not cover more.
     """
     current = [list(g) for g in groups]
     tried = 0
-    for share, steps, keep in STAGES if max(len(g) for g in groups) > 1 else ():
+    stages = STAGES if max(len(g) for g in groups) > 1 else ()
+    cost = sum(share * (steps + 1) * sum(min(len(g), keep + 1) for g in groups) for share, steps, keep in STAGES)
+    if log is not None and log.left < (cost + 10) * (1 + groups[0][0][0].size):
+        current, stages = [[g[0]] for g in groups], ()
+    for share, steps, keep in stages:
         if share == 1.0:
             for g, original in zip(current, groups, strict=True):
                 g += [original[0]]
         flat = [(k, job) for k, g in enumerate(current) for job in g]
-        paths = descend([job for _, job in flat], steps, 1e-4, share)
+        paths = descend([job for _, job in flat], steps, 1e-4, share, log)
         tried += sum(p.linearisations for p in paths)
         for k in range(len(groups)):
             own = sorted((p for (n, _), p in zip(flat, paths, strict=True) if n == k), key=lambda p: p.cost)
             points = distinct([p.z for p in own if np.isfinite(p.cost)] or [own[0].z])[:keep]
             current[k] = [(own[0].problem if len(own) else groups[k][0][0], z) for z in points]
     flat = [(k, job) for k, g in enumerate(current) for job in g]
-    paths = descend([job for _, job in flat], iterations, tolerance, 1.0, report)
+    paths = descend([job for _, job in flat], iterations, tolerance, 1.0, log)
     tried += sum(p.linearisations for p in paths)
     best = []
     for k in range(len(groups)):
@@ -96,17 +96,20 @@ def search(
     return best, tried
 
 
+Curvature = Callable[["Path", np.ndarray, Linear], np.ndarray]
+
+
 @dataclass
 class Path:
     """One descent: where it stands and how it got there."""
 
-    problem: Problem
+    problem: Any  # AbstractProblem
     z: np.ndarray
     cost: float = np.inf
     gradient: np.ndarray | None = None
     hessian: np.ndarray | None = None
-    mu: float = 1e-3
-    nu: float = 2.0
+    radius: float = np.inf
+    scale: np.ndarray | None = None
     count: int = 0
     linearisations: int = 0
     converged: bool = False
@@ -115,23 +118,40 @@ class Path:
 
 
 def descend(
-    jobs: Sequence[tuple[Problem, np.ndarray]],
+    jobs: Sequence[tuple[AbstractProblem, np.ndarray]],
     iterations: int,
     tolerance: float,
     share: float = 1.0,
-    report=None,
+    log: Log | None = None,
+    expansion: Expansion | None = None,
+    curvature: Curvature = lambda path, trial, new: new.hessian,
 ) -> list[Path]:
-    """Levenberg-Marquardt on many (problem, start) on the same runs at once; each linearisation of all is one batch."""
+    """Levenberg-Marquardt on many (problem, start) on the same runs at once; each linearisation of all is one batch.
+
+    `expansion` gives twice the loss with gradient and curvature, by default `linearise` for sums of squares and `expand` for
+    other losses; `curvature` may put another matrix in the place of that of an accepted trial. A `log` counts evaluations (a
+    share of the records as that share of one) and ends the descent when the budget is used up.
+    """
+    if expansion is None:
+        expansion = linearise if all(p.loss_name == "sum_of_squares" for p, _ in jobs) else expand
     paths = [Path(p, problem_clip(p, z), history=[]) for p, z in jobs]
     trials = [p.z for p in paths]
     active = list(range(len(paths)))
+    each = share * (1 + paths[0].problem.size)
     for iteration in range(iterations + 1):
-        results = linearise([(paths[i].problem, trials[i]) for i in active], share)
+        if log is not None:
+            active = [] if log.exhausted else active[: int(min(log.left / each, len(active)))]
+            if not active:
+                break
+        results = expansion([(paths[i].problem, trials[i]) for i in active], share)
         for i, new in zip(active, results, strict=True):
-            _accept(paths[i], trials[i], new, tolerance)
+            _accept(paths[i], trials[i], new, tolerance, curvature)
+        if log is not None:
+            best = min(paths, key=lambda p: p.cost)
+            scale = 2 / max(1, best.count) if expansion is linearise else 1.0
+            log.add(math.ceil(each * len(active)), scale * best.cost if share == 1.0 else np.inf)
+            log.show(iteration, iterations)
         active = [i for i in active if not paths[i].converged]
-        if report:
-            report(iteration, 2 * min(p.cost for p in paths) / max(1, max(p.count for p in paths)))
         if not active or iteration == iterations:
             break
         for i in active:
@@ -139,63 +159,93 @@ def descend(
     return paths
 
 
-def _accept(path: Path, trial: np.ndarray, new: Linear, tolerance: float) -> None:
+def _accept(path: Path, trial: np.ndarray, new: Linear, tolerance: float, curvature: Curvature) -> None:
     cost = new.cost / 2
     path.linearisations += 1
     path.count = new.count
     finite = np.isfinite(cost) and np.isfinite(new.gradient).all() and np.isfinite(new.hessian).all()
-    first = path.gradient is None
-    if first:
+    if path.gradient is None:
         if not finite:
             path.converged, path.stopped = True, "the start diverges"
             return
         path.cost, path.gradient, path.hessian = cost, new.gradient, new.hessian
+        path.scale = _scale(new.hessian)
+        path.radius = float(np.linalg.norm(path.scale * _typical(path.problem, path.z)))
         assert path.history is not None
         path.history.append((path.linearisations, cost))
         return
-    assert path.gradient is not None and path.hessian is not None and path.history is not None
+    assert path.hessian is not None and path.history is not None and path.scale is not None
     dz = trial - path.z
+    length = float(np.linalg.norm(path.scale * dz))
     predicted = -(path.gradient @ dz + dz @ path.hessian @ dz / 2)
     gained = path.cost - cost if finite else -np.inf
+    rho = gained / max(predicted, 1e-300)
+    if rho < 0.25:
+        path.radius = 0.25 * length if finite else 0.1 * length
+    elif rho > 0.75:
+        path.radius = max(path.radius, 2 * length)
     if finite and gained > 0:
-        rho = gained / max(predicted, 1e-300)
-        path.mu *= float(max(1 / 3, 1 - (2 * min(max(rho, 0.0), 1.0) - 1) ** 3))
-        path.nu = 2.0
-        small = gained <= tolerance * path.cost and predicted <= 100 * tolerance * path.cost
-        path.z, path.cost, path.gradient, path.hessian = trial, cost, new.gradient, new.hessian
+        small = cost == 0 or (gained <= tolerance * path.cost and predicted <= 100 * tolerance * path.cost)
+        path.hessian = curvature(path, trial, new)
+        path.z, path.cost, path.gradient = trial, cost, new.gradient
+        path.scale = np.maximum(path.scale, _scale(path.hessian))
         if small:
             path.converged, path.stopped = True, "tolerance"
     else:
         if predicted <= tolerance * path.cost:
             path.converged, path.stopped = True, "tolerance"
-        path.mu *= path.nu
-        path.nu *= 2
-        if path.mu > 1e12:
+        if path.radius <= 1e-12 * np.linalg.norm(path.scale * _typical(path.problem, path.z)):
             path.converged, path.stopped = True, "no step lowers the loss any further"
     path.history.append((path.linearisations, path.cost))
 
 
+def _scale(hessian: np.ndarray) -> np.ndarray:
+    return np.sqrt(np.maximum(np.diag(hessian), 0.0) + 1e-300)
+
+
+def _typical(problem: AbstractProblem, z: np.ndarray) -> np.ndarray:
+    """How far a first step may go: a factor of e, or the size of the variable, and never more than half its range."""
+    log = np.zeros(problem.size, bool)
+    log[: problem.free.size] = problem.log
+    return np.minimum(np.where(log, 1.0, np.maximum(np.abs(z), 5 * problem.scale)), (problem.upper - problem.lower) / 2)
+
+
 def _step(path: Path) -> np.ndarray:
-    assert path.gradient is not None and path.hessian is not None
-    z, g, H = path.z, path.gradient, path.hessian
+    """The next trial: the model's minimum within radius and bounds."""
+    assert path.gradient is not None and path.hessian is not None and path.scale is not None
+    z, g, H, scale = path.z, path.gradient, path.hessian, path.scale
     lower, upper = path.problem.lower, path.problem.upper
     free = ~(((z <= lower) & (g > 0)) | ((z >= upper) & (g < 0)))
     dz = np.zeros_like(z)
-    scale = np.sqrt(np.diag(H) + 1e-300)
-    A = H / scale / scale[:, None]
-    A[np.diag_indices_from(A)] = 1 + path.mu + 1e-14
     for _ in range(z.size + 1):  # a variable that would leave its bounds goes to the bound, and the rest is solved again
         index = np.flatnonzero(free)
         if not index.size:
             break
         pull = (g + H @ np.where(free, 0.0, dz))[index] / scale[index]
-        dz[index] = -np.linalg.solve(A[np.ix_(index, index)], pull) / scale[index]
+        held = float(np.sum((scale * np.where(free, 0.0, dz)) ** 2))
+        left = np.sqrt(max(path.radius**2 - held, (0.1 * path.radius) ** 2))
+        dz[index] = _within(H[np.ix_(index, index)] / scale[index] / scale[index][:, None], pull, left) / scale[index]
         out = free & ((z + dz < lower) | (z + dz > upper))
         if not out.any():
             break
         dz = np.where(out, np.clip(z + dz, lower, upper) - z, dz)
         free &= ~out
     return np.clip(z + dz, lower, upper)
+
+
+def _within(A: np.ndarray, b: np.ndarray, radius: float) -> np.ndarray:
+    """The x with |x| <= radius that minimises b'x + x'Ax / 2, A positive semidefinite."""
+    values, vectors = np.linalg.eigh(A)
+    values = np.maximum(values, 1e-14)
+    c = vectors.T @ b
+    mu, x = 0.0, c
+    for _ in range(30):  # Newton on 1 / |x| - 1 / radius, which is nearly linear in mu
+        x = c / (values + mu)
+        size = np.linalg.norm(x)
+        if size <= 1.1 * radius:
+            break
+        mu += (size - radius) / radius * size**2 / np.sum(x**2 / (values + mu))
+    return -vectors @ x
 
 
 def distinct(points: Sequence[np.ndarray]) -> list[np.ndarray]:
@@ -207,7 +257,7 @@ def distinct(points: Sequence[np.ndarray]) -> list[np.ndarray]:
     return kept
 
 
-def problem_clip(problem: Problem, z: np.ndarray) -> np.ndarray:
+def problem_clip(problem: AbstractProblem, z: np.ndarray) -> np.ndarray:
     return np.clip(np.asarray(z, np.float64), problem.lower, problem.upper)
 
 

@@ -11,8 +11,9 @@ from typing import TYPE_CHECKING as _TYPE_CHECKING
 
 if _TYPE_CHECKING:
     from jaxid import fitters as fitters, models as models
-    from jaxid.api import diagnose as diagnose, fit as fit, simulate as simulate
+    from jaxid.api import compare as compare, diagnose as diagnose, fit as fit, simulate as simulate
     from jaxid.chain import Chain as Chain
+    from jaxid.comparison import Comparison as Comparison
     from jaxid.dataset_io import load_dataset as load_dataset, save_dataset as save_dataset
     from jaxid.errors import UsageError as UsageError
     from jaxid.experiment import (
@@ -29,6 +30,7 @@ if _TYPE_CHECKING:
 _HOME = {
     "Chain": "jaxid.chain",
     "Channel": "jaxid.experiment",
+    "Comparison": "jaxid.comparison",
     "Dataset": "jaxid.experiment",
     "DatasetError": "jaxid.experiment",
     "Diagnosis": "jaxid.results",
@@ -37,6 +39,7 @@ _HOME = {
     "Problem": "jaxid.problem",
     "Simulation": "jaxid.results",
     "UsageError": "jaxid.errors",
+    "compare": "jaxid.api",
     "diagnose": "jaxid.api",
     "fit": "jaxid.api",
     "fitters": None,

@@ -1,12 +1,13 @@
-"""`jaxid.fit`, `jaxid.diagnose`, `jaxid.simulate`: the three verbs."""
+"""`jaxid.fit`, `jaxid.diagnose`, `jaxid.compare`, `jaxid.simulate`: the verbs."""
 
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
 from typing import Any
 
-from jaxid import catalogue, closed_loop as closed_loop  # registers its residual
+from jaxid import catalogue, closed_loop as closed_loop, frequency as frequency  # register their residuals
 from jaxid.binding import bind, Binding
+from jaxid.comparison import Comparison
 from jaxid.errors import nearest, UsageError
 from jaxid.experiment import Dataset
 from jaxid.fitter import AbstractFitter, Progress
@@ -81,9 +82,41 @@ def simulate(parameters: Fit | Mapping[str, Any], dataset: Dataset, *, model: ob
     return simulate_dataset(content, dataset, model)
 
 
+def compare(
+    model: object,
+    dataset: Dataset,
+    *,
+    fitters: Iterable[AbstractFitter | str] | None = None,
+    seeds: int = 10,
+    budget: int | None = None,
+    seconds: float | None = None,
+    effects: Iterable[str] = (),
+    without: Iterable[str] = (),
+    residual: Residual | str | None = None,
+    loss: str | None = None,
+    starts: str = "random",
+    tolerance: float = 1e-3,
+    seed: int = 0,
+    progress: Progress | None = None,
+) -> Comparison:
+    """Runs every fitter with every seed on the same compiled loss, with the same budget of evaluations (default 10,000) or
+    `seconds`, whichever ends a run first.
+
+    A seed is a random start within the bounds, the same for all fitters (`starts="guess"`: the start that the data suggest).
+    A run has reached the target when its loss is at most the best known one times 1 + `tolerance`. Raises `UsageError` for
+    arguments that do not fit.
+    """
+    from jaxid.comparison_study import run_comparison
+
+    return run_comparison(
+        model, dataset, fitters, seeds, budget, seconds, effects, without, resolve_residual(residual),
+        loss or "sum_of_squares", starts, tolerance, seed, progress,
+    )  # fmt: skip
+
+
 def resolve_fitter(fitter: AbstractFitter | str | None, loss: str = "sum_of_squares") -> AbstractFitter:
     if fitter is None:
-        fitter = "lm" if loss == "sum_of_squares" else "de"
+        fitter = "lm" if loss == "sum_of_squares" else "hybrid"
     return catalogue.fitter_class(fitter)() if isinstance(fitter, str) else fitter
 
 

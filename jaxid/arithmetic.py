@@ -29,13 +29,20 @@ def dot(a: Float[Array, "n m"], x: Float[Array, ...]) -> Float[Array, ...]:
 
 
 def inverse(a: Float[Array, "n n"]) -> Float[Array, "n n"]:
-    """Inverse of a small matrix: closed form up to two rows, elimination beyond."""
+    """Inverse of a small matrix whose leading minors are positive (a mass matrix, 1 + compliance times slopes): closed form up
+    to two rows, Gauss-Jordan elimination beyond, in a loop and without pivots, which batched LAPACK calls cannot match."""
     if a.shape[-1] == 1:
         return 1 / a
     if a.shape[-1] == 2:
         (p, q), (r, s) = a
         return jnp.stack([jnp.stack([s, -q]), jnp.stack([-r, p])]) / (p * s - q * r)
-    return jnp.linalg.inv(a)
+    n = a.shape[-1]
+
+    def eliminate(rows: Array, k: Array) -> tuple[Array, None]:
+        row = rows[k] / rows[k, k]
+        return (rows - rows[:, k, None] * row).at[k].set(row), None
+
+    return jax.lax.scan(eliminate, jnp.concatenate([a, jnp.eye(n, dtype=a.dtype)], 1), jnp.arange(n))[0][:, n:]
 
 
 # Minimax coefficients of sin(r)/r and cos(r) on |r| <= pi/4 (the classical ones of fdlibm's kernel functions).

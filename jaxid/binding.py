@@ -51,7 +51,8 @@ class Binding:
 
     def motions_of(self, experiments: Iterable[Experiment]) -> list[Motion] | None:
         """Motions of these runs, or None where the model does not measure its joints."""
-        return [self.motions[e.name] for e in experiments] if self.motions else None
+        names = [e.name for e in experiments]
+        return [self.motions[n] for n in names] if self.motions and set(names) <= set(self.motions) else None
 
 
 def resolve_model(model: object, dataset: Dataset, without: Iterable[str] = ()) -> Chain:
@@ -124,8 +125,8 @@ def bind(
     `effects` are added and fitted, `candidates` are put into the chain at their neutral value and stay there.
     """
     dataset = dataset.with_splits() if splits else dataset
-    if not dataset.experiments:
-        raise UsageError("the dataset holds no time series; this model needs at least one experiment")
+    if not dataset.experiments and not dataset.responses:
+        raise UsageError("the dataset holds no experiment")
     nominal = resolve_model(model, dataset, without)
     added = [parse_effect(e, nominal) for e in effects]
     present = {e.name for e in nominal.effects}
@@ -153,6 +154,9 @@ def bind(
             theta[layout.index(name)] = prior.value
             stated.add(layout.index(name))
 
+    chain = layout.model(theta)  # type: ignore[arg-type]  # with what the dataset states
+    layout = Layout(chain)
+    fixed |= {layout.index(name) for name in chain.mechanism.held() if name in layout.names and name not in priors}
     own = {i for i, e in enumerate(layout.entries) if e.owner < 0 or chain.effects[e.owner].name in present}
     free = sorted(i for i in own if i not in fixed)
     for kind, place in added:
@@ -185,9 +189,13 @@ def _references(
     fit = dataset.split("fit")
     chain, nq = layout.chain, layout.chain.nq
     iu, _ = samples.columns(dataset, chain)
-    size = [float(np.percentile(np.abs(np.concatenate([e.u[:, i] for e in fit])), 99)) for i in iu]
+    size = [float(np.percentile(np.abs(np.concatenate([e.u[:, i] for e in fit])), 99)) for i in iu] if fit else []
     direct = chain.direct
-    if not motions:
+    if not fit:
+        omega = np.concatenate([r.omega for r in dataset.responses])
+        joints = [Reference(1.0, 1.0, 1.0, 2 * np.pi / float(omega.min()), np.pi / float(omega.max()))] * nq
+        size = [1.0] * len(iu)
+    elif not motions:
         step = float(np.median(np.diff(fit[0].t)))
         duration = max(float(e.t[-1] - e.t[0]) for e in fit)
         torque = size if direct and size else [1.0] * nq
@@ -199,7 +207,8 @@ def _references(
         with float64():
             body = layout.model(jnp.asarray(theta)).body()
             still = jnp.zeros(nq)
-            torque = jax.vmap(lambda q, a: body.inverse(q, still, a) - body.inverse(q, still, still))(q[pick], qdd[pick])
+            needed = jax.jit(jax.vmap(lambda q, a: body.inverse(q, still, a) - body.inverse(q, still, still)))
+            torque = needed(q[pick], qdd[pick])
             inertia = np.percentile(np.abs(np.asarray(torque)), 99, axis=0)
         joints = samples.references(fit, used, iu if direct else [], inertia)
     return joints, [joints[min(k, nq - 1)]._replace(torque=max(s, 1e-9)) for k, s in enumerate(size)]

@@ -63,6 +63,12 @@ class Effect(eqx.Module):
     refines: ClassVar[str] = ""
     contains: ClassVar[tuple[str, ...]] = ()  # other effects that it comprises
     location: eqx.AbstractClassVar[str]  # "input" | "joint" | "output": the kind of place its parameters are counted by
+
+    def transfer(self, omega: Float[Array, " lines"]) -> tuple[Float[Array, "lines n"], Float[Array, "lines n"]] | None:
+        """Real and imaginary part of what a linear effect at an input or output does to its n channels at omega, rad/s; None:
+        nothing."""
+        return None
+
     #: Effects of one port act in the order of their stage, then as they were given: what happens to the command before it
     #: reaches the drive comes first, what edits a mechanism before what wraps it.
     stage: ClassVar[int] = 1
@@ -173,7 +179,7 @@ class Chain(eqx.Module):
         self.mechanism = mechanism
         self.signature = signature or mechanism.signatures[0]
         self.smoothing_velocity = float(smoothing_velocity)
-        effects = [kind() for kind, _ in mechanism.builtin] if effects is None else effects
+        effects = mechanism.nominal_effects() if effects is None else effects
         self.effects = tuple(self._widened(e) for e in effects)
 
     @property

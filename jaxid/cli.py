@@ -152,7 +152,7 @@ def diagnose(dataset, out, model, max_effects, effects, without, residual, seed,
 def simulate(dataset, parameters, out, model, as_json, quiet) -> int:
     """Run a model on a dataset's inputs.
 
-    Writes run_1.parquet … and simulation.json into DIR.
+    Writes run_1.parquet …, run_1.png … (poses of the mechanism over time) and simulation.json into DIR.
     """
     fitted = read_parameters(parameters)
     jaxid, data = start(dataset, out)
@@ -164,6 +164,8 @@ def simulate(dataset, parameters, out, model, as_json, quiet) -> int:
         partial = out / f"run_{i}.parquet.partial"
         pyarrow.parquet.write_table(pyarrow.table(dict(run)), partial)
         partial.replace(out / f"run_{i}.parquet")
+        if (moving := result.motion(i - 1)) is not None:
+            moving.strip().figure.savefig(out / f"run_{i}.png", dpi=120)
     save(result, out)
     show(result, as_json, quiet)
     return SUCCESS
@@ -238,6 +240,13 @@ def catalogue(kind: str, name: str | None, as_json: bool, quiet: bool) -> int:
     elif not quiet:
         terminal.say(listing.summary(kind, found) if name is None else listing.description(found[0]))
     return SUCCESS
+
+
+def register() -> None:
+    """Commands that live in modules of their own; they are as light to import as this one."""
+    from jaxid.cli_compare import compare
+
+    cli.add_command(compare)
 
 
 def start(dataset: str, out: Path) -> tuple[Any, Any]:
@@ -357,6 +366,7 @@ def main(arguments: list[str] | None = None) -> int:
         # A terminal that cannot show `±` gets `?` instead of an error; streams replaced by others stay as they are.
         if callable(reconfigure := getattr(stream, "reconfigure", None)):
             reconfigure(errors="replace")
+    register()
     try:
         code = cli.main(args=arguments, prog_name="jaxid", standalone_mode=False)
         sys.stdout.flush()
@@ -379,5 +389,15 @@ def main(arguments: list[str] | None = None) -> int:
         return code
 
 
-if __name__ == "__main__":
-    sys.exit(main())
+if __name__ == "__main__":  # run as a file: the modules below need it under its own name
+    from jaxid.cli import main as main_
+
+    sys.exit(main_())
+
+# These modules build on this one.
+from jaxid.cli_emulate import emulate  # noqa: E402
+from jaxid.cli_record import record  # noqa: E402
+
+
+cli.add_command(emulate)
+cli.add_command(record)

@@ -196,8 +196,8 @@ class Compliant(Mechanism):
     def output(self, x, tau, rests):
         inner, q, _, t = x
         y = self.inner.output(inner, jnp.where(self.present, t, tau), rests & ~self.present)
-        outputs, joints = (mechanism_of(self.base).signatures[0][i] for i in (1, 2))
-        names = [n for n, _ in outputs]
+        signature = mechanism_of(self.base).signatures[0]
+        names, joints = [n for n, _ in signature.outputs], signature.joints
         for column, name in enumerate(names):
             if name in joints:  # the encoder sits at the motor
                 j = joints.index(name)

@@ -17,6 +17,7 @@ from jaxid.errors import UsageError
 from jaxid.experiment import Experiment
 from jaxid.fitter import AbstractFitter, Minimum, Progress
 from jaxid.fitters import descend, LevenbergMarquardt
+from jaxid.frequency import FrequencyResponseError
 from jaxid.parameter import resolve
 from jaxid.problem import Problem
 from jaxid.residual import InverseDynamics, MultipleShooting, OutputError, Residual, Runs
@@ -40,13 +41,13 @@ class Bench:
         self._runs: dict[tuple[str, str], Runs] = {}
         steps = {e.name: samples.step_count(e, self.step) for e in self.binding.dataset.experiments}
         totals = [sum(steps[e.name] for e in self.binding.experiments(s)) for s in ("fit", "validation", "report")]
-        self._shape = max(totals), max(steps.values())  # one shape for all splits, hence one program
+        self._shape = max(totals), max(steps.values(), default=0)  # one shape for all splits, hence one program
 
     def runs(self, residual: Residual, split: str) -> Runs:
         key = (repr(residual), split)
         if key not in self._runs:
             b = self.binding
-            experiments = b.experiments(split)
+            experiments = residual.select(b.dataset, split)
             self._runs[key] = residual.runs(
                 b.dataset,
                 experiments,
@@ -78,8 +79,9 @@ class Bench:
 
 
 def default_residual(binding: Binding) -> Residual:
-    """The free run: it says most about a simulator, and a drift that a wrong law causes is what it is asked to show."""
-    return OutputError()
+    """The free run: it says most about a simulator, and a drift that a wrong law causes is what it is asked to show. A
+    dataset of frequency responses alone is compared by them."""
+    return OutputError() if binding.dataset.experiments else FrequencyResponseError()
 
 
 def start_values(bench: Bench, free: Sequence[int], seed: int) -> list[np.ndarray]:
@@ -219,6 +221,22 @@ def score(y: np.ndarray, error: np.ndarray, unit: str) -> Score:
     return Score(rmse, rmse / max(float(np.std(y)), 1e-300), rmse / max(float(np.sqrt(np.mean(y**2))), 1e-300), unit)
 
 
+def response_scores(
+    bench: Bench, residual: FrequencyResponseError, split: str, problem: Problem, z: np.ndarray
+) -> dict[str, Score]:
+    """Distance of the modelled from the measured response over the lines of a split, |error| as a root mean square."""
+    own = problem if split == "fit" else bench.problem(residual, split, problem.free, problem.theta(z))
+    (name, unit), *_ = own.runs.channels
+    error, target = [], []
+    for number, p in zip(own.records, own.predictions(z if split == "fit" else own.z(problem.theta(z))), strict=True):
+        at = own.runs.record(number).samples
+        lines = own.runs.weights[at, 0] > 0
+        target.append(own.runs.targets[at, 0][lines])
+        error.append(p[lines, 0] - target[-1])
+    per_line = 1.0 if residual.magnitude else np.sqrt(2.0)
+    return {name: score(per_line * np.concatenate(target), per_line * np.concatenate(error), unit)}
+
+
 def torque_scores(
     bench: Bench, residual: Residual, split: str, theta: np.ndarray, free: Sequence[int] | np.ndarray
 ) -> dict[str, Score]:
@@ -297,7 +315,8 @@ def fit_binding(
         starts = guesses if found else [*guesses, *probe_starts(bench, problem, guesses[0])]
         result = fitter.minimise(problem, [problem.z(g) for g in starts], key, budget, progress)
         compile_time += bench.compile_time()
-        if result.failed or isinstance(residual, InverseDynamics) or step <= samples.STEP / 8:
+        simulated = not isinstance(residual, InverseDynamics) and bool(binding.dataset.split("fit"))
+        if result.failed or not simulated or step <= samples.STEP / 8:
             break
         moved = step_error(bench, problem, result.z, residual)
         if moved <= STEP_SHARE:
@@ -359,20 +378,24 @@ def assemble(
     traces: list[Trace] = []
     windowed: dict[str, Score] = {}
     for split in ("fit", "validation", "report"):
-        experiments = binding.experiments(split)
+        experiments = residual.select(binding.dataset, split)
         if not experiments:
+            continue
+        if isinstance(residual, FrequencyResponseError):
+            table[split] = response_scores(bench, residual, split, problem, result.z)
+        if not binding.experiments(split):
             continue
         if isinstance(residual, InverseDynamics):
             table[split] = torque_scores(bench, residual, split, theta, problem.free)
             continue
-        if split == "fit" and isinstance(residual, OutputError):
+        if split == "fit" and not isinstance(residual, MultipleShooting) and len(problem.records) == len(experiments):
             starts = problem.starts(result.z)[None]
         else:
             starts = estimate_starts(bench, split, [theta])
         predictions = free_runs(bench, split, [theta], starts)[0]
-        table[split] = scores(bench, split, predictions)
+        table[split] = {**table.get(split, {}), **scores(bench, split, predictions)}
         traces += make_traces(binding, split, {"fit": predictions})
-        if split == "fit" and not isinstance(residual, OutputError):
+        if split == "fit" and isinstance(residual, MultipleShooting):
             windowed = window_scores(binding, problem, result.z)
     return Fit(
         binding.chain.mechanism.name, added, fitter, residual.name, problem.loss_name, seed, result.converged, False,

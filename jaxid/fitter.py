@@ -1,7 +1,7 @@
-"""Fitters: one interface for gradient methods and populations, on the same loss of a `Problem`.
+"""Fitters: one interface for gradient methods and populations, on the same loss of a problem.
 
-A least-squares method writes `minimise`. A population writes `init`, `ask`, `tell`; the loop, the bounds, candidates that
-diverge, best-so-far, history and the stopping rules live here once.
+A least-squares method writes `minimise`. A population writes `init`, `ask`, `tell`, `spread`; the loop, the bounds, candidates
+that diverge, best-so-far, history, restarts and the stopping rules live here once.
 """
 
 from __future__ import annotations
@@ -10,7 +10,7 @@ import abc
 import time
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
-from typing import Any
+from typing import Any, ClassVar, NamedTuple
 
 import equinox as eqx
 import jax
@@ -18,8 +18,9 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, PRNGKeyArray
 
+from jaxid.objective import AbstractProblem
 from jaxid.precision import float64
-from jaxid.problem import PENALTY, Problem
+from jaxid.problem import PENALTY
 
 
 Progress = Callable[[str, int, int, str], None]
@@ -27,7 +28,11 @@ Progress = Callable[[str, int, int, str], None]
 
 @dataclass(frozen=True)
 class Minimum:
-    """What a fitter returns: a failure is a value with a sentence, never an exception."""
+    """What a fitter returns: a failure is a value with a sentence, never an exception.
+
+    An evaluation is one loss; a residual with its Jacobian counts as 1 + size of them. `seconds` goes with `history`, without
+    the time that compiling took.
+    """
 
     z: np.ndarray
     loss: float
@@ -35,6 +40,7 @@ class Minimum:
     stopped_because: str
     evaluations: int
     history: list[tuple[int, float]] = field(default_factory=list)  # (evaluations, best loss so far)
+    seconds: list[float] = field(default_factory=list)
 
     @property
     def failed(self) -> bool:
@@ -50,16 +56,70 @@ class AbstractFitter(eqx.Module):
     @abc.abstractmethod
     def minimise(
         self,
-        problem: Problem,
+        problem: AbstractProblem,
         starts: Sequence[np.ndarray],
         key: PRNGKeyArray,
         budget: int | None = None,
         progress: Progress | None = None,
+        seconds: float | None = None,
     ) -> Minimum:
-        """The best z found. `starts` are guesses, best first; `budget` bounds the number of loss evaluations."""
+        """The best z found. `starts` are guesses, best first; `budget` bounds the number of loss evaluations, `seconds` the
+        time without compiling. A fitter that knows no limit of time leaves the last argument out."""
 
 
-def sampling_box(problem: Problem, guess: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+class Log:
+    """Course of one search: evaluations, best loss so far, and the clock, which stands still while programs are compiled."""
+
+    def __init__(
+        self,
+        problem: AbstractProblem,
+        name: str,
+        budget: int | None = None,
+        seconds: float | None = None,
+        progress: Progress | None = None,
+    ):
+        self.problem, self.name, self.budget, self.limit, self.progress = problem, name, budget, seconds, progress
+        self.evaluations, self.best = 0, float("inf")
+        self.history: list[tuple[int, float]] = []
+        self.seconds: list[float] = []
+        self._began, self._compiled = time.perf_counter(), problem.compile_time_s
+
+    @property
+    def elapsed(self) -> float:
+        return time.perf_counter() - self._began - (self.problem.compile_time_s - self._compiled)
+
+    @property
+    def left(self) -> float:
+        """Evaluations that the budget still allows."""
+        return float("inf") if self.budget is None else self.budget - self.evaluations
+
+    @property
+    def exhausted(self) -> str:
+        """Why the search may not go on, or nothing."""
+        if self.left <= 0:
+            return "the budget of evaluations is used up"
+        return "the time is up" if self.limit is not None and self.elapsed >= self.limit else ""
+
+    def add(self, evaluations: int, loss: float, at: float | None = None) -> None:
+        """`loss` is the best of so many more evaluations, finished at `at` seconds (default: now)."""
+        self.evaluations += evaluations
+        self.best = min(self.best, loss) if np.isfinite(loss) else self.best
+        self.history.append((self.evaluations, self.best if np.isfinite(self.best) else PENALTY))
+        self.seconds.append(self.elapsed if at is None else at)
+
+    def show(self, done: int, total: int) -> None:
+        if self.progress:
+            self.progress(self.name, done, total, f"loss {self.best:.6g}")
+
+    def minimum(self, z: np.ndarray, converged: bool, stopped: str) -> Minimum:
+        """The result; its loss is computed by the one program that all fitters share."""
+        loss = self.problem.loss(z)
+        if loss >= PENALTY:
+            converged, stopped = False, "the simulation diverges at every candidate; give other start values or narrower bounds"
+        return Minimum(z, loss, converged, stopped, self.evaluations, self.history, self.seconds)
+
+
+def sampling_box(problem: AbstractProblem, guess: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Where random starts and first populations are drawn: the bounds, narrowed to a plausible neighbourhood of the guess
     where they span more than two decades (or, for a linear scale, more than 20 times the guess or a typical change)."""
     lower, upper = problem.lower.copy(), problem.upper.copy()
@@ -75,14 +135,42 @@ def sampling_box(problem: Problem, guess: np.ndarray) -> tuple[np.ndarray, np.nd
     return lower, upper
 
 
-class AbstractPopulation(AbstractFitter):
-    """Abstract: a population method in three pure functions over the unit of search z, bounds kept by the base.
+class Course(NamedTuple):
+    """A population search between generations: the method's own state, the best candidate that each slot has had, and the loss
+    at the last improvement with the number of generations since."""
 
-    `popsize` and `generations` are fields of every final class.
+    state: Any
+    points: Any  # [pop dim]
+    losses: Any  # [pop]
+    mark: Any
+    since: Any
+
+    @property
+    def best(self) -> tuple[np.ndarray, float]:
+        i = int(np.argmin(np.asarray(self.losses)))
+        return np.asarray(self.points)[i], float(np.asarray(self.losses)[i])
+
+
+#: Simulated steps of a generation above which its blocks of candidates run on all cores, one call a generation; below, a
+#: second of generations is one program.
+LARGE = 30_000
+#: Most generations of one compiled call.
+CHUNK = 256
+
+
+class AbstractPopulation(AbstractFitter):
+    """Abstract: a population method in four pure functions over the search vectors z; bounds are kept by the base.
+
+    `popsize` and `generations` are fields of every final class. A search ends when it has not gained a relative `tolerance` for
+    `stall` generations (0: never) or the population has collapsed to one point, and starts anew at most `restarts` times, until
+    two in a row end in the same minimum.
     """
 
     popsize: eqx.AbstractVar[int]
     generations: eqx.AbstractVar[int]
+    stall: int = eqx.field(default=60, kw_only=True)
+    tolerance: float = eqx.field(default=1e-9, kw_only=True)
+    restarts: int = eqx.field(default=0, kw_only=True)
 
     @abc.abstractmethod
     def init(self, key: PRNGKeyArray, population: Float[Array, "pop dim"], losses: Float[Array, " pop"]) -> Any:
@@ -91,73 +179,193 @@ class AbstractPopulation(AbstractFitter):
     @abc.abstractmethod
     def ask(
         self, key: PRNGKeyArray, state: Any, lower: Float[Array, " dim"], upper: Float[Array, " dim"]
-    ) -> Float[Array, "pop dim"]:
+    ) -> Float[Array, "offspring dim"]:
         """Candidates of the next generation; what leaves the bounds is brought back by the base."""
 
     @abc.abstractmethod
-    def tell(self, state: Any, candidates: Float[Array, "pop dim"], losses: Float[Array, " pop"]) -> Any:
+    def tell(self, state: Any, candidates: Float[Array, "offspring dim"], losses: Float[Array, " offspring"]) -> Any:
         """State after the candidates have been evaluated."""
-
-    @abc.abstractmethod
-    def best(self, state: Any) -> tuple[Float[Array, " dim"], Float[Array, ""]]:
-        """Best candidate so far and its loss."""
 
     @abc.abstractmethod
     def spread(self, state: Any) -> Float[Array, ""]:
         """Largest extent of the population; zero once it has collapsed."""
 
-    def minimise(self, problem, starts, key, budget=None, progress=None):
-        generations = self.generations
-        if budget is not None:
-            generations = max(1, min(generations, budget // self.popsize - 1))
-        lower, upper = problem.lower, problem.upper
-        box = sampling_box(problem, starts[0])
-        data = problem.data
+    #: Whether `informed` is called before every generation.
+    guided: ClassVar[bool] = False
 
-        def begin(key, low, high, guesses, data):
-            k0, k1 = jax.random.split(key)
-            population = low + (high - low) * jax.random.uniform(k0, (self.popsize, low.shape[0]))
-            population = population.at[: guesses.shape[0]].set(guesses)
-            return self.init(k1, population, problem.pure_losses(population, data))
+    def informed(self, problem: AbstractProblem, state: Any, log: Log) -> Any:
+        """State with what a guided method wants to know of the problem before it asks, such as a Gauss-Newton step; its
+        evaluations are added to the log."""
+        return state
 
-        def advance(state, key, first, count, lower, upper, data):
-            def generation(i, state):
-                k0, k1 = jax.random.split(jax.random.fold_in(key, first + i))
-                candidates = reflected(k1, self.ask(k0, state, lower, upper), lower, upper)
-                return self.tell(state, candidates, problem.pure_losses(candidates, data))
+    @property
+    def offspring(self) -> int:
+        """Candidates of a generation."""
+        return self.popsize
 
-            return jax.lax.fori_loop(0, count, generation, state)
+    def cost(self, problem: AbstractProblem) -> int:
+        """Evaluations of a generation."""
+        return self.offspring
 
+    def again(self) -> AbstractPopulation:
+        """The fitter of a restart: itself, or one with a larger population."""
+        return self
+
+    def minimise(self, problem, starts, key, budget=None, progress=None, seconds=None):
+        log = Log(problem, self.name, budget, seconds, progress)
+        best, converged, stopped = (np.clip(starts[0], problem.lower, problem.upper), float("inf")), False, ""
+        fitter: AbstractPopulation = self
+        for attempt in range(self.restarts + 1):
+            if log.exhausted or (attempt and log.left < 2 * fitter.popsize):
+                break
+            own = starts if attempt == 0 else starts[:1]
+            course, converged, stopped = fitter.search(problem, own, jax.random.fold_in(key, attempt), log)
+            agree = abs(course.best[1] - best[1]) <= 1e-6 * abs(best[1]) + 1e-300
+            best = min(best, course.best, key=lambda pair: pair[1])
+            if attempt and agree and converged:
+                stopped = f"restarts end in the same minimum ({stopped})"
+                break
+            fitter = fitter.again()
+        return log.minimum(best[0], converged, stopped)
+
+    def search(
+        self,
+        problem: AbstractProblem,
+        starts: Sequence[np.ndarray],
+        key: PRNGKeyArray,
+        log: Log,
+        course: Course | None = None,
+        most: int | None = None,
+    ) -> tuple[Course, bool, str]:
+        """One run of the method until a stopping rule holds: (course, converged, why it stopped). With a `course` it goes on
+        from there; `most` generations, if that is less than the method's own. Every evaluation is counted in the log."""
+        lower, upper, data = problem.lower, problem.upper, problem.data
         with float64():
             key = jnp.asarray(key)
-            guesses = np.clip(np.array(starts[: max(1, self.popsize // 4)]), lower, upper)
-            state = jax.jit(begin)(jax.random.fold_in(key, 0), *box, guesses, data)
-            step = jax.jit(advance)
-            done, chunk, history = 0, 1, [(self.popsize, float(self.best(state)[1]))]
-            stopped, converged = "all generations done", False
-            while done < generations:
-                began = time.perf_counter()
-                count = min(chunk, generations - done)
-                state = step(state, key, np.int32(done + 1), np.int32(count), lower, upper, data)
-                z, loss = (np.asarray(a) for a in self.best(state))
-                spent = time.perf_counter() - began
-                if done:  # the first call compiles
-                    chunk = int(np.clip(chunk * min(8.0, 0.7 / max(spent, 1e-3)), 1, 1000))
+            now = self.begin(problem, starts, key, log) if course is None else course
+            wanted = self.generations if most is None else min(self.generations, most)
+            generations = int(min(wanted, log.left // self.cost(problem)))
+            whole = not self.guided and problem.work * self.offspring < LARGE
+            done, chunk = 0, 1
+            while done < generations and not log.exhausted:
+                began = log.elapsed
+                if whole:
+                    args = (now, key, np.int32(done + 1), np.int32(min(chunk, generations - done)), lower, upper, data)
+                    program = problem.compiled((type(self), repr(self), "advance"), _advance(self, problem.pure), *args)
+                    began = log.elapsed
+                    now, series, count, spread = program(*args)
+                    count, series = int(count), np.asarray(series)
+                    spent = log.elapsed - began
+                    for i in range(count):
+                        log.add(self.offspring, float(series[i]), began + spent * (i + 1) / count)
+                    limit = 0.7 if log.limit is None else min(0.7, 0.3 * max(log.limit - log.elapsed, 1e-3))
+                    chunk = int(np.clip(count * min(8.0, limit / max(spent, 1e-6)), 1, CHUNK))
+                else:
+                    now, spread = self._generation(problem, now, key, done + 1, log)
+                    count = 1
                 done += count
-                history.append(((done + 1) * self.popsize, float(loss)))
-                if progress:
-                    progress(self.name, done, generations, f"loss {float(loss):.6g}")
-                if float(self.spread(state)) <= 1e-9 * float(np.max(upper - lower)):
-                    stopped, converged = "the population has collapsed to one point", True
-                    break
-            z = np.asarray(self.best(state)[0])
-        loss = problem.loss(z)
-        if loss >= PENALTY:
-            return Minimum(z, loss, False, "every candidate diverged", (done + 1) * self.popsize, history)
-        return Minimum(z, loss, converged, stopped, (done + 1) * self.popsize, history)
+                log.show(done, generations)
+                if self.stall and int(now.since) >= self.stall:
+                    return now, True, f"no gain in {self.stall} generations"
+                if float(spread) <= 1e-9 * float(np.max(upper - lower)):
+                    return now, True, "the population has collapsed to one point"
+        full = generations < wanted
+        return now, False, log.exhausted or ("the budget of evaluations is used up" if full else "all generations done")
+
+    def begin(self, problem: AbstractProblem, starts: Sequence[np.ndarray], key: PRNGKeyArray, log: Log) -> Course:
+        """First population: the starts, and random points of the sampling box. With less budget than that, the rest of it is
+        not evaluated."""
+        low, high = sampling_box(problem, starts[0])
+        guesses = np.clip(np.array(starts[: max(1, self.popsize // 4)]), problem.lower, problem.upper)
+        k0, k1 = jax.random.split(jax.random.fold_in(key, 0))
+        points = low + (high - low) * np.asarray(jax.random.uniform(k0, (self.popsize, low.size)))
+        points[: len(guesses)] = guesses
+        losses = np.full(self.popsize, PENALTY)
+        count = int(min(self.popsize, log.left))
+        losses[:count] = problem.losses(points[:count])
+        log.add(count, float(losses.min()))
+        return self.course(problem, k1, points, losses)
+
+    def course(self, problem: AbstractProblem, key: PRNGKeyArray, points: np.ndarray, losses: np.ndarray) -> Course:
+        """A course that begins with this evaluated population."""
+        with float64():
+            program = problem.compiled((type(self), repr(self), "init"), self.init, key, points, losses, own=False)
+            return Course(program(key, points, losses), points, losses, np.float64(losses.min()), np.int32(0))
+
+    def _generation(
+        self, problem: AbstractProblem, course: Course, key: PRNGKeyArray, number: int, log: Log
+    ) -> tuple[Course, Float[Array, ""]]:
+        """One generation whose candidates are evaluated on all cores."""
+        course = course._replace(state=self.informed(problem, course.state, log))
+        name = (type(self), repr(self))
+        args = key, np.int32(number), course.state, problem.lower, problem.upper
+        candidates = np.asarray(problem.compiled((*name, "ask"), _proposal(self), *args, own=False)(*args))
+        losses = problem.losses(candidates)
+        args = course, candidates, losses
+        course, spread = problem.compiled((*name, "tell"), _selection(self), *args, own=False)(*args)
+        log.add(self.offspring, float(np.min(losses)))
+        return course, spread
+
+
+def _proposal(fitter: AbstractPopulation) -> Callable[..., Array]:
+    def propose(key, number, state, lower, upper):
+        k0, k1 = jax.random.split(jax.random.fold_in(key, number))
+        return reflected(k1, fitter.ask(k0, state, lower, upper), lower, upper)
+
+    return propose
+
+
+def _selection(fitter: AbstractPopulation) -> Callable[..., tuple[Course, Array]]:
+    def select(course: Course, candidates, losses):
+        state = fitter.tell(course.state, candidates, losses)
+        n = fitter.offspring
+        better = losses < course.losses[:n]
+        points = course.points.at[:n].set(jnp.where(better[:, None], candidates, course.points[:n]))
+        lowest = course.losses.at[:n].min(losses)
+        best = jnp.min(lowest)
+        gained = best < course.mark - fitter.tolerance * jnp.abs(course.mark)
+        course = Course(
+            state,
+            points,
+            lowest,
+            jnp.where(gained, best, course.mark),
+            jnp.where(gained, 0, course.since + 1).astype(course.since.dtype),
+        )
+        return course, fitter.spread(state)
+
+    return select
+
+
+def _advance(fitter: AbstractPopulation, losses: Callable[[Array, Any], Array]) -> Callable[..., tuple]:
+    """`count` generations as one program, fewer if a stopping rule holds: (course, best loss of each, how many, spread)."""
+    propose, select = _proposal(fitter), _selection(fitter)
+
+    def advance(course: Course, key, first, count, lower, upper, data):
+        def go_on(carry):
+            i, course, _, spread = carry
+            fresh = course.since < fitter.stall if fitter.stall else True
+            return (i < count) & fresh & (spread > 1e-9 * jnp.max(upper - lower))
+
+        def generation(carry):
+            i, course, series, _ = carry
+            candidates = propose(key, first + i, course.state, lower, upper)
+            value = losses(candidates, data)
+            course, spread = select(course, candidates, value)
+            return i + 1, course, series.at[i].set(jnp.min(value)), spread
+
+        begin = jnp.zeros_like(count), course, jnp.zeros(CHUNK), jnp.full((), jnp.inf)
+        i, course, series, spread = jax.lax.while_loop(go_on, generation, begin)
+        return course, series, i, spread
+
+    return advance
+
+
+#: Fractional part of the golden ratio: multiples of it spread evenly over the unit interval.
+_GOLDEN = 0.6180339887498949
 
 
 def reflected(key: PRNGKeyArray, z: Array, lower: Array, upper: Array) -> Array:
-    """What lies outside the bounds goes to a random place inside; nan too."""
+    """What lies outside the bounds goes to a random place inside; nan too. One random number a candidate."""
+    draw = jax.random.uniform(key, (z.shape[0], 1)) + _GOLDEN * jnp.arange(z.shape[1])
     inside = (z >= lower) & (z <= upper)
-    return jnp.where(inside, z, lower + (upper - lower) * jax.random.uniform(key, z.shape))
+    return jnp.where(inside, z, jnp.clip(lower + (upper - lower) * (draw - jnp.floor(draw)), lower, upper))

@@ -15,7 +15,8 @@ from jaxid.parameter import ParameterSpec, Reference, resolve, specs
 
 
 class Entry(NamedTuple):
-    """One number of a model. `owner` -1 is the mechanism, else the index of the effect; `place` its location there."""
+    """One number of a model. `owner` -1 is the mechanism, else the index of the effect; `place` its location there (0 for a
+    field of the mechanism that is not one number per joint)."""
 
     name: str
     owner: int
@@ -35,14 +36,13 @@ class Layout:
         self.names = [e.name for e in self.entries]
         self.values = np.array(
             [
-                np.asarray(getattr(chain.mechanism, e.field))
-                if e.owner < 0
-                else np.asarray(getattr(chain.effects[e.owner], e.field))[e.place]
+                np.ravel(getattr(chain.mechanism if e.owner < 0 else chain.effects[e.owner], e.field))[e.place]
                 for e in self.entries
             ],
             np.float64,
         )
-        self._leaves = [(-1, name, 1) for name in specs(chain.mechanism)]
+        shape = lambda name: np.shape(getattr(chain.mechanism, name))
+        self._leaves = [(-1, name, shape(name)[0] if shape(name) else 0) for name in specs(chain.mechanism)]
         for i, effect in enumerate(chain.effects):
             self._leaves += [(i, name, len(chain.places(effect))) for name in specs(effect)]
         self.log = np.array([e.spec.log for e in self.entries])
@@ -55,8 +55,8 @@ class Layout:
         values: list[Any] = []
         position = 0
         for owner, name, width in self._leaves:
-            values.append(theta[position] if owner < 0 else theta[position : position + width])
-            position += width
+            values.append(theta[position : position + width] if width else theta[position])
+            position += width or 1
 
         def leaves(chain: Chain) -> list[Any]:
             owner_of = lambda i: chain.mechanism if i < 0 else chain.effects[i]
@@ -78,7 +78,7 @@ class Layout:
             if e.owner >= 0 and self.chain.effects[e.owner].name == effect and (location is None or e.location == location)
         ]
 
-    def boxes(self, joints: Sequence[Reference], inputs: Sequence[Reference]) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    def boxes(self, joints: Sequence[Reference], inputs: Sequence[Reference] = ()) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """(lower, upper, scale) of every number, effects' bounds resolved at their joint or input channel."""
         rows = []
         for e in self.entries:
@@ -91,8 +91,13 @@ class Layout:
 
 def _entries(chain: Chain):
     unit = chain.signature.unit
+    joints = chain.signature.joints
     for name, spec in specs(chain.mechanism).items():
-        yield Entry(name, -1, name, 0, "", spec, unit(spec.unit))
+        value = np.asarray(getattr(chain.mechanism, name))
+        for k in range(value.size):  # a field is one number, or one per joint: m1 m2 ...
+            own = chain.mechanism.spec_of(name, k, spec)._replace(value=float(value.flat[k]))
+            where = joints[k] if value.ndim and k < len(joints) else ""
+            yield Entry(f"{name}{k + 1}" if value.ndim else name, -1, name, k, where, own, unit(own.unit, k))
     ids = {kind.name: names for kind, names in chain.mechanism.builtin}
     for i, effect in enumerate(chain.effects):
         places = chain.places(effect)
@@ -105,7 +110,7 @@ def _entries(chain: Chain):
                     name = short if len(places) == 1 else f"{short}{k + 1}"
                 else:
                     name = f"{effect.name}.{field}@{place}"
-                yield Entry(name, i, field, k, place, spec, unit(channel_unit(chain, effect, k, spec.unit)))
+                yield Entry(name, i, field, k, place, spec, unit(channel_unit(chain, effect, k, spec.unit), k))
 
 
 def channel_unit(chain: Chain, effect: Effect | type[Effect], place: int, template: str) -> str:

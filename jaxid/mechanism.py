@@ -17,19 +17,23 @@ import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float
 
 from jaxid.arithmetic import dot, inverse
+from jaxid.parameter import ParameterSpec
 
 
 class Signature(NamedTuple):
-    """The channels a model takes and gives: (name, unit) pairs, the names of its joints, and whether they translate."""
+    """The channels a model takes and gives: (name, unit) pairs, the names of its joints, and whether they translate
+    (`linear` all of them, `prismatic` one by one)."""
 
     inputs: tuple[tuple[str, str], ...]
     outputs: tuple[tuple[str, str], ...]
     joints: tuple[str, ...]
     linear: bool = False
+    prismatic: tuple[bool, ...] = ()
 
-    def unit(self, template: str) -> str:
-        """A parameter's unit with {F} force, {X} coordinate and {I} inertia filled in."""
-        force, coordinate, inertia = ("N", "m", "kg") if self.linear else ("N m", "rad", "kg m^2")
+    def unit(self, template: str, joint: int = 0) -> str:
+        """A parameter's unit with {F} force, {X} coordinate and {I} inertia of that joint filled in."""
+        linear = self.linear or (joint < len(self.prismatic) and self.prismatic[joint])
+        force, coordinate, inertia = ("N", "m", "kg") if linear else ("N m", "rad", "kg m^2")
         return template.replace("{F}", force).replace("{X}", coordinate).replace("{I}", inertia)
 
 
@@ -66,6 +70,19 @@ class Mechanism(eqx.Module):
         """Joint torque that the inputs make; a mechanism whose inputs are not joint torques has its own law."""
         return u if signature.inputs else jnp.zeros_like(q)
 
+    def nominal_effects(self) -> list[Any]:
+        """The built-in effects with what is known of them; by default at their start values."""
+        return [kind() for kind, _ in self.builtin]
+
+    def held(self) -> frozenset[str]:
+        """Names of numbers, its own and those of built-in effects, that a fit leaves as they are unless the dataset names them
+        under [model.parameters]: what no motion determines beside the others."""
+        return frozenset()
+
+    def spec_of(self, field: str, place: int, spec: ParameterSpec) -> ParameterSpec:
+        """What is known beforehand of one number of a field; a model may set bounds by its size."""
+        return spec
+
     @abc.abstractmethod
     def start(self, q: Float[Array, " nq"], qd: Float[Array, " nq"]) -> Any:
         """State x with these joint positions and velocities."""
@@ -98,6 +115,17 @@ class Mechanism(eqx.Module):
     @abc.abstractmethod
     def inverse(self, q: Float[Array, " nq"], qd: Float[Array, " nq"], qdd: Float[Array, " nq"]) -> Float[Array, " nq"]:
         """Joint torque that this motion needs (friction excluded)."""
+
+    def outline(self, x: Any, signature: Signature) -> Float[Array, "points d"] | None:
+        """Points of a line drawing of state x, m, in the plane or in space (z upwards); None: not to be drawn."""
+        return None
+
+    def transfer(
+        self, omega: Float[Array, " lines"], slope: Float[Array, " nq"]
+    ) -> tuple[Float[Array, "lines ny nq"], Float[Array, "lines ny nq"]] | None:
+        """Real and imaginary part of outputs / joint torques at omega, with viscous friction `slope` at the joints. None: no
+        closed form, the equation of motion is linearised and solved at each line."""
+        return None
 
     @abc.abstractmethod
     def output(self, x: Any, tau: Float[Array, " nq"], rests: Bool[Array, " nq"]) -> Float[Array, " ny"]:

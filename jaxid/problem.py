@@ -6,8 +6,8 @@ least-squares method needs for many (problem, z) at once, all in the same batch 
 
 from __future__ import annotations
 
+import copy
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass
 from typing import Any, NamedTuple
 
 import jax
@@ -15,15 +15,11 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from jaxid.engine import Engine, LANES
+from jaxid.engine import LANES
 from jaxid.errors import UsageError
-from jaxid.precision import float64
+from jaxid.objective import AbstractProblem, expand, Linear, linearise, LOSSES, Losses, penalised, PENALTY, Rows, rows
 from jaxid.residual import Runs
 from jaxid.samples import Samples
-
-
-#: Loss of a candidate that diverges: finite, above anything that a simulation can give.
-PENALTY = 1e30
 
 
 class Data(NamedTuple):
@@ -44,17 +40,7 @@ class Data(NamedTuple):
     norm: Any
 
 
-@dataclass(frozen=True)
-class Linear:
-    """Sum of squares at z with gradient and Gauss-Newton matrix (of half the sum), and the number of residuals."""
-
-    cost: float
-    gradient: np.ndarray
-    hessian: np.ndarray
-    count: int
-
-
-class Problem:
+class Problem(AbstractProblem):
     """Free numbers of a model on some runs.
 
     `base` holds every number of the layout, `free` the positions of those that are fitted between `lower` and `upper`
@@ -88,6 +74,11 @@ class Problem:
         self.upper = np.concatenate([self._search(upper[self.free]), (self.start0 + reach)[rows, columns]])
         typical = 0.02 * (self.upper - self.lower)[: self.free.size] if scale is None else scale[self.free]
         self.scale = np.concatenate([np.where(self.log, 1.0, typical), 0.1 * reach[rows, columns]])
+        self.whole = lower, upper, scale
+        self.programs = runs.engine.programs
+        self.work = int(runs.engine.steps[self.records].max()) * len(self.records)
+        self.targets, self.weights = runs.targets, runs.weights
+        self._data: Data | None = None
 
     def _start_reach(self) -> np.ndarray:
         """How far an unknown start may lie from its guess: a fifth of the travel, the travel per tenth of the run."""
@@ -103,10 +94,6 @@ class Problem:
 
     def _search(self, values: np.ndarray) -> np.ndarray:
         return np.where(self.log, np.log(np.where(self.log, values, 1.0)), values)
-
-    @property
-    def size(self) -> int:
-        return self.lower.size
 
     @property
     def names(self) -> list[str]:
@@ -143,46 +130,67 @@ class Problem:
 
     @property
     def data(self) -> Data:
-        """Everything the loss reads, as arguments of its program: nothing recompiles because a number changed."""
-        engine, records = self.runs.engine, self.records
-        count, norm = self._scales()
-        return Data(
-            engine.samples, self.base, self.free, self.log, self.start0, self.start_rows, self.start_columns,
-            engine.overrides[records], engine.where[records],
-            np.array([self.runs.record(r).count for r in records], np.int32), engine.steps[records].max(), count, norm,
-        )  # fmt: skip
+        if self._data is None:
+            engine, records = self.runs.engine, self.records
+            count, norm = self._scales()
+            own = self.weights is not self.runs.weights
+            samples = engine.samples._replace(w=self.weights) if own else engine.samples
+            self._data = Data(
+                samples, self.base, self.free, self.log, self.start0, self.start_rows, self.start_columns,
+                engine.overrides[records], engine.where[records],
+                np.array([self.runs.record(r).count for r in records], np.int32), engine.steps[records].max(), count, norm,
+            )  # fmt: skip
+        return self._data
 
-    def pure_losses(self, z: Float[Array, "pop size"], data: Data) -> Float[Array, " pop"]:
-        """Loss of each candidate, traceable; a candidate that diverges gets PENALTY."""
-        value = LOSSES[self.loss_name](sums(self.runs.engine, z, data), data)
-        return jnp.minimum(jnp.where(jnp.isfinite(value), value, PENALTY), PENALTY)
+    @property
+    def pure(self) -> Losses:
+        predict, length, total = self.runs.engine.predict, self.runs.engine.length, LOSSES[self.loss_name]
+        return lambda z, data: penalised(total(sums(predict, length, z, data), data.count, data.norm))
+
+    @property
+    def compile_time_s(self) -> float:
+        return self.runs.engine.compile_time_s
+
+    def add_compile_time(self, seconds: float) -> None:
+        self.runs.engine.compile_time_s += seconds
+
+    @classmethod
+    def rows(cls, jobs: Sequence[tuple[Problem, np.ndarray]], share: float = 1.0) -> Iterator[Rows]:
+        """A record's residual depends on the parameters and on its own start only, so the lanes of a record carry just those
+        tangents. All jobs are on the same runs."""
+        return _lanes(jobs, share)
+
+    @property
+    def pieces(self) -> int:
+        return len(self.records)
+
+    def part(self, pieces, weights):
+        records = [self.records[k] for k in pieces]
+        lower, upper, scale = self.whole
+        twin = Problem(self.runs, self.base, self.free, lower, upper, records, self.loss_name, scale)
+        if any(w != 1 for w in weights):
+            twin.weights = self.weights.copy()
+            for number, w in zip(records, weights, strict=True):
+                twin.weights[self.runs.record(number).samples] *= np.sqrt(w)
+        return twin
+
+    def with_targets(self, targets: np.ndarray) -> Problem:
+        """The same problem with other measurements (the shape of `runs.targets`) in its residual and Jacobian. `losses` goes on
+        to compare with the recorded ones."""
+        twin = copy.copy(self)
+        twin.targets = targets
+        return twin
 
     def _scales(self) -> tuple[np.ndarray, np.ndarray]:
-        """Per residual column: the number of samples, and the sum of squares of the measured signal."""
+        """Per residual column: the number of samples (by their weight), and the sum of squares of the measured signal."""
         count, norm = 0.0, 0.0
         for r in self.records:
             record = self.runs.record(r)
-            w = self.runs.weights[record.samples] > 0
-            count = count + w.sum(0)
+            w = self.weights[record.samples] > 0
+            share = self.weights[record.samples] / np.where(w, self.runs.weights[record.samples], 1.0)
+            count = count + (share**2).sum(0)
             norm = norm + np.sum(np.where(w, self.runs.targets[record.samples], 0.0) ** 2, 0)
         return np.asarray(count, float), np.asarray(norm, float)
-
-    def losses(self, z: np.ndarray) -> np.ndarray:
-        """Loss of each row of z [pop size]; the same program and numbers for every fitter."""
-        programs = self.runs.engine.programs
-        program = programs.setdefault(self.loss_name, jax.jit(self.pure_losses))
-        z = np.atleast_2d(np.asarray(z, np.float64))
-        out, data = [], self.data
-        with float64():
-            for k in range(0, len(z), LANES):  # one shape, hence one program and the same bits, for any population
-                part = z[k : k + LANES]
-                padded = np.concatenate([part, np.repeat(part[-1:], LANES - len(part), 0)])
-                out.append(np.asarray(program(padded, data))[: len(part)])
-        return np.concatenate(out)
-
-    def loss(self, z: np.ndarray) -> float:
-        """Loss of one candidate."""
-        return float(self.losses(np.asarray(z)[None])[0])
 
     def predictions(self, z: np.ndarray) -> list[np.ndarray]:
         """Prediction of each record at its samples, [samples columns]."""
@@ -192,7 +200,7 @@ class Problem:
         return [self.runs.sample_prediction(r, row) for r, row in zip(self.records, y, strict=True)]
 
 
-def sums(engine: Engine, z: Float[Array, "pop size"], data: Data) -> Float[Array, "pop 3 columns"]:
+def sums(predict: Callable, length: int, z: Float[Array, "pop size"], data: Data) -> Float[Array, "pop 3 columns"]:
     """Per candidate and residual column: sum of (r / noise)^2, of e^2 and of |e| in units. Pure; one flat lane axis."""
     pop, R, nfree = z.shape[0], data.where.shape[0], data.free.shape[0]
     part = z[:, :nfree]
@@ -204,7 +212,7 @@ def sums(engine: Engine, z: Float[Array, "pop size"], data: Data) -> Float[Array
     theta = jnp.where(stated, theta[:, None], jnp.where(stated, 0.0, data.stated)).reshape(pop * R, -1)
     starts = starts.reshape(pop * R, -1)
     where, counts = jnp.tile(data.where, (pop, 1)), jnp.tile(data.counts, pop)
-    k = jnp.arange(engine.length)
+    k = jnp.arange(length)
 
     def lane(prediction, where, count):
         begin, _, last, lead = where
@@ -217,7 +225,7 @@ def sums(engine: Engine, z: Float[Array, "pop size"], data: Data) -> Float[Array
 
     def block(arrays):
         theta, starts, where, counts = arrays
-        return jax.vmap(lane)(engine.predict(theta, starts, where, data.samples, data.steps), where, counts)
+        return jax.vmap(lane)(predict(theta, starts, where, data.samples, data.steps), where, counts)
 
     blocks = -(-pop * R // LANES)
     pad = lambda a: jnp.concatenate([a, jnp.broadcast_to(a[-1:], (blocks * LANES - a.shape[0], *a.shape[1:]))])
@@ -226,32 +234,7 @@ def sums(engine: Engine, z: Float[Array, "pop size"], data: Data) -> Float[Array
     return jnp.sum(totals.reshape(blocks * LANES, 3, -1)[: pop * R].reshape(pop, R, 3, -1), 1)
 
 
-LOSSES: dict[str, Callable[[Array, Data], Array]] = {
-    # mean square of residual / noise: 1.0 is down to the noise
-    "sum_of_squares": lambda sums, data: jnp.sum(sums[:, 0], -1) / jnp.sum(data.count),
-    # paper 002, equation (6): sum over channels of |e| / |y|
-    "sum_of_norms": lambda sums, data: jnp.sum(jnp.sqrt(sums[:, 1] / jnp.maximum(data.norm, 1e-300)), -1),
-    # paper 003, equation (7): sum of absolute errors, in the channel's unit
-    "sum_of_abs": lambda sums, data: jnp.sum(sums[:, 2], -1),
-}
-
-
-class Rows(NamedTuple):
-    """Residual and Jacobian of one record of one job: r [samples columns], J [samples columns len(z_columns)]."""
-
-    job: int
-    record: int
-    r: np.ndarray
-    J: np.ndarray
-    z_columns: list[int]
-
-
-def rows(jobs: Sequence[tuple[Problem, np.ndarray]], share: float = 1.0) -> Iterator[Rows]:
-    """Residuals and Jacobians of many (problem, z) on the same runs, in one batch of lanes.
-
-    A record's residual depends on the parameters and on its own start only, so the lanes of a record carry just those
-    tangents. `share` < 1 looks at the first part of each record only.
-    """
+def _lanes(jobs: Sequence[tuple[Problem, np.ndarray]], share: float) -> Iterator[Rows]:
     runs = jobs[0][0].runs
     size, nx = len(runs.layout), 2 * runs.layout.chain.nq
     lanes: list[tuple[int, int, int]] = []  # job, row of its record, column of z (-1: none)
@@ -284,22 +267,12 @@ def rows(jobs: Sequence[tuple[Problem, np.ndarray]], share: float = 1.0) -> Iter
         number = jobs[j][0].records[row]
         r = runs.record(number)
         at = r.samples if share == 1 else r.samples[r.samples < r.offset + share * r.count]
-        inside, w = at - r.offset + r.lead, runs.weights[at]
-        residual = w * (y[k][inside] - runs.targets[at])
+        inside, w = at - r.offset + r.lead, jobs[j][0].weights[at]
+        residual = w * (y[k][inside] - jobs[j][0].targets[at])
         columns = [c for _, _, c in lanes[k:until] if c >= 0]
         J = np.stack([w * dy[k + i][inside] for i in range(len(columns))], -1) if columns else np.zeros((*w.shape, 0))
-        yield Rows(j, number, residual, J, columns)
+        yield Rows(j, number, residual, J, columns, w)
         k = until
 
 
-def linearise(jobs: Sequence[tuple[Problem, np.ndarray]], share: float = 1.0) -> list[Linear]:
-    """Sum of squares, gradient and Gauss-Newton matrix of many (problem, z), in one batch of lanes."""
-    out = [[0.0, np.zeros(p.size), np.zeros((p.size, p.size)), 0] for p, _ in jobs]
-    with np.errstate(all="ignore"):
-        for part in rows(jobs, share):
-            job, r, J = out[part.job], part.r.ravel(), part.J.reshape(part.r.size, -1)
-            job[0] += float(r @ r)
-            job[1][part.z_columns] += J.T @ r
-            job[2][np.ix_(part.z_columns, part.z_columns)] += J.T @ J
-            job[3] += r.size
-    return [Linear(*job) for job in out]
+__all__ = ["LOSSES", "PENALTY", "Data", "Linear", "Problem", "Rows", "expand", "linearise", "rows", "sums"]

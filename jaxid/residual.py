@@ -71,6 +71,10 @@ class Residual(abc.ABC):
 
     name: ClassVar[str]
 
+    def select(self, dataset: Dataset, split: str) -> tuple[Experiment, ...]:
+        """The runs of a split that it looks at."""
+        return dataset.split(split)
+
     @abc.abstractmethod
     def runs(
         self,

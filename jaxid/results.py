@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from collections.abc import Callable
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -346,6 +347,8 @@ class Simulation:
     rmse: tuple[dict[str, float], ...]
     units: dict[str, str]
     notes: tuple[str, ...] = ()
+    motion: Callable[[int], Any] = field(default=lambda i: None, repr=False, compare=False)
+    """`motion(i)`: the mechanism in run i as a `jaxid.drawing.Motion` (`strip()`, `animate()`), or None where it has no outline."""
 
     def to_dict(self) -> dict[str, Any]:
         return {

@@ -5,13 +5,16 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Any
 
+import jax.numpy as jnp
 import numpy as np
 
 from jaxid import samples
 from jaxid.binding import bind
+from jaxid.drawing import Motion, motion
 from jaxid.errors import UsageError
 from jaxid.estimation import Bench, estimate_starts, free_runs, scored
 from jaxid.experiment import Dataset
+from jaxid.precision import float64
 from jaxid.results import Simulation
 
 
@@ -37,13 +40,25 @@ def simulate_dataset(content: Mapping[str, Any], dataset: Dataset, model: object
     runs: dict[str, dict[str, np.ndarray]] = {}
     rmse: dict[str, dict[str, float]] = {}
     _, iy = samples.columns(binding.dataset, binding.chain)
+    starts: dict[str, np.ndarray] = {}
     for split in dict.fromkeys(e.split for e in dataset.experiments):
-        predictions = free_runs(bench, split, [theta], estimate_starts(bench, split, [theta]))[0]
-        for e, y in zip(binding.experiments(split), predictions, strict=True):
+        begin = estimate_starts(bench, split, [theta])
+        predictions = free_runs(bench, split, [theta], begin)[0]
+        for e, y, x in zip(binding.experiments(split), predictions, begin[0], strict=True):
+            starts[e.name] = x
             names = [n for n, _ in binding.chain.signature.outputs]
             runs[e.name] = {"t": e.t, **{n: y[:, c] for c, n in enumerate(names)}}
             keep = scored(e, "simulate")
             rmse[e.name] = {n: float(np.sqrt(np.mean((y[keep, c] - e.y[keep, iy[c]]) ** 2))) for c, n in enumerate(names)}
+
+    def moving(i: int) -> Motion | None:
+        e = dataset.experiments[i]
+        own = theta.copy()
+        for name, value in e.constants.items():
+            own[binding.layout.index(name)] = value
+        with float64():
+            return motion(binding.layout.model(jnp.asarray(own)), binding.dataset, e, starts[e.name], binding.sigma)
+
     order = [e.name for e in dataset.experiments]
     return Simulation(
         binding.chain.mechanism.name,
@@ -51,6 +66,7 @@ def simulate_dataset(content: Mapping[str, Any], dataset: Dataset, model: object
         tuple(rmse[n] for n in order),
         dict(binding.chain.signature.outputs),
         dataset.notes,
+        moving,
     )
 
 

@@ -4,15 +4,30 @@
 if __name__ != "jaxid.models":
     raise ImportError("import jaxid.models, not models")
 
+from .arm_presets import Panda, UR10, UR10e
 from .flexible_link import FlexibleLink
 from .joint import Joint
 from .pendulum import Pendulum
 from .planar_arm import PlanarArm
+from .serial_arm import SerialArm
 from .servo import Servo
 from .space_manipulator import SpaceManipulator
 from .tracker import Tracker
 
 
-MODELS = (Joint, Pendulum, PlanarArm, FlexibleLink, Tracker, Servo, SpaceManipulator)
+MODELS = (Joint, Pendulum, Servo, Tracker, FlexibleLink, PlanarArm, SerialArm, UR10, UR10e, Panda, SpaceManipulator)
 
-__all__ = ["MODELS", "FlexibleLink", "Joint", "Pendulum", "PlanarArm", "Servo", "SpaceManipulator", "Tracker"]
+__all__ = [
+    "MODELS",
+    "FlexibleLink",
+    "Joint",
+    "Panda",
+    "Pendulum",
+    "PlanarArm",
+    "SerialArm",
+    "Servo",
+    "SpaceManipulator",
+    "Tracker",
+    "UR10",
+    "UR10e",
+]

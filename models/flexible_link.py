@@ -88,14 +88,19 @@ class FlexibleLink(Mechanism):
     def port(self, x):
         return x[0], x[1]
 
+    def pull(self, w: Array, e: Array, z: Array) -> Array:
+        """Modal forces of stiffness, damping and, with the nonlinear terms, of the hub's rotation at speed w [1]."""
+        kept, damping, _, _ = self._parts()
+        force = -kept.squares * e - damping * z
+        return force + w * w * self._rotation(e) if self._turning else force
+
     def acceleration(self, x: Any, tau: Array) -> tuple[Array, Array]:
         """(phidd [1], modal accelerations) under hub torque tau [1]."""
-        kept, damping, inertia, _ = self._parts()
+        kept, _, inertia, _ = self._parts()
         _, w, e, z = x
-        pull = -kept.squares * e - damping * z
+        pull = self.pull(w, e, z)
         if self._turning:
             turned = self._rotation(e)
-            pull = pull + w * w * turned
             inertia, tau = inertia + jnp.dot(e, turned), tau - 2 * w * jnp.dot(turned, z)
         phidd = (tau - jnp.dot(kept.participation, pull)) / (inertia - jnp.dot(kept.participation, kept.participation))
         return phidd, pull - kept.participation * phidd
@@ -114,20 +119,25 @@ class FlexibleLink(Mechanism):
             return exact.a * e + exact.b * z + bend * force, exact.d * z - kept.squares * exact.b * e + push * force
 
         G = kept.participation
-        momentum, moving = inertia * w, inertia
-        force = jnp.zeros_like(e)
+
+        def hub(force, momentum, moving):
+            """Change of the hub's speed: moving w' + G z' = momentum + G z + h tau, where z' = z1 - push G (w' - w) / h."""
+            e1, z1 = homogeneous(force)
+            effective = moving - jnp.dot(G * G, push) / h
+            return (momentum - moving * w - jnp.dot(G, z1 - z) + h * tau) / effective, effective, e1, z1
+
+        force, momentum, moving = jnp.zeros_like(e), inertia * w, inertia
         if self._turning:
-            # The rotation of the deflection as a force held at its middle value, the hub's momentum balance with both ends.
-            e1, _ = homogeneous(force)
-            middle = (e + e1) / 2
-            force = w * w * self._rotation(middle)
-            e1, _ = homogeneous(force)
-            momentum = (inertia + jnp.dot(e, self._rotation(e))) * w
+            # The deflection's rotation as a force held at its middle value; the hub's inertia at both ends. Values from a
+            # first pass with those of the beginning.
+            turned = self._rotation(e)
+            moving = inertia + jnp.dot(e, turned)
+            momentum = moving * w
+            change, _, e1, _ = hub(w * w * turned, momentum - 2 * h * w * jnp.dot(turned, z), moving)
+            e1 = e1 - bend * G * change / h
+            force = (w + change / 2) ** 2 * self._rotation((e + e1) / 2)
             moving = inertia + jnp.dot(e1, self._rotation(e1))
-        e1, z1 = homogeneous(force)
-        # Hub: moving w' + G z' = momentum + G z + h tau, where z' = z1 - push G (w' - w) / h.
-        effective = moving - jnp.dot(G * G, push) / h
-        change = (momentum - moving * w - jnp.dot(G, z1 - z) + h * tau) / effective
+        change, effective, e1, z1 = hub(force, momentum, moving)
         return Free(w + change, (h / effective)[None, None], (e1, z1, bend * G / h, push * G / h))
 
     def close(self, h, x, free, dtau, qd, shift):
@@ -135,16 +145,41 @@ class FlexibleLink(Mechanism):
         change = qd - x[1]
         return x[0] + h / 2 * (x[1] + qd) + shift, qd, e - bend * change, z - push * change
 
+    def transfer(self, omega, slope):
+        """Sum over the clamped modes, in real arithmetic: eta / phi = omega^2 G / (squares - omega^2 + i omega damping)."""
+        kept, damping, inertia, _ = self._parts()
+        w2 = omega**2
+        jr, ji, tr, ti = inertia, 0.0, self.L, 0.0  # inertia seen at the hub, and tip deflection per hub angle
+        for k in range(kept.squares.shape[0]):
+            a, b = kept.squares[k] - w2, omega * damping[k]
+            scale = w2 * kept.participation[k] / (a * a + b * b)
+            er, ei = scale * a, -scale * b
+            jr, ji = jr + kept.participation[k] * er, ji + kept.participation[k] * ei
+            tr, ti = tr + kept.tip[k] * er, ti + kept.tip[k] * ei
+        # phi = 1 / (-w2 J + i omega slope);  tip acceleration = -w2 (L + tip) phi
+        dr, di = -w2 * jr, -w2 * ji + omega * slope[0]
+        size = dr * dr + di * di
+        pr, pi = dr / size, -di / size
+        re = jnp.stack([pr, -w2 * (tr * pr - ti * pi)], 1)
+        im = jnp.stack([pi, -w2 * (tr * pi + ti * pr)], 1)
+        return re[..., None], im[..., None]
+
+    def outline(self, x, signature):
+        phi, _, e, _ = x
+        along = jnp.linspace(0.0, 1.0, self.n_elements + 1) * self.L
+        across = jnp.concatenate([jnp.zeros(1), (self._parts()[0].shapes @ e)[0::2]])
+        c, s = jnp.cos(phi), jnp.sin(phi)
+        return jnp.stack([c * along - s * across, s * along + c * across], 1)
+
     def inverse(self, q, qd, qdd):
         """Torque of the link moved as a rigid body (the deflection is no function of the hub's motion)."""
         return self._parts()[2] * qdd
 
     def output(self, x, tau, rests):
-        kept, damping, _, _ = self._parts()
+        kept = self._parts()[0]
         _, w, e, z = x
         phidd, edd = self.acceleration(x, tau)
-        held = -kept.squares * e - damping * z
-        phidd, edd = jnp.where(rests, 0.0, phidd), jnp.where(rests, held, edd)
+        phidd, edd = jnp.where(rests, 0.0, phidd), jnp.where(rests, self.pull(w, e, z), edd)
         tip = self.L * phidd + jnp.dot(kept.tip, edd)
         if self.rotating_sensor:
             tip = tip - jnp.dot(kept.tip, e) * w * w

@@ -30,5 +30,11 @@ class Joint(Rigid):
 
     inertia: Array = param(0.1, 1e-7, 1e5, unit="{I}", meaning="moving inertia or mass", log=True)
 
+    def outline(self, x, signature):
+        q = x[0][0]
+        if signature.linear:
+            return jnp.stack([jnp.stack([q - 0.05, 0 * q]), jnp.stack([q + 0.05, 0 * q])])
+        return jnp.stack([jnp.zeros(2), jnp.stack([jnp.cos(q), jnp.sin(q)])])
+
     def matrices(self, q, qd):
         return self.inertia[None, None], jnp.zeros_like(q)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from typing import ClassVar
 
+import jax.numpy as jnp
 from jaxtyping import Array
 
 from jaxid.arithmetic import sin
@@ -28,6 +29,10 @@ class Pendulum(Rigid):
 
     inertia: Array = param(0.08, 1e-6, 1e4, unit="kg m^2", meaning="inertia about the pivot", log=True)
     gravity_torque: Array = param(1.5, 0.0, 1e5, unit="N m", meaning="m g l: gravity torque at q = 90 deg", scale=0.1)
+
+    def outline(self, x, signature):
+        q = x[0][0]
+        return jnp.stack([jnp.zeros(2), jnp.stack([jnp.sin(q), -jnp.cos(q)])])
 
     def matrices(self, q, qd):
         return self.inertia[None, None], self.gravity_torque * sin(q)

@@ -42,6 +42,11 @@ class PlanarArm(Rigid):
     l2: Array = constant(0.4, unit="m", meaning="length of link 2")
     gravity: Array = constant(9.81, unit="m/s^2")
 
+    def outline(self, x, signature):
+        a = jnp.cumsum(x[0])
+        links = jnp.stack([self.l1, self.l2])[:, None] * jnp.stack([jnp.sin(a), -jnp.cos(a)], 1)
+        return jnp.concatenate([jnp.zeros((1, 2)), jnp.cumsum(links, 0)])
+
     def matrices(self, q, qd):
         k = self.m2 * self.l1 * self.c2
         (s1, s2), (c1, c2) = sincos(q)

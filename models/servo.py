@@ -48,6 +48,10 @@ class Servo(Rigid):
     gravity: Array = constant(9.81, unit="m/s^2")
     current_limit: Array = constant(1e6, unit="V", meaning="highest voltage over the winding that the current limit admits")
 
+    def outline(self, x, signature):
+        q = x[0][0]
+        return self.length * jnp.stack([jnp.zeros(2), jnp.stack([jnp.sin(q), -jnp.cos(q)])])
+
     def matrices(self, q, qd):
         inertia = self.mass * self.length**2 + self.armature
         return jnp.reshape(inertia, (1, 1)), self.mass * self.gravity * self.length * sin(q - self.q_offset)

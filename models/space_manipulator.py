@@ -110,6 +110,14 @@ class SpaceManipulator(Rigid):
         turn = -M[0, 1:] / M[0, 0]
         return M[1:, 1:] + M[1:, :1] * turn, turn
 
+    def outline(self, x, signature):
+        (q1, q2), turn = x[0], x[2][0]
+        a, b = turn + q1, turn + q1 + q2
+        c, s = jnp.cos(turn), jnp.sin(turn)
+        first = jnp.stack([c * self.base_x - s * self.base_y, s * self.base_x + c * self.base_y])
+        second = first + self.l1 * jnp.stack([jnp.cos(a), jnp.sin(a)])
+        return jnp.stack([jnp.zeros(2), first, second, second + jnp.stack([jnp.cos(b), jnp.sin(b)])])
+
     def mass(self, q):
         if self.floating:
             return self._reduced(q)[0]

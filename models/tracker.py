@@ -53,6 +53,13 @@ class Tracker(Lagrangian):
     v0: Array = constant(1.68, unit="V", meaning="dead zone of the motors")
     motor_table: bool = setting(False, meaning="the measured torques of Table 1 instead of equation (6)")
 
+    def outline(self, x, signature):
+        theta, alpha = x[0]
+        out = jnp.stack([jnp.cos(theta), jnp.sin(theta), 0 * theta])
+        up = jnp.array([0.0, 0.0, 1.0])
+        barrel = self.R * out + self.l * (jnp.sin(alpha) * up - jnp.cos(alpha) * out)
+        return jnp.stack([-0.1 * up, jnp.zeros(3), self.R * out, barrel])
+
     def kinetic_energy(self, q, qd):
         _, c = sincos(q)
         k = self.m * self.l + 2 * self.m_c * self.u

@@ -107,6 +107,8 @@ class Truth:
     stribeck_speed: Any = 1.0
     load: Any = 0.0
     drag: Any = 0.0
+    power: Any = 0.0
+    exponent: Any = 1.0
     offset: Any = 0.0
     dead_zone: Any = 0.0
     delay: Any = 0.0
@@ -131,12 +133,16 @@ class Truth:
         """Torque against motion that is continuous in v."""
         f = (self.viscous + self.back_emf) * v + self.viscous_asymmetry * abs(v) + self.drag * abs(v) * v + self.offset
         f = f + self.ripple * np.sin(self.ripple_order * q) + self.ripple_cosine * np.cos(self.ripple_order * q)
-        f = f + self.spring * q
+        f = f + self.spring * q + self.thinning(v)
         if np.any(self.shared_viscous) or np.any(self.shared_dry):
             w = v[0] + v[1]
             f = f + np.ravel(self.shared_viscous)[0] * w
             f = f + np.ravel(self.shared_dry)[0] * np.tanh(w / np.ravel(self.shared_speed)[0])
         return f
+
+    def thinning(self, v: np.ndarray) -> np.ndarray:
+        """Power law, rounded off below 1 mrad/s."""
+        return self.power * (v * v + 1e-6) ** ((self.exponent - 1) / 2) * v
 
     def dry(self, q: np.ndarray, v: np.ndarray, drive: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Levels of dry friction (backwards, forwards)."""
@@ -165,6 +171,7 @@ EFFECTS: dict[str, dict[str, str]] = {
     "asymmetric_friction": {"dry": "dry_asymmetry", "viscous": "viscous_asymmetry"},
     "stribeck_friction": {"extra": "stribeck", "speed": "stribeck_speed"},
     "load_dependent_friction": {"mu": "load"},
+    "power_law_friction": {"coefficient": "power", "exponent": "exponent"},
     "quadratic_drag": {"coefficient": "drag"},
     "position_dependent_friction": {"sine": "uneven", "cosine": "uneven_cosine", "order": "uneven_order"},
     "coupled_friction": {"viscous": "shared_viscous", "dry": "shared_dry", "speed": "shared_speed"},

@@ -19,7 +19,7 @@ from jaxid.fitters import LevenbergMarquardt
 from jaxid.layout import Layout
 from jaxid.models import Joint, Pendulum, PlanarArm
 from jaxid.models.effects import LIBRARY
-from simulated import REFERENCE, relative, Simulator, within_bounds
+from simulated import relative, Simulator
 
 
 CASES: dict[str, Any] = {
@@ -63,6 +63,7 @@ SETTINGS: dict[str, list[dict[str, One]]] = {
     "lugre_friction": settings(
         level=of(T, 0.05, 0.1, 0.2), presliding=of(N, 0.1, 0.05, 0.02), relaxation=of(N, 0.0, 0.005, 0.01)
     ),
+    "power_law_friction": settings(coefficient=of(R, 0.1, 0.3, 0.1), exponent=of(N, 0.5, 0.7, 1.6)),
     "quadratic_drag": settings(coefficient=of((1, -2, 0), 0.02, 0.2, 1.0)),
     "position_dependent_friction": settings(
         sine=of(T, 0.03, 0.0, -0.05), cosine=of(T, 0.0, 0.05, 0.02), order=of(N, 1.0, 3.0, 8.0)
@@ -117,7 +118,10 @@ def named(layout: Layout, effect: str, values: dict[str, np.ndarray]) -> dict[st
         if e.field in values:
             out[e.name] = values[e.field][e.place]
     if effect == "position_dependent_friction":
-        out |= {n: 0.1 * t for n, t in zip([layout.names[i] for i in layout.of_effect("coulomb_friction")], mean_level(layout), strict=True)}
+        out |= {
+            n: 0.1 * t
+            for n, t in zip([layout.names[i] for i in layout.of_effect("coulomb_friction")], mean_level(layout), strict=True)
+        }
     return out
 
 

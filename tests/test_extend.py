@@ -117,7 +117,7 @@ class Bfgs(AbstractFitter):
     source: ClassVar[str] = "optimistix"
     steps: int = 100
 
-    def minimise(self, problem, starts, key, budget=None, progress=None):
+    def minimise(self, problem, starts, key, budget=None, progress=None, seconds=None):
         low, high, data = problem.lower, problem.upper, problem.data
         scale = 0.05 * np.maximum(np.abs(starts[0]), 1e-3 * (high - low))
         inside = lambda x: jnp.clip(starts[0] + scale * x, low, high)

@@ -61,6 +61,8 @@ def run_diagnosis(
     binding = bind(model, dataset, without=without, candidates=library)
     if isinstance(residual, InverseDynamics):
         raise UsageError("a diagnosis simulates: use the residual output_error or multiple_shooting")
+    if not binding.dataset.experiments:
+        raise UsageError("a diagnosis needs recorded runs; this dataset holds frequency responses alone: fit it")
     residual = residual or default_residual(binding)
     if progress:
         progress("nominal fit", 0, 1, binding.chain.mechanism.name)

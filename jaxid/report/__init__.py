@@ -5,12 +5,13 @@ from __future__ import annotations
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from jaxid.report import answer, background, fitted, missing_force, parameters, ranking, traces
+from jaxid.report import answer, background, compared, fitted, missing_force, parameters, ranking, traces
 from jaxid.report.page import render, render_fragment
 from jaxid.terminal import one_line
 
 
 if TYPE_CHECKING:
+    from jaxid.comparison import Comparison
     from jaxid.results import Diagnosis, Fit
 
 
@@ -36,6 +37,17 @@ def write_fit(fit: Fit, path: str | Path) -> Path:
         background.of_fit(fit),
     ]
     return _write(render(f"{one_line(fit.dataset)}: fit", sections), path)
+
+
+def write_comparison(comparison: Comparison, path: str | Path) -> Path:
+    """Writes the page of a comparison (whole or not at all) and returns its path."""
+    sections = [compared.section(comparison), background.of_comparison(comparison)]
+    return _write(render(f"{one_line(comparison.dataset)}: comparison", sections), path)
+
+
+def comparison_fragment(comparison: Comparison) -> str:
+    """Table and pictures as an HTML fragment, for a notebook."""
+    return render_fragment([compared.section(comparison)])
 
 
 def diagnosis_fragment(diagnosis: Diagnosis) -> str:

@@ -10,6 +10,7 @@ from jaxid.results import versions
 
 
 if TYPE_CHECKING:
+    from jaxid.comparison import Comparison
     from jaxid.results import Diagnosis, Fit
 
 
@@ -49,6 +50,26 @@ def of_fit(fit: Fit) -> Section:
                 ("seed", str(fit.seed)),
                 ("evaluations", str(fit.evaluations)),
                 ("time", f"{text.number(fit.wall_time_s)} s, {text.number(fit.compile_time_s)} s of it compiling"),
+                *version_facts(),
+            ],
+        },
+    )
+
+
+def of_comparison(comparison: Comparison) -> Section:
+    return Section(
+        "background.html",
+        {
+            "named": "",
+            "confusable": [],
+            "next_experiment": "",
+            "notes": list(comparison.notes),
+            "facts": [
+                ("dataset", f"{comparison.dataset} (sha256 {comparison.dataset_sha256[:16]})"),
+                ("residual", comparison.residual),
+                ("loss", comparison.loss_name),
+                ("runs", f"{len(comparison.runs)}, one after the other"),
+                ("time", f"{text.number(comparison.wall_time_s)} s"),
                 *version_facts(),
             ],
         },

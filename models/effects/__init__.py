@@ -34,6 +34,7 @@ from .friction import (
     TemperatureDependentFriction,
     ViscousFriction,
 )
+from .power_law import PowerLawFriction
 from .sensor import SensorBias, SensorDelay, SensorLag, SensorScale, TimestampJitter
 from .transmission import Backlash, Hysteresis, JointElasticity
 
@@ -49,6 +50,7 @@ LIBRARY = (
     ActuatorLag,
     TorqueRipple,
     ViscousFriction,
+    PowerLawFriction,
     CoulombFriction,
     AsymmetricFriction,
     StribeckFriction,
@@ -91,6 +93,7 @@ __all__ = [
     "InputHold",
     "JointElasticity",
     "LoadDependentFriction",
+    "PowerLawFriction",
     "LuGreFriction",
     "Payload",
     "PositionDependentFriction",

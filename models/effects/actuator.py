@@ -56,6 +56,10 @@ class InputDelay(InputEffect):
         change = s.command.delayed(self.delay) - s.command.u
         return jnp.where(self.delay > 0, u + change, u), z
 
+    def transfer(self, omega):
+        angle = omega[:, None] * self.delay
+        return jnp.cos(angle), -jnp.sin(angle)
+
 
 class InputHold(InputEffect):
     """How the command runs between its samples: as stated, or the other of zero-order hold and linear interpolation."""
@@ -121,6 +125,10 @@ class ActuatorLag(InputEffect):
         mean = u + (z - u) * lag / s.h * -jnp.expm1(-s.h / lag)
         return jnp.where(present, mean, u), jnp.where(present, u + (z - u) * share, u)
 
+    def transfer(self, omega):
+        x = omega[:, None] * self.lag
+        return 1 / (1 + x * x), -x / (1 + x * x)
+
 
 class TorqueScale(InputEffect):
     """A wrong torque constant, gear ratio or amplifier gain."""
@@ -139,6 +147,9 @@ class TorqueScale(InputEffect):
     def __call__(self, u, s, z):
         return (1 + self.gain) * u, z
 
+    def transfer(self, omega):
+        return 1 + self.gain + 0 * omega[:, None], 0 * self.gain * omega[:, None]
+
 
 class SupplyDroop(InputEffect):
     """A supply (or a motor constant) that sags as the command grows."""
@@ -147,7 +158,9 @@ class SupplyDroop(InputEffect):
     equation: ClassVar[str] = "u -> u (1 - droop |u|)"
     signature: ClassVar[str] = "missing torque that grows with the square of the command"
     source: ClassVar[str] = "voltage drop at the inner resistance of the supply, to first order in the current drawn"
-    excitation: ClassVar[str] = "a staircase of command amplitudes: half of the largest command loses a quarter of what the largest loses"
+    excitation: ClassVar[str] = (
+        "a staircase of command amplitudes: half of the largest command loses a quarter of what the largest loses"
+    )
     droop: Array = param(
         0.0, 0.0, 0.5 / TORQUE, scale=0.02 / TORQUE, unit="1/({u})", meaning="relative loss per unit of the command"
     )
@@ -170,7 +183,9 @@ class BackEmf(InputEffect):
     name: ClassVar[str] = "back_emf"
     offered: ClassVar = staticmethod(_one_a_joint)
     equation: ClassVar[str] = "u -> u - constant qd"
-    signature: ClassVar[str] = "missing torque proportional to velocity, and none where the command is inside a dead zone or limit"
+    signature: ClassVar[str] = (
+        "missing torque proportional to velocity, and none where the command is inside a dead zone or limit"
+    )
     source: ClassVar[str] = "textbook: induced voltage of a motor"
     excitation: ClassVar[str] = "coasting from speed with the drive switched off against the same speed under command"
     constant: Array = param(
@@ -199,7 +214,13 @@ class TorqueRipple(JointEffect):
     sine: Array = param(0.0, -TORQUE, TORQUE, scale=0.02 * TORQUE, unit="{F}", meaning="amplitude of the sine")
     cosine: Array = param(0.0, -TORQUE, TORQUE, scale=0.02 * TORQUE, unit="{F}", meaning="amplitude of the cosine")
     order: Array = param(
-        10.0, 4 / ANGLE, 400 / ANGLE, scale=0.5 / ANGLE, unit="rad/{X}", meaning="periods per turn (a wave number where linear)", log=True
+        10.0,
+        4 / ANGLE,
+        400 / ANGLE,
+        scale=0.5 / ANGLE,
+        unit="rad/{X}",
+        meaning="periods per turn (a wave number where linear)",
+        log=True,
     )
     probes: ClassVar[tuple[dict[str, Quantity | float], ...]] = tuple(
         {amplitude: 0.02 * TORQUE, "order": 6.2832 * periods / ANGLE}

@@ -74,7 +74,12 @@ class SpringTorque(JointEffect):
     source: ClassVar[str] = "textbook"
     excitation: ClassVar[str] = "slow motion over the whole travel, both ways"
     stiffness: Array = param(
-        0.0, -5 * TORQUE / ANGLE, 20 * TORQUE / ANGLE, scale=0.05 * TORQUE / ANGLE, unit="{F}/{X}", meaning="stiffness of the spring"
+        0.0,
+        -5 * TORQUE / ANGLE,
+        20 * TORQUE / ANGLE,
+        scale=0.05 * TORQUE / ANGLE,
+        unit="{F}/{X}",
+        meaning="stiffness of the spring",
     )
     probes: ClassVar[tuple[dict[str, Quantity | float], ...]] = (
         {"stiffness": 0.02 * TORQUE / ANGLE},
@@ -104,7 +109,8 @@ class FlexibleMode(JointEffect):
     )
     damping_ratio: Array = param(0.03, 1e-3, 1.0, scale=0.01, unit="1", meaning="damping ratio with the joint held", log=True)
     probes: ClassVar[tuple[dict[str, Quantity | float], ...]] = tuple(
-        {"inertia": 0.1 * INERTIA, "frequency": ratio * SPEED / ANGLE, "damping_ratio": 0.05} for ratio in (1.0, 2.0, 4.0, 8.0, 16.0)
+        {"inertia": 0.1 * INERTIA, "frequency": ratio * SPEED / ANGLE, "damping_ratio": 0.05}
+        for ratio in (1.0, 2.0, 4.0, 8.0, 16.0)
     )
 
     def start(self, q):

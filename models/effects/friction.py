@@ -176,7 +176,13 @@ class LuGreFriction(JointEffect):
     excitation: ClassVar[str] = "micro-reversals of a few milliradians around rest, and slow ramps"
     level: Array = param(0.0, 0.0, 2 * TORQUE, scale=0.05 * TORQUE, unit="{F}", meaning="friction level while sliding")
     presliding: Array = param(
-        0.01, 1e-5 * ANGLE, 0.3 * ANGLE, scale=1e-3 * ANGLE, unit="{X}", meaning="distance over which friction builds up", log=True
+        0.01,
+        1e-5 * ANGLE,
+        0.3 * ANGLE,
+        scale=1e-3 * ANGLE,
+        unit="{X}",
+        meaning="distance over which friction builds up",
+        log=True,
     )
     relaxation: Array = param(0.0, 0.0, 0.05, scale=0.002, unit="s", meaning="damping of the bristle over its stiffness")
     probes: ClassVar[tuple[dict[str, Quantity | float], ...]] = (
@@ -200,14 +206,22 @@ class PositionDependentFriction(JointEffect):
 
     name: ClassVar[str] = "position_dependent_friction"
     refines: ClassVar[str] = "coulomb_friction"
-    equation: ClassVar[str] = "f = (sine sin(order q) + cosine cos(order q)) sign(qd), beside the dry level, never below zero in all"
+    equation: ClassVar[str] = (
+        "f = (sine sin(order q) + cosine cos(order q)) sign(qd), beside the dry level, never below zero in all"
+    )
     signature: ClassVar[str] = "a step of the missing torque at reversal whose height repeats with position"
     source: ClassVar[str] = "textbook: first harmonic of a gear's friction"
     excitation: ClassVar[str] = "slow constant speed over the whole travel, both ways"
     sine: Array = param(0.0, -TORQUE, TORQUE, scale=0.02 * TORQUE, unit="{F}", meaning="amplitude of the sine")
     cosine: Array = param(0.0, -TORQUE, TORQUE, scale=0.02 * TORQUE, unit="{F}", meaning="amplitude of the cosine")
     order: Array = param(
-        1.0, 1 / ANGLE, 100 / ANGLE, scale=0.3 / ANGLE, unit="rad/{X}", meaning="periods per turn (a wave number where linear)", log=True
+        1.0,
+        1 / ANGLE,
+        100 / ANGLE,
+        scale=0.3 / ANGLE,
+        unit="rad/{X}",
+        meaning="periods per turn (a wave number where linear)",
+        log=True,
     )
     probes: ClassVar[tuple[dict[str, Quantity | float], ...]] = tuple(
         {amplitude: 0.03 * TORQUE, "order": 6.2832 * periods / ANGLE}
@@ -272,10 +286,17 @@ class CoupledFriction(JointEffect):
     offered: ClassVar = staticmethod(_but_the_last)
     equation: ClassVar[str] = "f_j = f_j+1 = viscous w + dry tanh(w / speed),  w = qd_j + qd_j+1"
     signature: ClassVar[str] = "missing torque at a joint that follows the speed of its neighbour, the same at both"
-    source: ClassVar[str] = "wrists with coupled motors (Staubli TX series), e.g. Gautier, Janot, Vandanjon, IEEE TCST 21(2), 2013"
+    source: ClassVar[str] = (
+        "wrists with coupled motors (Staubli TX series), e.g. Gautier, Janot, Vandanjon, IEEE TCST 21(2), 2013"
+    )
     excitation: ClassVar[str] = "one joint moving while the other rests, then both with equal and with opposite speeds"
     viscous: Array = param(
-        0.0, 0.0, 50 * TORQUE / SPEED, scale=0.05 * TORQUE / SPEED, unit="{F} s/{X}", meaning="viscous coefficient of the shared gear"
+        0.0,
+        0.0,
+        50 * TORQUE / SPEED,
+        scale=0.05 * TORQUE / SPEED,
+        unit="{F} s/{X}",
+        meaning="viscous coefficient of the shared gear",
     )
     dry: Array = param(0.0, 0.0, 2 * TORQUE, scale=0.05 * TORQUE, unit="{F}", meaning="dry level of the shared gear")
     speed: Array = param(

@@ -47,6 +47,9 @@ class SensorScale(OutputEffect):
     def __call__(self, y, s, z):
         return (1 + self.gain) * y, z
 
+    def transfer(self, omega):
+        return 1 + self.gain + 0 * omega[:, None], 0 * self.gain * omega[:, None]
+
 
 class SensorLag(OutputEffect):
     """A sensor or filter of first order, exact for a signal that runs straight from step to step; settled at the start."""
@@ -71,6 +74,10 @@ class SensorLag(OutputEffect):
         reading = jnp.where(present, jnp.where(z[2] > 0, after, y), y)
         return reading, (reading, y, s.h + 0 * y)
 
+    def transfer(self, omega):
+        x = omega[:, None] * self.lag
+        return 1 / (1 + x * x), -x / (1 + x * x)
+
 
 class SensorDelay(RecordEffect):
     """A sensor or logger that is late; before the run it reads what it reads first.
@@ -90,11 +97,16 @@ class SensorDelay(RecordEffect):
         late = jax.vmap(lambda column, d: interpolated(t, column, t - d), (1, 0), 1)(y, self.delay)
         return jnp.where(self.delay > 0, late, y)
 
+    def transfer(self, omega):
+        angle = omega[:, None] * self.delay
+        return jnp.cos(angle), -jnp.sin(angle)
+
 
 class TimestampJitter(RecordEffect):
     """Time stamps that scatter around the true instants.
 
-    What it does to a reading's mean is second order; mostly it is noise that grows with speed, standard deviation `spread` |dy/dt|.
+    What it does to a reading's mean is second order; mostly it is noise that grows with speed, of standard deviation
+    `spread` |dy/dt|.
     """
 
     name: ClassVar[str] = "timestamp_jitter"

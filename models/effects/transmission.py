@@ -21,7 +21,9 @@ class JointElasticity(BodyEffect):
 
     name: ClassVar[str] = "joint_elasticity"
     stage: ClassVar[int] = 2
-    equation: ClassVar[str] = "t = gap / compliance + damping d(gap)/dt,  gap = q_motor - q_link,  motor_share J qdd_motor = u - f - t"
+    equation: ClassVar[str] = (
+        "t = gap / compliance + damping d(gap)/dt,  gap = q_motor - q_link,  motor_share J qdd_motor = u - f - t"
+    )
     signature: ClassVar[str] = "a residual in a narrow band of frequencies that rings after steps; the load sags"
     source: ClassVar[str] = "Spong, ASME J. Dyn. Syst. 109(4), 1987"
     excitation: ClassVar[str] = "steps or a chirp through the resonance, with a free decay after it; a second encoder at the link"
@@ -29,9 +31,7 @@ class JointElasticity(BodyEffect):
         0.0, 0.0, 0.5 * ANGLE / TORQUE, scale=0.001 * ANGLE / TORQUE, unit="{X}/({F})", meaning="deflection per torque"
     )
     motor_share: Array = param(0.3, 0.02, 0.95, scale=0.1, unit="1", meaning="share of the inertia on the motor's side")
-    damping_ratio: Array = param(
-        0.05, 1e-3, 2.0, scale=0.02, unit="1", meaning="damping ratio of motor against link", log=True
-    )
+    damping_ratio: Array = param(0.05, 1e-3, 2.0, scale=0.02, unit="1", meaning="damping ratio of motor against link", log=True)
     probes: ClassVar[tuple[dict[str, Quantity | float], ...]] = tuple(
         {"compliance": c * ANGLE / TORQUE, "motor_share": share, "damping_ratio": 0.05}
         for c in (3e-4, 3e-3, 2e-2)
@@ -53,8 +53,8 @@ class JointElasticity(BodyEffect):
 class Backlash(BodyEffect):
     """Play between motor and joint; the encoder sees the motor.
 
-    In the gap the motor turns alone. Contact is a spring of `contact_compliance`, damped (half the critical damping once pressed by
-    a twentieth of the play), which pushes and never pulls.
+    In the gap the motor turns alone. Contact is a spring of `contact_compliance`, damped (half the critical damping once
+    pressed by a twentieth of the play), which pushes and never pulls.
     """
 
     name: ClassVar[str] = "backlash"

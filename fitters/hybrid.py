@@ -1,0 +1,68 @@
+"""Global, then local: a population finds the basins, Levenberg-Marquardt descends from the best of them in one batch."""
+
+from __future__ import annotations
+
+from typing import ClassVar
+
+import jax
+import numpy as np
+
+from jaxid.fitter import AbstractFitter, AbstractPopulation, Course, Log
+from jaxid.fitters.ade import RandToBestDE
+from jaxid.fitters.lm import problem_clip, search
+from jaxid.objective import AbstractProblem
+
+
+class Hybrid(AbstractFitter):
+    """A population, then bounded Levenberg-Marquardt on its `descents` best distinct points and on the start values, all as one
+    batch; recommended where nothing is known of the start. Works on every loss.
+
+    The population takes at most `share` of the budget. A second of the `rounds` starts anew; rounds that end in the same minimum
+    are enough.
+    """
+
+    name: ClassVar[str] = "hybrid"
+    source: ClassVar[str] = "this library; population and descent as their own fitters"
+
+    population: AbstractPopulation = RandToBestDE(popsize=24, generations=30)
+    descents: int = 6
+    iterations: int = 60
+    tolerance: float = 1e-10
+    share: float = 0.6
+    rounds: int = 2
+
+    def minimise(self, problem, starts, key, budget=None, progress=None, seconds=None):
+        log = Log(problem, self.name, budget, seconds, progress)
+        given = [problem_clip(problem, z) for z in starts]
+        best, lowest, converged, stopped = given[0], np.inf, False, ""
+        for number in range(self.rounds):
+            if number and log.left < 2 * self.population.popsize:
+                break
+            most = None if budget is None else max(1, int(self.share * log.left / self.population.popsize))
+            course, _, why = self.population.search(problem, given, jax.random.fold_in(key, number), log, most=most)
+            ends = [(course.best[0], False, why)]
+            if not log.exhausted:
+                points = basins(problem, course, self.descents) + given
+                (path,), _ = search([[(problem, z) for z in points]], self.iterations, self.tolerance, log)
+                ends.append((path.z, path.converged, path.stopped))
+            losses = problem.losses(np.array([z for z, _, _ in ends]))
+            k = int(np.argmin(losses))
+            again = number > 0 and abs(losses[k] - lowest) <= 1e-6 * lowest + 1e-300
+            if losses[k] < lowest:
+                lowest, (best, converged, stopped) = float(losses[k]), ends[k]
+            if again or log.exhausted:
+                break
+        return log.minimum(best, converged, log.exhausted or stopped)
+
+
+def basins(problem: AbstractProblem, course: Course, count: int) -> list[np.ndarray]:
+    """The best points of a course, none within a twentieth of its extent of a better one in every direction."""
+    points, losses = np.asarray(course.points), np.asarray(course.losses)
+    extent = np.maximum(np.ptp(points, axis=0), 1e-12 * (problem.upper - problem.lower))
+    kept: list[np.ndarray] = []
+    for i in np.argsort(losses, kind="stable"):
+        if all(np.max(np.abs(points[i] - k) / extent) > 0.05 for k in kept):
+            kept.append(points[i])
+        if len(kept) == count:
+            break
+    return kept

@@ -1,0 +1,1 @@
+from fitters.lm import *

@@ -1,0 +1,393 @@
+"""From the rows of a recording to a dataset folder: clocks, gaps, channels. Nothing is smoothed over, and nothing is lost."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import os
+import shutil
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from jaxid.errors import UsageError
+from jaxid.hardware.clock import ClockMap, from_arrivals, from_signals, within_tick
+from jaxid.hardware.recorder import Column, read_about, read_events, read_rows, Rows, Stream, SUFFIX
+from jaxid.hardware.sensor import SensorSpec
+
+
+@dataclass(frozen=True)
+class Recording:
+    """What was recorded: `complete` is False where it ended before its time, `end_reason` says why. `lost` and `duplicated`
+    count samples of the main device; `gaps` (t0, t1, samples missing); `notes` are sentences for a person."""
+
+    folder: Path
+    file: str
+    rows: int
+    seconds: float
+    rate: float
+    lost: int
+    duplicated: int
+    gaps: tuple[tuple[float, float, int], ...]
+    complete: bool
+    end_reason: str
+    notes: tuple[str, ...]
+
+    @property
+    def text(self) -> str:
+        """What a person wants to read of it."""
+        lines = [
+            f"{self.rows} rows in {self.seconds:.2f} s ({self.rate:.1f} a second), {self.lost} lost, {self.duplicated} duplicated: "
+            f"{self.folder / self.file}",
+            f"complete: {self.end_reason}" if self.complete else f"NOT complete: {self.end_reason}",
+        ]
+        return "\n".join([*lines, *(f"- {n}" for n in self.notes)])
+
+    def to_dict(self) -> dict[str, Any]:
+        return {"schema": 1, "kind": "recording", **self.__dict__, "folder": str(self.folder)}
+
+
+def channel_map(model: str | None, columns: Sequence[Column], joint: int | None, gain: Sequence[float] | None) -> dict[str, dict]:
+    """`[channels]` of a dataset: as recorded, or as a model needs them.
+
+    With a model, torques are currents times a stated gain (N m/A), which stays visible as `scale`; `joint` picks one joint of
+    several for a model with one. Raises `UsageError` where the model cannot be served.
+    """
+    columns = [c for c in columns if c.role != "clock"]
+    have = {c.name: c for c in columns}
+    if model is None:
+        return {c.name: _channel(c) for c in columns}
+    from jaxid.catalogue import describe
+
+    first, used = "", set()
+    for signature in describe(model).signatures:
+        wanted = [(n, u, "input") for n, u in signature.inputs] + [(n, u, "output") for n, u in signature.outputs]
+        chosen: dict[str, dict] = {}
+        used = set()
+        for name, unit, role in wanted:
+            entry, column = _serve(name, unit, role, have, joint, gain)
+            if column is None:
+                first = first or entry
+                break
+            chosen[name] = entry
+            used.add(column)
+        else:
+            # What the model does not need stays auxiliary; a column that is needed under another name is not listed twice.
+            rest = {c.name: _channel(c) | {"role": "auxiliary"} for c in columns if c.name not in used and c.name not in chosen}
+            return chosen | rest
+    raise UsageError(f"model {model}: {first}")
+
+
+def _channel(c: Column) -> dict[str, Any]:
+    entry = {"role": c.role, "unit": c.unit, "noise_std": c.noise_std, "resolution": c.resolution}
+    entry |= {"hold": c.hold} if c.hold != "zero" else {}
+    return {k: v for k, v in entry.items() if v is not None}
+
+
+def _serve(name: str, unit: str, role: str, have: Mapping[str, Column], joint: int | None, gain) -> tuple[Any, str | None]:
+    """The channel entry for one name of a model's signature and its column; or a sentence and None."""
+    stem, number = name.rstrip("0123456789"), name[len(name.rstrip("0123456789")) :]
+    # `q_cmd` of a model is q3_cmd of joint 3.
+    base, _, tail = stem.partition("_")
+    place = number or ("" if joint is None else str(joint))
+    spelled = [f"{base}{place}" + (f"_{tail}" if tail else ""), f"{stem}{place}", name]
+    for column in spelled:
+        if column in have and have[column].unit == unit:
+            entry = _channel(have[column]) | {"role": role} | ({} if column == name else {"column": column})
+            return entry, column
+    if stem == "tau":
+        named = [c for c in (f"current{place}", f"current{place}_cmd") if c in have]
+        column = next((c for c in named if have[c].role == "input"), next(iter(named), None))
+        if column is not None and gain is None:
+            return (
+                f"it needs the torque {name!r}, and the device has a current, {column!r}. State the gain you assume in N m/A "
+                "(--gain); it stays visible in dataset.toml as `scale`"
+            ), None
+        if column is not None:
+            k = (int(place) - 1) if place else 0
+            if k >= len(gain) and len(gain) != 1:
+                return f"there are {len(gain)} gains, none for joint {place}", None
+            scale = float(gain[k if len(gain) > 1 else 0])
+            entry = {"role": role, "unit": unit, "column": column, "scale": scale}
+            resolution = have[column].resolution
+            return entry | ({} if resolution is None else {"resolution": abs(scale) * resolution}), column
+    several = sorted(c for c in have if c.rstrip("0123456789") == stem)
+    hint = f" (there is: {', '.join(several)}; pick one with --joint)" if several and not number and joint is None else ""
+    return f"it needs {name!r} in {unit}, which this device does not record{hint}", None
+
+
+def finish(folder: str | os.PathLike[str], end_reason: str | None = None) -> Recording:
+    """Makes a run of the dataset beside it from a recording folder `run_N.recording`, then removes it.
+
+    `end_reason` None is for a recording whose process died: what is known of its end is taken from its events. Raises
+    `UsageError` where there is nothing to finish.
+    """
+    folder = Path(folder)
+    try:
+        about = read_about(folder)
+    except (OSError, ValueError) as error:
+        raise UsageError(f"{folder} is no recording that could be finished ({error})") from error
+    events = read_events(folder)
+    closed = next((e for e in reversed(events) if e["kind"] == "end"), None)
+    if end_reason is None:
+        end_reason = closed["text"] if closed is not None else "the recording process ended without closing the recording"
+    complete = closed is not None and bool(closed.get("complete"))
+    streams = [Stream.from_dict(s) for s in about["streams"]]
+    main = streams[0]
+    rows = read_rows(folder, main)
+    notes: list[str] = [str(e["text"]) for e in events if e["kind"] == "note"]
+    if rows.damaged:
+        notes.append(f"{rows.damaged} damaged rows of {main.name} were left out")
+    if len(rows.device) == 0:
+        raise UsageError(f"{folder} holds no row of {main.name}: {end_reason}")
+    timed = _timed(main, rows)
+    notes += timed.notes
+    table: dict[str, np.ndarray] = {"t": timed.t, "t_host": rows.host[timed.keep] - timed.host(np.array([timed.zero]))[0]}
+    table |= {c.name: rows.values[timed.keep, k] for k, c in enumerate(main.columns)}
+    columns, clocks = [_blurred(c, table, timed) for c in main.columns], {main.name: timed.host.text}
+    out, number = folder.parent, folder.name.removeprefix("run_").removesuffix(SUFFIX)
+    extra: dict[str, dict[str, np.ndarray]] = {}
+    inside = np.ones(len(timed.t), bool)
+    for stream in streams[1:]:
+        other = read_rows(folder, stream)
+        if len(other.device) < 4:
+            notes.append(f"sensor {stream.name} gave {len(other.device)} rows; it is left out")
+            continue
+        host = from_arrivals(other.device, other.host) if stream.clock != "arrival at the host" else None
+        to_main = timed.host.inverted() if host is None else timed.host.inverted().after(host)
+        at = to_main(other.device) - timed.zero
+        extra[stream.name] = {"t": at} | {c.name: other.values[:, k] for k, c in enumerate(stream.columns)}
+        clocks[stream.name] = f"against {main.name}: {'arrival time' if host is None else to_main.text}"
+        inside &= _onto(table, stream, extra[stream.name], notes)
+        columns += stream.columns
+    for description in about.get("sensor_files", []):
+        spec = SensorSpec.model_validate(description)
+        stream = spec.stream()
+        try:
+            found, clock = _matched(spec, table, timed)
+        except (ValueError, UsageError) as error:
+            notes.append(f"sensor file {spec.file} is left out: {error}")
+            continue
+        extra[spec.name], clocks[spec.name] = found, f"against {main.name}: {clock.text}"
+        inside &= _onto(table, stream, found, notes)
+        columns += stream.columns
+    if not inside.all():
+        notes.append(f"{int(np.sum(~inside))} rows without every sensor were left out of the table")
+        table = {k: v[inside] for k, v in table.items()}
+    window = _window(events, timed, table)
+    entry = _experiment(f"run_{number}.parquet", about, table, window, timed)
+    report = {
+        "schema": 1,
+        "kind": "recording",
+        "complete": complete,
+        "end_reason": end_reason,
+        "rows": len(table["t"]),
+        "rate_nominal_hz": None if main.period is None else 1 / main.period,
+        "rate_measured_hz": timed.rate,
+        "lost": timed.lost,
+        "duplicated": timed.duplicated,
+        "gaps": timed.gaps,
+        "clocks": clocks,
+        "channels": {c.name: {"raw_unit": c.raw_unit, "scale": c.scale} for c in columns if c.raw_unit},
+        "events": [{**e, "t": float(timed.host.inverse(np.array([e["host"]]))[0] - timed.zero)} for e in events],
+        "notes": notes,
+        "raw_sha256": {s.name: _sha256(folder / f"{s.name}.rows") for s in streams},
+        **{k: v for k, v in about.items() if k not in ("streams", "sensor_files")},
+        "devices": {s.name: {"clock": s.clock, **s.info} for s in streams},
+    }
+    _write(out, number, table, extra, columns, entry, about, report)
+    shutil.rmtree(folder)
+    return Recording(
+        out, entry["file"], len(table["t"]), float(table["t"][-1] - table["t"][0]), timed.rate, timed.lost, timed.duplicated,
+        tuple(timed.gaps), complete, end_reason, tuple(notes),
+    )  # fmt: skip
+
+
+@dataclass(frozen=True)
+class _Timed:
+    """The main stream's own time: `keep` which rows, `t` from 0, `zero` device time of t = 0, `host` the host against it."""
+
+    keep: np.ndarray
+    t: np.ndarray
+    zero: float
+    host: ClockMap
+    rate: float
+    lost: int
+    duplicated: int
+    gaps: list[tuple[float, float, int]]
+    notes: list[str]
+    blur: float  # standard deviation of each time (s)
+
+
+def _timed(stream: Stream, rows: Rows) -> _Timed:
+    device, notes, blur = rows.device, [], 0.0
+    if stream.info.get("tick_s"):
+        names = [c.name for c in stream.columns]
+        asked, answered = (rows.values[:, names.index(n)] for n in ("t_sent", "t_received"))
+        rising = _rising(device)
+        host: ClockMap | None = None
+        fine = device.copy()
+        if rising.sum() >= 4:
+            fine[rising], host, blur = within_tick(device[rising], stream.info["tick_s"], asked[rising], answered[rising])
+        device = fine
+    else:
+        rising = _rising(device)
+        host = from_arrivals(device[rising], rows.host[rising]) if rising.sum() >= 4 else None
+    keep = np.flatnonzero(rising)
+    keep = keep[_rising(device[keep])]
+    back = int(np.sum(np.diff(rows.device) < 0))
+    if back:
+        notes.append(f"the device's clock went backwards {back} times; those rows were left out")
+    t = device[keep]
+    zero = float(t[0])
+    if host is None:
+        host = ClockMap(float(rows.host[0] - rows.device[0]), 0.0, 0.0, 0.0, "too few samples to compare clocks")
+    step = np.diff(t)
+    median = float(np.median(step)) if len(step) else 0.0
+    period = stream.period or median
+    if period and median > 1.5 * period:
+        notes.append(f"the device sends {1 / median:.1f} samples a second where {1 / period:.1f} were asked for")
+        period = median
+    # A device that sends by itself has lost what is not there; one that is asked may have been asked late.
+    polled = bool(stream.info.get("tick_s"))
+    missing = np.maximum(np.round(step / period).astype(int) - 1, 0) if period else np.zeros(len(step), int)
+    missing[step < 2.5 * period] *= not polled
+    gaps = [(round(float(t[k] - zero), 6), round(float(t[k + 1] - zero), 6), int(missing[k])) for k in np.flatnonzero(missing)]
+    rate = (len(t) - 1) / float(t[-1] - t[0]) if len(t) > 1 else 0.0
+    if gaps:
+        worst = max(gaps, key=lambda g: g[2])
+        notes.append(f"{len(gaps)} gaps of {missing.sum()} samples together, the longest from {worst[0]:.3f} to {worst[1]:.3f} s")
+    repeated = len(rows.device) - len(keep) - back
+    return _Timed(keep, np.round(t - zero, 9), zero, host, rate, int(missing.sum()), max(repeated, 0), gaps, notes, blur)
+
+
+def _blurred(column: Column, table: Mapping[str, np.ndarray], timed: _Timed) -> Column:
+    """An angle's noise where its time is known to `blur` only: what it turns in that time is noise like its resolution."""
+    rate = table.get("qd" + column.name[1:]) if column.name.rstrip("0123456789") == "q" else None
+    if rate is None or column.noise_std is not None or timed.blur == 0:
+        return column
+    turned = float(np.sqrt(np.mean((timed.blur * rate) ** 2)))
+    return replace(column, noise_std=float(f"{np.hypot((column.resolution or 0.0) / np.sqrt(12), turned):.3g}"))
+
+
+def _rising(t: np.ndarray) -> np.ndarray:
+    """Which samples are later than every one before them."""
+    top = np.maximum.accumulate(t)
+    return np.concatenate([[True], t[1:] > top[:-1]])
+
+
+def _onto(table: dict[str, np.ndarray], stream: Stream, rows: dict[str, np.ndarray], notes: list[str]) -> np.ndarray:
+    """Adds a sensor's channels at the main times by linear interpolation; returns where it has data."""
+    t, at = table["t"], rows["t"]
+    order = np.flatnonzero(_rising(at))
+    at = at[order]
+    step = float(np.median(np.diff(at)))
+    k = np.clip(np.searchsorted(at, t), 1, len(at) - 1)
+    inside = (t >= at[0]) & (t <= at[-1]) & (at[k] - at[k - 1] <= 5 * step)
+    for c in stream.columns:
+        table[c.name] = np.interp(t, at, rows[c.name][order])
+    notes.append(
+        f"sensor {stream.name}: {1 / step:.1f} samples a second, interpolated linearly at the main times; "
+        "its own samples are kept in a file beside"
+    )
+    return inside
+
+
+def _matched(spec: SensorSpec, table: Mapping[str, np.ndarray], timed: _Timed) -> tuple[dict[str, np.ndarray], ClockMap]:
+    assert spec.match is not None
+    t, values = spec.rows()
+    names = list(spec.channels)
+    channel = next((n for n, c in spec.channels.items() if c.column == spec.match.column), None)
+    if channel is None:
+        raise ValueError(f"`match` names the column {spec.match.column!r}, which is no channel")
+    if spec.match.to not in table:
+        raise ValueError(f"`match` names the channel {spec.match.to!r}, which was not recorded")
+    clock = from_signals(
+        table["t"], table[spec.match.to], t, values[:, names.index(channel)],
+        search_s=spec.match.search_s, derivative=spec.match.derivative,
+    )  # fmt: skip
+    return {"t": clock(t)} | {n: values[:, k] for k, n in enumerate(names)}, clock
+
+
+def _window(events, timed: _Timed, table: Mapping[str, np.ndarray]) -> list[float] | None:
+    """The part of a played run that is data: from just before the path to just after it."""
+    at = {e.get("name"): float(timed.host.inverse(np.array([e["at"]]))[0] - timed.zero) for e in events if e["kind"] == "mark"}
+    if "play_start" not in at:
+        return None
+    begin = max(at["play_start"] - 0.05, float(table["t"][0]))
+    end = min(at.get("play_end", np.inf) + 0.2, float(table["t"][-1]) + 1e-6)
+    return [round(begin, 6), round(float(end), 6)]
+
+
+def _experiment(file: str, about, table: Mapping[str, np.ndarray], window, timed: _Timed) -> dict[str, Any]:
+    entry: dict[str, Any] = {"file": file, "split": about.get("split", "fit")}
+    step = float(np.median(np.diff(table["t"]))) if len(table["t"]) > 1 else 0.0
+    if step and np.diff(table["t"]).max() > 20 * step:
+        entry["split_at_gaps"] = True
+    if window is not None:
+        entry["window_s"] = window
+        first = (table["t"] >= window[0]) & (table["t"] < window[0] + 0.1)
+        angles = [v[first] for k, v in table.items() if k.rstrip("0123456789") == "q"]
+        still = about.get("still_rad", 1e-4)
+        if first.sum() > 2 and angles and all(np.ptp(a) <= still for a in angles):
+            entry["at_rest"] = True
+    if about.get("constants"):
+        entry["constants"] = about["constants"]
+    return entry
+
+
+def _sha256(path: Path) -> str:
+    return hashlib.sha256(path.read_bytes()).hexdigest() if path.is_file() else ""
+
+
+def _write(out: Path, number: str, table, extra, columns, entry, about, report) -> None:
+    """Each file appears whole or not at all; `dataset.toml` comes last, so that it never names a file that is not there."""
+    import pyarrow as pa
+    import pyarrow.parquet as pq
+    import tomlkit
+
+    text = json.dumps(report, indent=1)
+
+    def parquet(name: str, content: Mapping[str, np.ndarray]) -> None:
+        data = pa.table({k: pa.array(v) for k, v in content.items()})
+        partial = out / f"{name}.partial"
+        pq.write_table(data.replace_schema_metadata({"jaxid": text}), partial)
+        partial.replace(out / name)
+
+    parquet(entry["file"], table)
+    for name, content in extra.items():
+        parquet(f"run_{number}.{name}.parquet", content)
+    _replace(out / f"run_{number}.json", text)
+    path = out / "dataset.toml"
+    if path.is_file():
+        document = tomlkit.parse(path.read_text(encoding="utf-8"))
+        array = document["experiments"]
+        for c in columns:  # an output that stood still so far, and moves now
+            known = document["channels"].get(c.name)
+            if about.get("model") is None and c.role == "output" and known is not None and np.ptp(table[c.name]) > 0:
+                known["role"] = "output"
+        if entry["file"] not in [str(e["file"]) for e in array]:  # pyright: ignore[reportGeneralTypeIssues, reportIndexIssue, reportCallIssue, reportArgumentType]
+            array.append(tomlkit.item(entry, _parent=document))  # pyright: ignore[reportAttributeAccessIssue]
+        _replace(path, tomlkit.dumps(document))
+        return
+    content: dict[str, Any] = {"name": about["name"], "description": about["description"], "source": about["source"]}
+    if about.get("model"):
+        content["model"] = {"name": about["model"]} | (
+            {"constants": about["model_constants"]} if about.get("model_constants") else {}
+        )
+    content["channels"] = channel_map(about.get("model"), columns, about.get("joint"), about.get("gain"))
+    for name, channel in content["channels"].items():
+        # An output that never moves would make the whole dataset unreadable, and a robot is rarely moved in all joints.
+        if about.get("model") is None and channel["role"] == "output" and np.ptp(table[name]) == 0:
+            channel["role"] = "auxiliary"
+    content["experiments"] = [entry]
+    _replace(path, tomlkit.dumps(content))
+
+
+def _replace(path: Path, text: str) -> None:
+    partial = path.with_name(path.name + ".partial")
+    partial.write_text(text, encoding="utf-8")
+    partial.replace(path)

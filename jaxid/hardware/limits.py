@@ -1,0 +1,152 @@
+"""What a device may be told and may do: checked for a whole path before any motion, clamped at every command, compared with
+every measurement.
+
+This is not a safety function: it protects against mistakes in a trajectory, not people. Keep the emergency stop in reach.
+"""
+
+from __future__ import annotations
+
+import math
+import os
+import tomllib
+from collections.abc import Sequence
+from dataclasses import dataclass, fields, replace
+from pathlib import Path
+
+from jaxid.errors import nearest, UsageError
+
+
+@dataclass(frozen=True)
+class Limits:
+    """Bounds of each joint, one number a joint or one for all; None is no bound.
+
+    `lower`, `upper` rad; `speed` rad/s; `acceleration` rad/s^2; `current` A; `temperature` K. `step` is the largest change from
+    one command to the next (rad, rad/s or A, as the command is). `data_age` s is how long anything may be silent
+    while something moves: the measurements, the recording process, and the driver, for the watchdog of the device itself. `tracking` is how far (rad) a joint may be from where it is told to be.
+    """
+
+    lower: tuple[float, ...] | None = None
+    upper: tuple[float, ...] | None = None
+    speed: tuple[float, ...] | None = None
+    acceleration: tuple[float, ...] | None = None
+    current: tuple[float, ...] | None = None
+    temperature: tuple[float, ...] | None = None
+    step: tuple[float, ...] | None = None
+    tracking: tuple[float, ...] | None = None
+    data_age: float = 0.1
+
+    def __post_init__(self):
+        if isinstance(self.data_age, int | float) and not 0.02 <= self.data_age <= 2.0:
+            raise UsageError(f"limit data_age is {self.data_age!r} s; write 0.02 to 2")
+        for f in fields(self):
+            value = getattr(self, f.name)
+            if value is None:
+                continue
+            numbers = [value] if f.name == "data_age" or isinstance(value, int | float) else list(value)
+            if not numbers or any(isinstance(v, bool) or not isinstance(v, int | float) or math.isnan(v) for v in numbers):
+                raise UsageError(f"limit {f.name} is {value!r}; write a number, or one number a joint")
+            if f.name not in ("lower", "upper") and min(numbers) <= 0:
+                raise UsageError(f"limit {f.name} is {value!r}; write numbers above 0")
+            object.__setattr__(self, f.name, float(numbers[0]) if f.name == "data_age" else tuple(map(float, numbers)))
+
+    @classmethod
+    def read(cls, path: str | os.PathLike[str]) -> Limits:
+        """From a TOML file whose keys are the fields, as in `speed = [1.0, 1.0, 1.5]`; raises `UsageError`."""
+        path = Path(path)
+        try:
+            content = tomllib.loads(path.read_text(encoding="utf-8"))
+        except OSError as error:
+            raise UsageError(f"limits {path}: cannot be read ({error.strerror})") from error
+        except ValueError as error:
+            raise UsageError(f"limits {path}: not readable as TOML: {error}") from error
+        known = [f.name for f in fields(cls)]
+        for name in content:
+            if name not in known:
+                raise UsageError(f"limits {path}: there is no limit {name!r}{nearest(name, known)}")
+        try:
+            return cls(**content)
+        except (TypeError, UsageError) as error:
+            raise UsageError(f"limits {path}: {error}") from error
+
+    def widened(self, joints: int) -> Limits:
+        """The same with one number for each joint; raises `UsageError` where a list has another length."""
+        wide = {}
+        for f in fields(self):
+            value = getattr(self, f.name)
+            if f.name == "data_age" or value is None:
+                continue
+            if len(value) not in (1, joints):
+                raise UsageError(f"limit {f.name} has {len(value)} numbers for {joints} joints; write 1 or {joints}")
+            wide[f.name] = value * joints if len(value) == 1 else value
+        return replace(self, **wide)
+
+    def within(self, device: Limits, joints: int) -> Limits:
+        """These limits where they are tighter, else those of the device."""
+        own, other = self.widened(joints), device.widened(joints)
+        merged = {}
+        for f in fields(self):
+            a, b = getattr(own, f.name), getattr(other, f.name)
+            if f.name == "data_age":
+                continue
+            if a is None or b is None:
+                merged[f.name] = a if b is None else b
+            else:
+                merged[f.name] = tuple((max if f.name == "lower" else min)(x, y) for x, y in zip(a, b, strict=True))
+        return replace(own, **merged)
+
+    def violation(self, q: Sequence[float], qd: Sequence[float], current: Sequence[float] = ()) -> str | None:
+        """One sentence on the first measurement beyond its limit, or None. Positions may pass theirs by one percent."""
+        return self._violation("q", q, self.lower, self.upper, "rad", 0.01) or next(
+            (
+                text
+                for name, values, top, unit in (("qd", qd, self.speed, "rad/s"), ("current", current, self.current, "A"))
+                if (text := self._violation(name, values, top and tuple(-v for v in top), top, unit, 0.1))
+            ),
+            None,
+        )
+
+    @staticmethod
+    def _violation(name, values, lower, upper, unit: str, margin: float) -> str | None:
+        for j, value in enumerate(values):
+            number = str(j + 1) if len(values) > 1 else ""
+            if not math.isfinite(value):
+                return f"measured {name}{number} is {value}"
+            if upper is not None and value > upper[j] + margin * max(abs(upper[j]), 1e-3):
+                return f"measured {name}{number} = {value:.4g} {unit} is above its limit of {upper[j]:.4g} {unit}"
+            if lower is not None and value < lower[j] - margin * max(abs(lower[j]), 1e-3):
+                return f"measured {name}{number} = {value:.4g} {unit} is below its limit of {lower[j]:.4g} {unit}"
+        return None
+
+
+class Refused(ValueError):
+    """A command that is no number, or of another length; nothing may be sent in its place."""
+
+
+class Clamp:
+    """The last gate before the wire: every command leaves it finite, inside its bounds and one small step from the last one.
+
+    `lower`, `upper`, `step` hold one number a joint, in the unit of the command. The first command may be one step away
+    from `start`. `count` says how often a command had to be changed.
+    """
+
+    def __init__(self, lower: Sequence[float], upper: Sequence[float], step: Sequence[float], start: Sequence[float]):
+        if not len(lower) == len(upper) == len(step) == len(start):
+            raise Refused("bounds, step and start differ in length")
+        if not all(a <= b and s > 0 and math.isfinite(x) for a, b, s, x in zip(lower, upper, step, start, strict=True)):
+            raise Refused("bounds are empty, a step is not above 0, or the start is no number")
+        self.lower, self.upper, self.step = tuple(lower), tuple(upper), tuple(step)
+        self.last = tuple(start)
+        self.count = 0
+
+    def __call__(self, command: Sequence[float]) -> tuple[float, ...]:
+        """The command as it may be sent. Raises `Refused` for NaN, infinity or a wrong length."""
+        if len(command) != len(self.lower) or not all(math.isfinite(v) for v in command):
+            raise Refused(f"a command must be {len(self.lower)} finite numbers, not {list(command)}")
+        sent = []
+        for value, low, high, step, last in zip(command, self.lower, self.upper, self.step, self.last, strict=True):
+            # A start outside the bounds (a robot put there by hand) is led back in steps.
+            inside = min(max(value, low), high)
+            sent.append(min(max(inside, last - step), last + step))
+        self.count += any(abs(a - b) > 1e-12 for a, b in zip(sent, command, strict=True))
+        self.last = tuple(sent)
+        return self.last

@@ -1,0 +1,210 @@
+"""An auxiliary sensor beside the main device: lines of numbers on a serial port, or a file that another logger wrote."""
+
+from __future__ import annotations
+
+import os
+import time
+import tomllib
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, Literal
+
+import numpy as np
+from pydantic import BaseModel, ConfigDict, Field, FiniteFloat, model_validator, ValidationError
+
+from jaxid.errors import UsageError
+from jaxid.hardware.device import Sample
+from jaxid.hardware.errors import HardwareError
+from jaxid.hardware.recorder import Column, Stream
+from jaxid.units import Conversion, conversion, UnitError
+
+
+class _Strict(BaseModel):
+    model_config = ConfigDict(extra="forbid", allow_inf_nan=False)
+
+
+class _Channel(_Strict):
+    column: str
+    unit: str
+    role: Literal["input", "output", "auxiliary"] = "auxiliary"
+    scale: FiniteFloat = 1.0
+    offset: FiniteFloat = 0.0
+    noise_std: FiniteFloat | None = Field(default=None, gt=0)
+    resolution: FiniteFloat | None = Field(default=None, gt=0)
+
+
+class _Time(_Strict):
+    column: str
+    unit: str = "s"
+    wraps_at: FiniteFloat | None = Field(default=None, gt=0)  # the counter starts again from 0 here, in its own unit
+
+
+class _Match(_Strict):
+    column: str
+    to: str
+    derivative: int = Field(default=0, ge=0, le=2)
+    search_s: FiniteFloat | None = Field(default=None, gt=0)
+
+
+class SensorSpec(_Strict):
+    """A sensor as its TOML file describes it.
+
+    With `port`, lines of `columns` separated by commas arrive at `baud`; `time` names the sensor's own clock (without one, the
+    arrival time counts, which adds the unknown delay of the line). With `file`, a CSV or Parquet file is added afterwards, and
+    `match` says which of its columns follows which channel of the main device (`derivative` 2: an accelerometer and an angle).
+    """
+
+    name: str = Field(pattern=r"^[A-Za-z_][A-Za-z0-9_]*$")
+    port: str | None = None
+    file: str | None = None
+    baud: int = Field(default=115200, gt=0)
+    columns: list[str] = []
+    time: _Time | None = None
+    match: _Match | None = None
+    channels: dict[str, _Channel] = Field(min_length=1)
+
+    @model_validator(mode="after")
+    def _complete(self) -> SensorSpec:
+        if (self.port is None) == (self.file is None):
+            raise ValueError("state either `port` or `file`")
+        if self.port is not None and not self.columns:
+            raise ValueError("a `port` needs `columns`, the names of the numbers in a line")
+        if self.file is not None and (self.match is None or self.time is None):
+            raise ValueError(
+                "a `file` needs `time` and `match`: its clock is not the main one, and a shared motion tells its offset"
+            )
+        used = [c.column for c in self.channels.values()] + ([self.time.column] if self.time else [])
+        for column in used if self.port is not None else []:
+            if column not in self.columns:
+                raise ValueError(f"column {column!r} is not among `columns`")
+        for name, channel in self.channels.items():
+            try:
+                conversion(channel.unit)
+            except UnitError as error:
+                raise ValueError(f"channel {name}: {error}") from None
+        return self
+
+    @classmethod
+    def read(cls, path: str | os.PathLike[str]) -> SensorSpec:
+        """Raises `UsageError` with what is wrong. A `file` is looked for beside the description."""
+        path = Path(path)
+        try:
+            spec = cls.model_validate(tomllib.loads(path.read_text(encoding="utf-8")))
+        except OSError as error:
+            raise UsageError(f"sensor {path}: cannot be read ({error.strerror})") from error
+        except ValidationError as error:
+            faults = "; ".join(
+                ".".join(map(str, e["loc"])) + ": " + e["msg"].removeprefix("Value error, ") for e in error.errors()
+            )
+            raise UsageError(f"sensor {path}: {faults}") from error
+        except ValueError as error:
+            raise UsageError(f"sensor {path}: not readable as TOML: {error}") from error
+        return spec if spec.file is None else spec.model_copy(update={"file": str(path.parent / spec.file)})
+
+    def stream(self) -> Stream:
+        columns = []
+        for name, c in self.channels.items():
+            si = conversion(c.unit)
+            width = lambda v, si=si: None if v is None else v * si.factor
+            columns.append(
+                Column(name, si.si, c.role, width(c.resolution), width(c.noise_std), "linear" if c.role == "input" else "zero")
+            )
+        clock = "arrival at the host" if self.time is None else f"sensor time, column {self.time.column!r}"
+        return Stream(self.name, tuple(columns), clock, None, {"description": self.model_dump(exclude_none=True)})
+
+    def convert(self, row: Mapping[str, Any]) -> list[Any]:
+        """SI values of the channels from a row of columns (numbers or arrays)."""
+        out = []
+        for c in self.channels.values():
+            si: Conversion = conversion(c.unit)
+            out.append(si.factor * (c.scale * row[c.column] + c.offset) + si.shift)
+        return out
+
+    def rows(self) -> tuple[np.ndarray, np.ndarray]:
+        """Times (s, sensor clock) and SI values `[rows channels]` of a `file`. Raises `UsageError`."""
+        from jaxid.dataset_table import read_table
+
+        assert self.file is not None and self.time is not None
+        path = Path(self.file)
+        try:
+            table = read_table(path, path.name, path.read_bytes())
+        except OSError as error:
+            raise UsageError(f"sensor file {path}: cannot be read ({error.strerror})") from error
+        wanted = [self.time.column, *(c.column for c in self.channels.values())]
+        problems = [str(p) for p in table.problems]
+        problems += [str(table.missing(c, "the sensor")) for c in wanted if c not in table.columns and not table.problems]
+        if problems:
+            raise UsageError(f"sensor file {path}: {problems[0]}")
+        columns = {c: table.numbers(c).values for c in wanted}
+        for name, values in columns.items():
+            if not np.isfinite(values).all():
+                row = table.row(int(np.flatnonzero(~np.isfinite(values))[0]))
+                raise UsageError(f"sensor file {path}: row {row}, column {name}: no number; remove the row")
+        t = columns[self.time.column] * conversion(self.time.unit).factor
+        if len(t) < 20 or np.diff(t).min() <= 0:
+            raise UsageError(f"sensor file {path}: its time must rise over at least 20 rows")
+        return t, np.stack(np.broadcast_arrays(*self.convert(columns)), axis=1)
+
+
+@dataclass
+class SerialSensor:
+    """A sensor on a serial port, read line by line; a line that is not the stated numbers is counted and left out."""
+
+    spec: SensorSpec
+    malformed: int = 0
+
+    def __post_init__(self):
+        self.line: Any = None
+        self._buffer = b""
+        self._turns, self._last = 0.0, None
+
+    def open(self) -> None:
+        import serial
+
+        assert self.spec.port is not None
+        try:
+            self.line = serial.Serial(self.spec.port, self.spec.baud, timeout=0)
+            self.line.reset_input_buffer()
+        except (OSError, ValueError) as error:
+            raise UsageError(
+                f"sensor {self.spec.name}: port {self.spec.port} cannot be opened ({error}); check cable, name and rights"
+            ) from None
+
+    def fileno(self) -> int:
+        return self.line.fileno()
+
+    def read(self) -> list[Sample]:
+        """What has arrived. Raises `HardwareError` where the port is gone."""
+        try:
+            block = self.line.read(self.line.in_waiting or 1)
+        except OSError as error:
+            raise HardwareError(f"sensor {self.spec.name}: port {self.spec.port} is gone ({error})") from None
+        now = time.monotonic()
+        first = not self._buffer and self._last is None
+        *lines, self._buffer = (self._buffer + block).split(b"\n")
+        samples = []
+        for k, line in enumerate(lines):
+            try:
+                numbers = [float(w) for w in line.decode("ascii").strip().split(",")]
+                row = dict(zip(self.spec.columns, numbers, strict=True))
+                if not all(map(np.isfinite, numbers)):
+                    raise ValueError
+            except ValueError:
+                self.malformed += not (first and k == 0)  # the first line may have begun before we listened
+                continue
+            samples.append(Sample(now, self._time(row, now), self.spec.convert(row)))
+        return samples
+
+    def _time(self, row: Mapping[str, float], now: float) -> float:
+        if self.spec.time is None:
+            return now
+        raw = row[self.spec.time.column]
+        if self.spec.time.wraps_at is not None and self._last is not None and raw < self._last - self.spec.time.wraps_at / 2:
+            self._turns += self.spec.time.wraps_at
+        self._last = raw
+        return (raw + self._turns) * conversion(self.spec.time.unit).factor
+
+    def close(self) -> None:
+        if self.line is not None:
+            self.line.close()

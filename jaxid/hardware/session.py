@@ -1,0 +1,357 @@
+"""Recording a device, and playing a path on it: one loop that watches everything and lets go of the motion when in doubt."""
+
+from __future__ import annotations
+
+import datetime
+import os
+import platform
+import select
+import time
+from collections.abc import Callable, Mapping, Sequence
+from contextlib import ExitStack
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+from jaxid.errors import UsageError
+from jaxid.hardware.device import Device, Plan, Sample
+from jaxid.hardware.errors import HardwareError
+from jaxid.hardware.finishing import channel_map, finish, Recording
+from jaxid.hardware.limits import Limits
+from jaxid.hardware.recorder import Recorder, SUFFIX
+from jaxid.hardware.sensor import SensorSpec, SerialSensor
+from jaxid.hardware.trajectory import Trajectory
+
+
+SILENCE_S = 0.5  # a device that sends nothing for so long is lost
+BEAT_S = 0.01
+ARMED_S = 15.0
+
+
+@dataclass(frozen=True)
+class DryRun:
+    """What would have been done: `text` for a person, and the plan."""
+
+    plan: Plan
+    text: str
+
+
+@dataclass
+class _Watch:
+    """What is known while recording."""
+
+    began: float
+    heard: float
+    phase: str = "recording"  # recording | arming | playing | played
+    asked: float = 0.0
+    last: Sample | None = None
+    first: Sample | None = None
+    done_at: float | None = None
+    notes: list[str] = field(default_factory=list)
+
+    @property
+    def moving(self) -> bool:
+        return self.phase in ("arming", "playing")
+
+
+def record(
+    device: Device,
+    out: str | os.PathLike[str],
+    seconds: float | None = None,
+    *,
+    play: Trajectory | None = None,
+    live: bool = False,
+    limits: Limits | None = None,
+    sensors: Sequence[SensorSpec] = (),
+    split: str = "fit",
+    model: str | None = None,
+    joint: int | None = None,
+    gain: Sequence[float] | float | None = None,
+    constants: Mapping[str, float] | None = None,
+    append: bool = False,
+    progress: Callable[[str, int, int, str], None] | None = None,
+) -> Recording | DryRun:
+    """Records `seconds` of a device into a dataset folder; with `play` a path is moved and recorded to its end.
+
+    Nothing moves without `live`: the path, the device and the way to the path's start are then only checked (`DryRun`). Limits
+    are the device's own, tightened by `limits`. `model`, `joint` and `gain` (N m/A) say which model the dataset is meant for (see
+    `channel_map`); `constants` what is known of this run. `append` adds a run to a folder that an earlier recording made.
+
+    Raises `UsageError` before anything moved or was written, `HardwareError` for what ended a recording early: all rows up to
+    then are in the folder, marked as not complete. So they are after Ctrl-C.
+    """
+    out = Path(out)
+    gains = None if gain is None else [float(gain)] if isinstance(gain, int | float) else [float(g) for g in gain]
+    number = _next_run(out, append)
+    _check_words(device, play, seconds, split)
+    with ExitStack() as stack:
+        device.open()
+        stack.callback(device.close)
+        serial = [SerialSensor(s) for s in sensors if s.port is not None]
+        for sensor in serial:
+            sensor.open()
+            stack.callback(sensor.close)
+        streams = [device.stream(), *(s.spec.stream() for s in serial)]
+        if len({s.name for s in streams}) < len(streams):
+            raise UsageError("two devices have the same name; rename a sensor")
+        files = [s for s in sensors if s.file is not None]
+        columns = [c for s in streams for c in s.columns] + [c for s in files for c in s.stream().columns]
+        channel_map(model, columns, joint, gains)
+        bounds = (limits or Limits()).within(device.limits(), device.joints)
+        if play is not None:
+            _refuse_path(play, bounds, device)
+        watch = _first_samples(device)
+        assert watch.last is not None
+        plan = None
+        if play is not None:
+            plan = device.plan(play, bounds, watch.last.values)
+            _refuse_state(device, bounds, watch.last)
+            if not live:
+                return DryRun(plan, _dry_text(device, play, plan))
+        about = _about(device, out, split, model, joint, gains, constants, play, plan, bounds)
+        about["sensor_files"] = [f.model_dump(exclude_none=True) for f in files]
+        out.mkdir(parents=True, exist_ok=True)
+        folder = out / f"run_{number}{SUFFIX}"
+        recorder = Recorder(folder, streams, about)
+        error: BaseException | None = None
+        reason, complete = "the time was over", True
+        try:
+            reason = _run(device, serial, recorder, watch, plan, seconds, bounds, progress)
+        except BaseException as caught:
+            error, complete = caught, False
+            reason = "interrupted" if isinstance(caught, KeyboardInterrupt) else str(caught) or type(caught).__name__
+            recorder.event("fault", reason)
+        finally:
+            said = _let_go(device, reason)
+            if plan is not None:
+                recorder.event("stop", said)
+            losses = device.losses()
+            if losses:
+                text = ", ".join(f"{n} {why.replace('_', ' ')}" for why, n in losses.items())
+                recorder.event("note", f"lost answers, none of them stored: {text}", losses=losses)
+            for sensor in serial:
+                if sensor.malformed:
+                    recorder.event("note", f"sensor {sensor.spec.name}: {sensor.malformed} lines were not readable and left out")
+            recorder.event("end", reason, complete=complete)
+            try:
+                recorder.close()
+            except OSError as full:
+                error = error or HardwareError(f"{folder}: rows could not be written ({full.strerror})")
+        if sum(recorder.counts) == 0 and error is not None:
+            raise error
+        recording = finish(folder, reason)
+        if error is not None:
+            if isinstance(error, HardwareError):
+                error.folder = str(out)
+                error.add_note(f"{recording.rows} rows up to then are in {out}, marked as not complete")
+            raise error
+        return recording
+
+
+def recover(folder: str | os.PathLike[str]) -> list[Recording]:
+    """Finishes every recording in a folder whose process died before it could. Raises `UsageError` where there is none."""
+    folder = Path(folder)
+    left = [folder] if folder.name.endswith(SUFFIX) else sorted(p for p in folder.glob(f"*{SUFFIX}") if p.is_dir())
+    if not left:
+        raise UsageError(f"{folder}: there is no unfinished recording (a folder run_1{SUFFIX})")
+    return [finish(p) for p in left]
+
+
+# ---- before
+
+
+def _next_run(out: Path, append: bool) -> int:
+    left = sorted(out.glob(f"run_*{SUFFIX}")) if out.is_dir() else []
+    if left:
+        raise UsageError(f"{left[0]} was never finished: save it with `jaxid record recover {out}`, or remove it")
+    if out.is_dir() and any(out.iterdir()):
+        if not append:
+            raise UsageError(f"{out} exists and is not empty; choose another folder, or add a run to it with --append")
+        if not (out / "run_1.json").is_file() or not (out / "dataset.toml").is_file():
+            raise UsageError(f"{out} was not made by a recording, so no run can be added to it")
+        return 1 + max(int(p.stem[4:]) for p in out.glob("run_*.json") if p.stem[4:].isdigit())
+    if append and not out.is_dir():
+        raise UsageError(f"{out} does not exist, so no run can be added to it; leave out --append")
+    return 1
+
+
+def _check_words(device: Device, play: Trajectory | None, seconds: float | None, split: str) -> None:
+    if split not in ("fit", "validation", "report"):
+        raise UsageError(f"split is {split!r}; it is fit, validation or report")
+    if play is None and seconds is None:
+        raise UsageError("say for how many seconds to record")
+    if seconds is not None and not 0 < seconds < 1e6:
+        raise UsageError(f"{seconds:g} seconds cannot be recorded")
+    if play is not None and play.kind not in device.kinds:
+        raise UsageError(f"{device.name} takes {' or '.join(device.kinds)} commands, the trajectory holds {play.kind}")
+    if play is not None and seconds is not None and seconds < play.duration:
+        raise UsageError(f"the trajectory takes {play.duration:g} s: record at least so long, or give a shorter one")
+    if play is not None and play.joints != device.joints:
+        raise UsageError(f"the trajectory has {play.joints} joints, {device.name} has {device.joints}")
+
+
+def _refuse_path(play: Trajectory, bounds: Limits, device: Device) -> None:
+    problems = play.check(bounds, 0.008)
+    if problems:
+        text = "\n".join(f"- {p}" for p in problems)
+        raise UsageError(f"the trajectory breaks limits of {device.name}; nothing was moved:\n{text}")
+
+
+def _first_samples(device: Device) -> _Watch:
+    """Waits for data; raises `HardwareError` where none come."""
+    device.begin()
+    now = time.monotonic()
+    watch = _Watch(now, now)
+    while watch.last is None:
+        _wait(device, [], 0.02)
+        for sample in device.news().samples:
+            watch.last = sample
+        if time.monotonic() - now > 2 * SILENCE_S:
+            raise HardwareError(f"{device.name}: connected, but no data within {2 * SILENCE_S:g} s")
+    watch.heard = time.monotonic()
+    return watch
+
+
+def _refuse_state(device: Device, bounds: Limits, sample: Sample) -> None:
+    why = device.alarm(sample.values, True) or bounds.violation(*device.measured(sample.values))
+    if why:
+        raise UsageError(f"{device.name} cannot be moved now: {why}")
+
+
+def _dry_text(device: Device, play: Trajectory, plan: Plan) -> str:
+    start = max(abs(a - b) for a, b in zip(plan.start, play.values[0], strict=True))
+    way = f", beginning {start:.3g} rad from where it stands" if play.kind == "position" else ""
+    return (
+        f"dry run: the path ({play.duration:.1f} s, {play.kind}) keeps all limits{way}; "
+        f"with the way there it takes {plan.duration:.1f} s. Nothing was moved or recorded; --live does it."
+    )
+
+
+def _about(device, out: Path, split, model, joint, gains, constants, play, plan, bounds: Limits) -> dict[str, Any]:
+    from importlib.metadata import PackageNotFoundError, version
+
+    versions = {"python": platform.python_version()}
+    for package in ("jaxid", "ur-rtde", "dynamixel-sdk", "pyserial"):
+        try:
+            versions[package] = version(package)
+        except PackageNotFoundError:
+            continue
+    now = datetime.datetime.now().astimezone()
+    excitation = None
+    if play is not None:
+        excitation = {"kind": play.kind, "source": play.source, "duration_s": play.duration, "sha256": play.sha256}
+    where = getattr(device, "where", device.name)
+    return {
+        "name": out.resolve().name,
+        "description": f"recorded from {device.name}" + (f" while playing {play.source or 'a path'}" if play else ""),
+        "source": {"hardware": f"{device.name} at {where}", "recorded": now.isoformat(timespec="seconds"), "by": "jaxid record"},
+        "provenance": "emulated or simulated (loopback or pseudo terminal)" if getattr(device, "local", False) else "real device",
+        "split": split,
+        "model": model,
+        "joint": joint,
+        "gain": gains,
+        "constants": dict(constants or {}),
+        "excitation": excitation,
+        "limits": {k: v for k, v in bounds.__dict__.items() if v is not None},
+        "still_rad": getattr(device, "still_rad", 1e-4),
+        "versions": versions,
+    }
+
+
+# ---- while
+
+
+def _wait(device: Device, sensors: Sequence[SerialSensor], timeout: float) -> None:
+    try:
+        select.select([*device.filenos(), *sensors], [], [], max(timeout, 0.0))
+    except (OSError, ValueError):
+        pass  # a line that just broke; reading it says what happened
+
+
+def _run(device, sensors, recorder: Recorder, watch: _Watch, plan: Plan | None, seconds, bounds: Limits, progress) -> str:
+    """Until the time is over or the path played; returns why it ended, raises what ended it early."""
+    watch.began = watch.heard = now = time.monotonic()
+    total = plan.duration if plan is not None else float(seconds)
+    heard = {id(s): now for s in sensors}
+    beaten = told = 0.0
+    if plan is not None:
+        watch.phase, watch.asked = "arming", now
+        device.arm(plan, bounds.data_age)
+    while True:
+        _wait(device, sensors, BEAT_S)
+        news = device.news()
+        now = time.monotonic()
+        for sample in news.samples:
+            recorder.append(0, *sample)
+            watch.last, watch.first = sample, watch.first or sample
+            watch.heard = now
+            _judge(device, bounds, sample, watch)
+        for k, sensor in enumerate(sensors):
+            samples = sensor.read()
+            for sample in samples:
+                recorder.append(1 + k, *sample)
+            heard[id(sensor)] = now if samples else heard[id(sensor)]
+            if now - heard[id(sensor)] > 2 * SILENCE_S:
+                raise HardwareError(f"sensor {sensor.spec.name} has been silent for {now - heard[id(sensor)]:.1f} s")
+        for message in news.messages:
+            _hear(device, recorder, watch, plan, message, now)
+        age = now - watch.heard
+        if age > (bounds.data_age if watch.moving else SILENCE_S):
+            raise HardwareError(f"{device.name}: no data for {age:.2f} s" + (" while it moved" if watch.moving else ""))
+        if watch.phase == "arming" and now - watch.asked > ARMED_S:
+            raise HardwareError(f"{device.name} did not become ready to move within {ARMED_S:g} s")
+        if now - beaten >= BEAT_S:
+            device.beat()
+            beaten = now
+        if progress is not None and now - told > 0.2:
+            told = now
+            progress("recording", round(10 * (now - watch.began)), round(10 * total), f"{recorder.counts[0]} samples")
+        if plan is None and now - watch.began >= seconds:
+            return "the time was over"
+        if watch.phase == "played" and watch.done_at is not None and now - watch.done_at > 0.25:
+            return "the path was played"
+
+
+def _judge(device: Device, bounds: Limits, sample: Sample, watch: _Watch) -> None:
+    """Ends the recording where the device says so or a measurement is beyond a limit. What is only watched may do as it likes."""
+    why = device.alarm(sample.values, watch.phase == "playing")
+    if why is None and watch.moving:
+        why = bounds.violation(*device.measured(sample.values))
+        tracking = getattr(device, "tracking", None)
+        if why is None and tracking is not None and bounds.tracking is not None and watch.phase == "playing":
+            distance = tracking(sample.values)
+            if distance > min(bounds.tracking):
+                why = f"a joint is {distance:.3g} rad from where it was told to be; the limit is {min(bounds.tracking):.3g} rad"
+    if why is not None:
+        raise HardwareError(f"{device.name}: {why}")
+
+
+def _hear(device: Device, recorder: Recorder, watch: _Watch, plan: Plan | None, message: Mapping[str, Any], now: float) -> None:
+    kind = message["kind"]
+    if kind == "armed" and plan is not None:
+        watch.phase = "playing"
+        device.play(plan)
+    elif kind == "mark":
+        recorder.event("mark", "", name=message["name"], at=message["at"])
+    elif kind == "done":
+        watch.phase, watch.done_at = "played", now
+        if message.get("clamped"):
+            recorder.event("note", f"{message['clamped']} commands were clamped to the limits")
+        if message.get("longest_s", 0) > 0.02:
+            recorder.event(
+                "note", f"commands were up to {1e3 * message['longest_s']:.0f} ms late; the path was played that much slower"
+            )
+    elif kind == "note":
+        recorder.event("note", message["text"])
+
+
+def _let_go(device: Device, reason: str) -> str:
+    """Stops everything, whatever happens meanwhile; a second Ctrl-C does not get in between."""
+    for _ in range(3):
+        try:
+            return device.stop(reason)
+        except KeyboardInterrupt:
+            continue
+        except Exception as error:
+            return f"stopping met an error: {error}"
+    return "stopping was interrupted"

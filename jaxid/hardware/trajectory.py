@@ -1,0 +1,191 @@
+"""A path to play: commands at times. Read from a file or from the folder that `jaxid excite` writes, or made here."""
+
+from __future__ import annotations
+
+import hashlib
+import os
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from jaxid.errors import UsageError
+from jaxid.experiment import DatasetError
+from jaxid.hardware.limits import Limits
+
+
+#: Kind of command -> (channel stem in files, unit).
+KINDS = {"position": ("q", "rad"), "velocity": ("qd", "rad/s"), "current": ("current", "A")}
+
+
+@dataclass(frozen=True, eq=False)
+class Trajectory:
+    """Commands `values [time joints]` at `t [time]` s (from 0, rising): `kind` position (rad), velocity (rad/s) or current (A).
+
+    Positions and velocities are linear in between, currents are held. Raises `UsageError` for what is no such path.
+    """
+
+    t: np.ndarray
+    values: np.ndarray
+    kind: str = "position"
+    source: str = ""
+
+    def __post_init__(self):
+        t, values = np.array(self.t, float), np.array(self.values, float)
+        values = values[:, None] if values.ndim == 1 else values
+        where = f"trajectory {self.source}".strip()
+        if self.kind not in KINDS:
+            raise UsageError(f"{where}: kind is {self.kind!r}; it is one of {', '.join(KINDS)}")
+        if t.ndim != 1 or values.ndim != 2 or len(t) != len(values) or len(t) < 2:
+            raise UsageError(f"{where}: t {t.shape} and commands {values.shape}; expected [time] and [time joints], 2 or more")
+        if not np.isfinite(t).all() or not np.isfinite(values).all():
+            row = int(np.flatnonzero(~np.isfinite(values).all(axis=1) | ~np.isfinite(t))[0])
+            raise UsageError(f"{where}: row {row + 2} holds a value that is no number; correct the file")
+        if np.diff(t).min() <= 0:
+            row = int(np.argmin(np.diff(t)))
+            raise UsageError(f"{where}: time does not rise at row {row + 3} (t = {t[row + 1]:g} s); sort the file")
+        object.__setattr__(self, "t", t - t[0])
+        object.__setattr__(self, "values", values)
+
+    @property
+    def joints(self) -> int:
+        return self.values.shape[1]
+
+    @property
+    def duration(self) -> float:
+        return float(self.t[-1])
+
+    @property
+    def sha256(self) -> str:
+        return hashlib.sha256(self.t.tobytes() + self.values.tobytes()).hexdigest()
+
+    @classmethod
+    def read(cls, path: str | os.PathLike[str], joints: int = 1, kind: str = "position") -> Trajectory:
+        """From CSV or Parquet with a column `t` and one command a joint, or from a dataset folder (its first run).
+
+        Columns are `q1_cmd …` or `q1 …` (`qd`, `current` for the other kinds; no number where there is one joint), in SI.
+        """
+        path = Path(path)
+        columns, t = _columns(path)
+        stem = KINDS[kind][0]
+        numbers = [""] if joints == 1 else [str(j + 1) for j in range(joints)]
+        chosen = []
+        for n in numbers:
+            names = [f"{stem}{n}_cmd", f"{stem}{n}"] + ([f"{stem}1_cmd", f"{stem}1"] if joints == 1 else [])
+            found = next((name for name in names if name in columns), None)
+            if found is None:
+                raise UsageError(
+                    f"trajectory {path}: there is no column {names[0]!r} (there is: {', '.join(columns)}); "
+                    f"a {kind} command needs one column for each of {joints} joints"
+                )
+            chosen.append(np.asarray(columns[found], float))
+        return cls(t, np.stack(chosen, axis=1), kind, str(path))
+
+    @classmethod
+    def multisine(
+        cls,
+        amplitude: Sequence[float] | float,
+        duration: float,
+        *,
+        center: Sequence[float] | float = 0.0,
+        frequencies: tuple[float, float] = (0.1, 2.0),
+        lines: int = 8,
+        rest: float = 0.5,
+        kind: str = "position",
+        seed: int = 0,
+        rate: float = 500.0,
+    ) -> Trajectory:
+        """A sum of sines in a band (Hz), faded in and out over a second (less where it is short), with `rest` s of stillness at both ends.
+
+        `amplitude` is the largest excursion from `center` of each joint. For excitation without a model; `jaxid excite`
+        optimises one for a model.
+        """
+        sizes = np.atleast_1d(np.asarray(amplitude, float))
+        centers = np.broadcast_to(np.asarray(center, float), sizes.shape)
+        rng = np.random.default_rng(seed)
+        t = np.arange(round(duration * rate) + 1) / rate
+        length = min(1.0, max(t[-1] / 2 - rest, 1e-3))
+        edge = np.clip(np.minimum(t - rest, t[-1] - rest - t) / length, 0.0, 1.0)
+        fade = edge**3 * (10 - 15 * edge + 6 * edge**2)  # rises from 0 to 1 without a jump in speed or acceleration
+        values = np.empty((len(t), len(sizes)))
+        for j, a in enumerate(sizes):
+            f = np.geomspace(*frequencies, lines) * rng.uniform(0.95, 1.05, lines)
+            phase = rng.uniform(0, 2 * np.pi, lines)
+            x = np.sum(np.sin(2 * np.pi * f[:, None] * t + phase[:, None]) / f[:, None] ** 0.5, axis=0) * fade
+            values[:, j] = centers[j] + a * x / np.abs(x).max()
+        return cls(t, values, kind, f"multisine, {lines} lines from {frequencies[0]:g} to {frequencies[1]:g} Hz, seed {seed}")
+
+    def sampled(self, step: float) -> np.ndarray:
+        """Commands `[time joints]` every `step` s, first and last included."""
+        times = np.append(np.arange(0.0, self.duration, step), self.duration)
+        if self.kind == "current":
+            return self.values[np.searchsorted(self.t, times + 1e-9, side="right") - 1]
+        return np.stack([np.interp(times, self.t, v) for v in self.values.T], axis=1)
+
+    def check(self, limits: Limits, step: float) -> list[str]:
+        """Every way in which the path breaks a limit: the worst place of each joint and quantity, as a sentence."""
+        limits = limits.widened(self.joints)
+        values = self.sampled(step)
+        at = np.append(np.arange(0.0, self.duration, step), self.duration)
+        change = np.diff(values, axis=0) / np.diff(at)[:, None]
+        word = {"position": "q", "velocity": "qd", "current": "current"}[self.kind]
+        unit = KINDS[self.kind][1]
+        checks: list = []
+        if self.kind == "position":
+            checks += [(word, at, values, limits.lower, limits.upper, unit)]
+            checks += [("speed", at[:-1], change, *_both(limits.speed), "rad/s")]
+            bend = np.diff(change, axis=0) / step
+            # A last step that is shorter than the others would show a rate that nothing follows.
+            checks += [("acceleration", at[1:-1], bend[:-1] if len(bend) > 1 else bend, *_both(limits.acceleration), "rad/s^2")]
+        elif self.kind == "velocity":
+            checks += [(word, at, values, *_both(limits.speed), unit)]
+            checks += [("acceleration", at[:-1], change, *_both(limits.acceleration), "rad/s^2")]
+        else:
+            checks += [(word, at, values, *_both(limits.current), unit)]
+        if limits.step is not None:
+            checks += [("step", at[:-1], np.diff(values, axis=0), *_both(limits.step), unit)]
+        return [text for c in checks for text in _worst(*c)]
+
+
+def _both(limit):
+    return (None, None) if limit is None else (tuple(-v for v in limit), limit)
+
+
+def _worst(word, at, values, lower, upper, unit):
+    joints = values.shape[1]
+    for j in range(joints if upper is not None or lower is not None else 0):
+        name = f"{word} of joint {j + 1}" if joints > 1 else word
+        for bound, excess in ((upper, 1.0), (lower, -1.0)):
+            if bound is None or not len(values):
+                continue
+            k = int(np.argmax(excess * values[:, j]))
+            if excess * (values[k, j] - bound[j]) > 1e-9 + 1e-6 * abs(bound[j]):
+                yield f"{name} reaches {values[k, j]:.4g} {unit} at {at[k]:.3f} s; the limit is {bound[j]:.4g} {unit}"
+
+
+def _columns(path: Path) -> tuple[dict[str, np.ndarray], np.ndarray]:
+    if path.is_dir():
+        from jaxid.dataset_io import load_dataset
+
+        try:
+            data = load_dataset(path, check_model=False)
+        except DatasetError as error:
+            raise UsageError(f"trajectory {path}: {error}") from error
+        if not data.experiments:
+            raise UsageError(f"trajectory {path}: the folder holds no run to play")
+        run = data.experiments[0]
+        columns = {c.name: run.u[:, i] for i, c in enumerate(data.inputs)}
+        columns |= {c.name: run.y[:, i] for i, c in enumerate(data.outputs)}
+        return columns | run.auxiliary, run.t
+    from jaxid.dataset_table import read_table
+
+    try:
+        table = read_table(path, path.name, path.read_bytes())
+    except OSError as error:
+        raise UsageError(f"trajectory {path}: cannot be read ({error.strerror})") from error
+    if table.problems:
+        raise UsageError(f"trajectory {path}: {table.problems[0]}")
+    if "t" not in table.columns:
+        raise UsageError(f"trajectory {path}: there is no column 't' (there is: {', '.join(table.columns)})")
+    return {name: table.numbers(name).values for name in table.columns if name != "t"}, table.numbers("t").values

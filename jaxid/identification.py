@@ -1,0 +1,383 @@
+"""Inverse-dynamics identification of a serial arm: base parameters, friction, payload; `jaxid identify`."""
+
+from __future__ import annotations
+
+import json
+import time
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from jaxid import identification_solve as solve
+from jaxid.base_parameters import BaseParameters, standard_names
+from jaxid.binding import bind
+from jaxid.chain import Chain
+from jaxid.errors import nearest, UsageError
+from jaxid.experiment import Dataset
+from jaxid.identification_rows import (
+    friction_columns,
+    full_rows,
+    instruments,
+    Law,
+    LAWS,
+    names_of,
+    read_run,
+    Run,
+    spacing,
+)
+from jaxid.identification_solve import Estimate
+from jaxid.payload import Payload, payload_by_difference
+from jaxid.results import SCHEMA, versions
+from jaxid.torque import drive_gains
+
+
+METHODS = ("ls", "wls", "iv", "tls", "constrained")
+#: A richer friction law is taken only if it is better by this share on every held-out run.
+BETTER = 0.01
+
+
+@dataclass(frozen=True)
+class RunScore:
+    """How well one experiment's torque is predicted, N m: over all joints and joint by joint, filtered and as recorded."""
+
+    file: str
+    split: str
+    relative_error: float
+    relative_error_per_joint: tuple[float, ...]
+    rmse_per_joint: tuple[float, ...]
+    unfiltered_relative_error: float
+    unfiltered_rmse_per_joint: tuple[float, ...]
+
+    def to_dict(self) -> dict[str, Any]:
+        return {
+            "file": self.file,
+            "split": self.split,
+            "relative_error": self.relative_error,
+            "relative_error_per_joint": list(self.relative_error_per_joint),
+            "rmse_per_joint": list(self.rmse_per_joint),
+            "unfiltered": {
+                "relative_error": self.unfiltered_relative_error,
+                "rmse_per_joint": list(self.unfiltered_rmse_per_joint),
+            },
+        }
+
+
+@dataclass(frozen=True)
+class LawTrial:
+    """A friction law that was tried: relative torque error on fit data and on each held-out run."""
+
+    law: str
+    fit: float
+    held_out: tuple[float, ...]
+    chosen: bool
+
+
+@dataclass(frozen=True)
+class Identification:
+    """Result of `jaxid.identify`. `theta` and `covariance` follow `names`: base parameters, then friction by joint."""
+
+    model: str
+    method: str
+    law: str
+    names: tuple[str, ...]
+    expressions: tuple[str, ...]
+    units: tuple[str, ...]
+    theta: np.ndarray
+    covariance: np.ndarray
+    identifiable: np.ndarray
+    base_count: int
+    exponents: np.ndarray | None
+    condition_number: float
+    condition_number_scaled: float
+    filter: str
+    weights: np.ndarray  # [joints] 1 / (N m), mean over the fit runs
+    experiments: tuple[RunScore, ...]
+    laws: tuple[LawTrial, ...]
+    standard: dict[str, float] | None
+    dataset: str
+    dataset_sha256: str
+    notes: tuple[str, ...]
+    wall_time_s: float
+    payload: Payload | None = None
+    traces: tuple[Any, ...] = field(default=(), compare=False)
+
+    @property
+    def torque_units(self) -> tuple[str, ...]:
+        """Unit of each joint's torque: N m, or N where it slides."""
+        return self.units[self.base_count : self.base_count + self.joints]
+
+    @property
+    def joints(self) -> int:
+        return len(self.weights)
+
+    def std(self) -> np.ndarray:
+        """Standard deviations, nan where the data do not determine a number."""
+        return np.where(self.identifiable, np.sqrt(np.maximum(np.diag(self.covariance), 0.0)), np.nan)
+
+    def friction(self) -> list[dict[str, Any]]:
+        """Friction of each joint: id -> value, std, unit."""
+        std, n = self.std(), self.joints
+        out: list[dict[str, Any]] = [{"joint": f"q{j + 1}"} for j in range(n)]
+        for i in range(self.base_count, len(self.names)):
+            j = (i - self.base_count) % n
+            out[j][self.names[i].rstrip("0123456789") if not self.names[i].startswith("F_3") else "F_3"] = {
+                "value": self.theta[i], "std": std[i], "unit": self.units[i],
+            }  # fmt: skip
+        if self.exponents is not None:
+            for j in range(n):
+                out[j]["exponent"] = {"value": self.exponents[j], "std": None, "unit": "1"}
+        return out
+
+    def to_dict(self) -> dict[str, Any]:
+        std = self.std()
+        base = [
+            {"name": self.names[i], "value": self.theta[i], "std": std[i], "unit": self.units[i],
+             "identifiable": bool(self.identifiable[i]), "combination": self.expressions[i]}
+            for i in range(self.base_count)
+        ]  # fmt: skip
+        out: dict[str, Any] = {
+            "schema": SCHEMA,
+            "kind": "identification",
+            "model": self.model,
+            "method": self.method,
+            "friction_law": self.law,
+            "base_parameters": base,
+            "friction": self.friction(),
+            "condition_number": self.condition_number,
+            "condition_number_scaled": self.condition_number_scaled,
+            "filter": self.filter,
+            "weights": self.weights,
+            "experiments": [e.to_dict() for e in self.experiments],
+            "friction_laws": [vars(t) for t in self.laws],
+            "names": list(self.names),
+            "covariance": self.covariance,
+        }
+        if self.standard is not None:
+            out["standard_parameters"] = self.standard
+        if self.payload is not None:
+            out["payload"] = self.payload.to_dict()
+        return out | {
+            "dataset": self.dataset,
+            "dataset_sha256": self.dataset_sha256,
+            "wall_time_s": self.wall_time_s,
+            "versions": versions(),
+            "notes": list(self.notes),
+        }
+
+    def report(self, path: str | Path) -> Path:
+        """Writes the report page (one self-contained HTML file) and returns its path."""
+        from jaxid.report import write_identification
+
+        return write_identification(self, Path(path))
+
+    def _repr_html_(self) -> str:
+        from jaxid.report import identification_fragment
+
+        return identification_fragment(self)
+
+
+def identify(
+    model: object,
+    dataset: Dataset,
+    *,
+    method: str = "wls",
+    friction: str = "auto",
+    cutoff_hz: float = 5.0,
+    motion_hz: float | None = None,
+    reference: Identification | Mapping[str, Any] | str | Path | None = None,
+    gain_std: float = 0.0,
+) -> Identification:
+    """Base parameters and friction of a serial arm from recorded motion and torque.
+
+    `method` is ls, wls, iv, tls or constrained; `friction` linear, power, stribeck, or auto: the simplest that no richer law
+    beats on every held-out run. Torque and columns are low-passed at `cutoff_hz`, positions at `motion_hz` (twice that) before
+    they are differentiated. `reference`, the identification of the unloaded arm (or its JSON), gives the payload; `gain_std` is
+    the relative standard deviation of the drive gains, which moves payload and torque alike. Raises `UsageError` for a model
+    that is no serial arm and data that lack its channels.
+    """
+    began = time.perf_counter()
+    if method not in METHODS:
+        raise UsageError(f"there is no method {method!r}{nearest(method, METHODS)}")
+    if friction not in (*LAWS, "auto"):
+        raise UsageError(f"there is no friction law {friction!r}{nearest(friction, (*LAWS, 'auto'))}")
+    held_out = any(e.split != "fit" for e in dataset.experiments)
+    data = dataset if held_out else dataset.with_splits()
+    chain = bind(model, data, splits=False).chain
+    arm: Any = chain.mechanism
+    if not hasattr(arm, "base"):
+        raise UsageError(f"identify needs a serial arm (ur10, ur10e, panda, serial_arm); {arm.name} is none. Use jaxid fit")
+    base, gains = arm.base(), drive_gains(chain)
+    motion_hz = motion_hz or 2 * cutoff_hz
+    runs = [read_run(data, e, chain, base, cutoff_hz, motion_hz, gains) for e in data.experiments]
+    by = None
+    if method == "iv":
+        by = [instruments(data, e, chain, base, r) for e, r in zip(data.experiments, runs, strict=True) if r.split == "fit"]
+
+    tried = [friction] if friction != "auto" else list(LAWS)
+    solved = {name: _solve(LAWS[name], runs, by, method, chain, base) for name in tried}
+    trials = [_trial(LAWS[name], runs, *solved[name][:2]) for name in tried]
+    law = LAWS[tried[_choose(trials)]]
+    theta, exponent, weights, phi, found = solved[law.name]
+    names = names_of(base, law, arm_size(arm))
+    symbols = {f"{k}{j + 1}": float(v) for k in ("a", "d") for j, v in enumerate(np.asarray(getattr(arm, k)))}
+    result = Identification(
+        model=arm.name, method=method, law=law.name, names=tuple(names), expressions=base.expressions(symbols),
+        units=tuple(_units(chain, base, law)), theta=theta, covariance=found.covariance, identifiable=found.identifiable,
+        base_count=len(base.kept), exponents=exponent if law.nonlinear else None, condition_number=found.condition,
+        condition_number_scaled=found.condition_scaled,
+        filter=f"positions: zero-phase Butterworth of order 4, {motion_hz:g} Hz, central differences; torque and columns alike: "
+        f"the same at {cutoff_hz:g} Hz; sign(qd) as tanh(qd / 0.01)",
+        weights=np.mean(weights, 0), experiments=tuple(_score(r, law, theta, exponent) for r in runs),
+        laws=tuple(LawTrial(t.law, t.fit, t.held_out, t.law == law.name) for t in trials),
+        standard=None if phi is None else dict(zip(base.standard, phi.ravel().tolist(), strict=True)),
+        dataset=dataset.name, dataset_sha256=dataset.sha256,
+        notes=tuple([*data.notes, *_notes(found, names, method, law)]), wall_time_s=time.perf_counter() - began,
+        traces=tuple((r.name, r.split, r.t, r.tau, full_rows(r, law, exponent) @ theta) for r in runs),
+    )  # fmt: skip
+    if reference is None:
+        return result
+    payload = payload_by_difference(result, read_reference(reference), base, np.asarray(arm.prismatic), gain_std)
+    return Identification(**{**result.__dict__, "payload": payload})
+
+
+def arm_size(arm: Any) -> int:
+    return len(arm.prismatic)
+
+
+def _solve(law: Law, runs: Sequence[Run], by: Sequence[Run] | None, method: str, chain: Chain, base: BaseParameters):
+    """(theta, exponents, weights per run, standard parameters or None, covariance and condition) of one law."""
+    arm: Any = chain.mechanism
+    n = arm_size(arm)
+    fit = [r for r in runs if r.split == "fit"]
+    exponent = np.ones(n)
+    phi0 = np.array([float(np.asarray(getattr(arm, name.rstrip("0123456789")))[int(name[-1]) - 1]) for name in base.standard])
+    prior = np.concatenate([base.values(phi0), np.zeros(len(law.parameters) * n)])
+
+    def blocks_of(which: Sequence[Run], exponent: np.ndarray) -> list[tuple[np.ndarray, np.ndarray]]:
+        return [(full_rows(r, law, exponent)[:: spacing(r)], r.tau[:: spacing(r)]) for r in which]
+
+    blocks = blocks_of(fit, exponent)
+    theta, weights = solve.weighted(blocks, prior)
+    if law.nonlinear:
+        for _ in range(3):
+            old, exponent = exponent, _exponents(fit, law, blocks, weights, len(base.kept), n, exponent)
+            blocks = blocks_of(fit, exponent)
+            theta, weights = solve.weighted(blocks, prior)
+            if np.abs(exponent - old).max() < 1e-3:
+                break
+    if method == "ls":
+        weights = [np.ones(n) for _ in fit]
+    W, b = solve.stacked(blocks, weights)
+    phi, instrument = None, None
+    if method == "ls":
+        theta = solve.least_squares(W, b, prior)
+    elif method == "tls":
+        theta = solve.total(W, b, _column_noise(fit, weights, W.shape[1]), prior)
+    elif method == "iv" and by is not None:
+        instrument = blocks_of(by, exponent)
+        theta = solve.instrumental(W, b, solve.stacked(instrument, weights)[0], prior)
+    elif method == "constrained":
+        levels = np.array([p in ("F_c", "F_v") for p, _ in law.parameters for _ in range(n)])
+        theta, phi = solve.constrained(W, b, base, phi0.reshape(n, 11), levels, arm.motor_side)
+    return theta, exponent, weights, phi, solve.estimate(blocks, weights, theta, instrument)
+
+
+def _exponents(fit: Sequence[Run], law: Law, blocks, weights, p: int, n: int, start: np.ndarray) -> np.ndarray:
+    W, b = solve.stacked(blocks, weights)
+    moving = np.arange(p + n, p + 2 * n)  # the F_v columns
+
+    def columns(exponent: np.ndarray) -> np.ndarray:
+        parts = []
+        for r, w in zip(fit, weights, strict=True):
+            F = r.filtered(friction_columns(law, r.qd, exponent)[:, 1])[:: spacing(r)]
+            parts.append((F[:, :, None] * np.eye(n) * w[:, None]).reshape(-1, n))
+        return np.concatenate(parts)
+
+    return solve.project_exponents(np.delete(W, moving, 1), b, columns, start)
+
+
+def _column_noise(fit: Sequence[Run], weights: Sequence[np.ndarray], size: int) -> np.ndarray:
+    """One standard deviation of each column's error and of the torque's: what lies above the cutoff, as if it were white.
+    Friction columns count as exact: what they hold above the cutoff are reversals."""
+    p = fit[0].Y.shape[2]
+    square, count = np.zeros(size + 1), 0
+    for r, w in zip(fit, weights, strict=True):
+        square[:p] += np.sum(((r.Y_raw - r.Y) * w[:, None]) ** 2, (0, 1))
+        square[-1] += np.sum(((r.tau_raw - r.tau) * w) ** 2)
+        count += r.tau.size
+    return np.sqrt(square / count)
+
+
+def _score(run: Run, law: Law, theta: np.ndarray, exponent: np.ndarray) -> RunScore:
+    def errors(W: np.ndarray, tau: np.ndarray) -> tuple[float, tuple[float, ...], tuple[float, ...]]:
+        e = tau - W @ theta
+        each = np.linalg.norm(e, axis=0) / np.maximum(np.linalg.norm(tau, axis=0), 1e-300)
+        return (
+            float(np.linalg.norm(e) / np.linalg.norm(tau)), tuple(each.tolist()), tuple(np.sqrt(np.mean(e**2, 0)).tolist())
+        )  # fmt: skip
+
+    filtered = errors(full_rows(run, law, exponent), run.tau)
+    raw = errors(full_rows(run, law, exponent, raw=True), run.tau_raw)
+    return RunScore(run.name, run.split, *filtered, raw[0], raw[2])
+
+
+def _trial(law: Law, runs: Sequence[Run], theta: np.ndarray, exponent: np.ndarray) -> LawTrial:
+    scores = [_score(r, law, theta, exponent) for r in runs]
+    fit = [s.relative_error for s in scores if s.split == "fit"]
+    return LawTrial(law.name, float(np.mean(fit)), tuple(s.relative_error for s in scores if s.split != "fit"), False)
+
+
+def _choose(trials: Sequence[LawTrial]) -> int:
+    """The simplest law, or a richer one that is better on every held-out run."""
+    best = 0
+    for k in range(1, len(trials)):
+        pairs = zip(trials[k].held_out, trials[best].held_out, strict=True)
+        if trials[k].held_out and all(new < (1 - BETTER) * old for new, old in pairs):
+            best = k
+    return best
+
+
+def _units(chain: Chain, base: BaseParameters, law: Law) -> Iterable[str]:
+    arm: Any = chain.mechanism
+    for name in base.names:
+        kind, j = name.rstrip("0123456789"), int(name[len(name.rstrip("0123456789")) :]) - 1
+        slides = kind == "Ia" and arm.prismatic[j]
+        yield "kg" if kind == "m" or slides else "kg m" if kind in ("mx", "my", "mz") else "kg m^2"
+    for _, unit in law.parameters:
+        for j in range(arm_size(arm)):
+            yield chain.signature.unit(unit, j)
+
+
+def _notes(found: Estimate, names: Sequence[str], method: str, law: Law) -> list[str]:
+    how = "white" if found.white else f"coloured (memory {found.memory} rows)"
+    notes = [f"residuals are {how}: standard deviations from the sandwich covariance of the estimator"]
+    lost = [n for n, seen in zip(names, found.identifiable, strict=True) if not seen]
+    if lost:
+        notes.append(f"not determined by these data, left at the model's own values: {', '.join(lost)}")
+    if law.nonlinear:
+        notes.append("exponents by variable projection; standard deviations are given at these exponents")
+    if method == "constrained":
+        notes.append("inertial parameters of bodies that can exist; standard deviations are those without that constraint")
+    return notes
+
+
+def read_reference(reference: Identification | Mapping[str, Any] | str | Path) -> dict[str, Any]:
+    """Names, values and covariance of an identification, from itself, its dictionary or its JSON file."""
+    if isinstance(reference, Identification):
+        reference = reference.to_dict()
+    if isinstance(reference, str | Path):
+        try:
+            reference = json.loads(Path(reference).read_text(encoding="utf-8"))
+        except OSError as error:
+            raise UsageError(f"--reference {reference}: cannot be read ({error.strerror})") from error
+        except ValueError as error:
+            raise UsageError(f"--reference {reference}: not JSON ({error})") from error
+    if not isinstance(reference, Mapping) or reference.get("kind") != "identification" or "covariance" not in reference:
+        raise UsageError("a reference is the identification.json of the unloaded arm (jaxid identify … --out UNLOADED)")
+    return dict(reference)
+
+
+__all__ = ["Identification", "LawTrial", "METHODS", "RunScore", "identify", "read_reference", "standard_names"]
