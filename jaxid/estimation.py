@@ -11,11 +11,14 @@ import numpy as np
 
 from jaxid import samples
 from jaxid.binding import Binding
+from jaxid.chain import Effect
+from jaxid.engine import Engine
 from jaxid.errors import UsageError
 from jaxid.experiment import Experiment
 from jaxid.fitter import AbstractFitter, Minimum, Progress
 from jaxid.fitters import descend, LevenbergMarquardt
 from jaxid.frequency import FrequencyResponseError
+from jaxid.parameter import resolve
 from jaxid.problem import Problem
 from jaxid.residual import InverseDynamics, MultipleShooting, OutputError, Residual, Runs
 from jaxid.results import EffectEstimate, Estimate, Fit, Score, Trace
@@ -98,6 +101,42 @@ def start_values(bench: Bench, free: Sequence[int], seed: int) -> list[np.ndarra
                 if np.isfinite(path.cost):
                     guesses.insert(0, both.theta(path.z))
     return guesses
+
+
+def probes(binding: Binding, effect: Effect, place: str, theta: np.ndarray) -> list[np.ndarray]:
+    """Parameter vectors with an effect switched on at one place, at each of its probe strengths."""
+    b = binding
+    reference = b.references[min(b.chain.places(effect).index(place), len(b.references) - 1)]
+    out = []
+    for probe in effect.probes:
+        new = theta.copy()
+        for i in b.layout.of_effect(effect.name, place):
+            field = b.layout.entries[i].field
+            if field in probe:
+                new[i] = np.clip(resolve(probe[field], reference), b.lower[i], b.upper[i])
+        out.append(new)
+    return out
+
+
+def probe_starts(bench: Bench, problem: Problem, theta: np.ndarray, keep: int = 4) -> list[np.ndarray]:
+    """Starts for added effects: the best of their probes. At the neutral value many effects have no derivative."""
+    b, found = bench.binding, []
+    for effect in b.chain.effects:
+        for place in b.chain.places(effect):
+            index = b.layout.of_effect(effect.name, place)
+            if set(index) & set(problem.free) and not set(index) & b.nominal:
+                found += probes(b, effect, place, theta)
+    if not found or not isinstance(problem.runs.engine, Engine):
+        return []
+    n = len(problem.records)
+    starts = problem.starts(problem.z(theta))
+    y = problem.runs.engine.outputs(
+        np.repeat(np.array(found), n, 0), np.tile(starts, (len(found), 1)), np.tile(np.array(problem.records), len(found))
+    )
+    with np.errstate(all="ignore"):
+        each = [np.sum(problem.runs.residual(r, y[k]) ** 2) for k, r in enumerate(problem.records * len(found))]
+        cost = np.nan_to_num(np.array(each).reshape(len(found), n).sum(1), nan=np.inf)
+    return [found[k] for k in np.argsort(cost, kind="stable")[:keep] if np.isfinite(cost[k])]
 
 
 def estimate_starts(bench: Bench, split: str, thetas: Sequence[np.ndarray]) -> np.ndarray:
@@ -273,7 +312,8 @@ def fit_binding(
         guesses = found or start_values(bench, binding.free, seed)
         problem = bench.problem(residual, "fit", binding.free, guesses[0], loss=loss)
         key = jax.random.key(seed)
-        result = fitter.minimise(problem, [problem.z(g) for g in guesses], key, budget, progress)
+        starts = guesses if found else [*guesses, *probe_starts(bench, problem, guesses[0])]
+        result = fitter.minimise(problem, [problem.z(g) for g in starts], key, budget, progress)
         compile_time += bench.compile_time()
         simulated = not isinstance(residual, InverseDynamics) and bool(binding.dataset.split("fit"))
         if result.failed or not simulated or step <= samples.STEP / 8:

@@ -52,11 +52,12 @@ def run_diagnosis(
     for name in allowed:
         catalogue.effect_class(name)
     without = tuple(without)
-    present = resolve_model(model, dataset, without).contents
+    nominal = resolve_model(model, dataset, without)
+    present = nominal.contents
     known = [n for n in allowed if n in present]
     if effects is not None and known:
         raise UsageError(f"{known[0]} is part of the model already{nearest(known[0], set(allowed) - set(known))}")
-    library = [catalogue.effect_class(n) for n in allowed if n not in present]
+    library = [k for n in allowed if n not in present and nominal.offers(k := catalogue.effect_class(n))]
     binding = bind(model, dataset, without=without, candidates=library)
     if isinstance(residual, InverseDynamics):
         raise UsageError("a diagnosis simulates: use the residual output_error or multiple_shooting")

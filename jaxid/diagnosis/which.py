@@ -13,10 +13,9 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from jaxid.diagnosis.evidence import held_out, HeldOut, inflation, memory, worth
-from jaxid.estimation import Bench, step_error, STEP_SHARE
+from jaxid.estimation import Bench, probes, step_error, STEP_SHARE
 from jaxid.fitter import Progress
 from jaxid.fitters import descend, Path, search
-from jaxid.parameter import resolve
 from jaxid.problem import Problem, rows
 from jaxid.residual import InverseDynamics, Residual
 
@@ -149,7 +148,8 @@ class Searcher:
     def screen(self, h: Hypothesis, pool: Sequence[Candidate]) -> list[tuple[float, Candidate, list[np.ndarray]]]:
         """Share of the sum of squares that each candidate explains beside `h` to first order in everything but itself.
 
-        Each finite probe is simulated, what re-tuning could do is projected out, and the probe is scaled within [0, 4].
+        Each finite probe is simulated, what re-tuning could do is projected out, and the probe is scaled within [0, 4]
+        (or [-4, 4] where its parameters may have either sign).
         Returns (share, candidate, starts for the refit), best first.
         """
         p, z = h.path.problem, h.path.z
@@ -177,9 +177,11 @@ class Searcher:
             power = float(d @ d)
             if power <= 1e-12 * max(total, 1.0) * 1e-6 or power < 1e-6:
                 continue  # the data do not react to this effect
-            scale = float(np.clip(-(r0 @ d) / power, 0.0, 4.0))
+            entries, lower = self.bench.binding.layout.entries, self.bench.binding.lower
+            both = all(lower[i] < 0 for i in c.index if not entries[i].spec.log)  # an effect of either sign
+            scale = float(np.clip(-(r0 @ d) / power, -4.0 if both else 0.0, 4.0))
             gain = float(-2 * scale * (r0 @ d) - scale**2 * power)
-            start = h.theta + max(scale, 0.05) * (theta - h.theta)
+            start = h.theta + (max(scale, 0.05) if scale >= 0 else min(scale, -0.05)) * (theta - h.theta)
             for i in c.index:  # a shape parameter has no zero to be scaled from
                 if self.bench.binding.layout.entries[i].spec.log:
                     start[i] = theta[i]
@@ -195,17 +197,7 @@ class Searcher:
         """Parameter vectors with one candidate switched on at each of its probe strengths."""
         b = self.bench.binding
         effect = next(e for e in b.chain.effects if e.name == c.effect)
-        place = b.chain.places(effect).index(c.location)
-        reference = b.reference(effect, place)
-        out = []
-        for probe in effect.probes:
-            new = theta.copy()
-            for i in c.index:
-                field_name = b.layout.entries[i].field
-                if field_name in probe:
-                    new[i] = np.clip(resolve(probe[field_name], reference), b.lower[i], b.upper[i])
-            out.append(new)
-        return out
+        return probes(b, effect, c.location, theta)
 
     # ---- search
 

@@ -154,7 +154,7 @@ class Payload(BodyEffect):
     """An additional mass at the far end of a link; on models that know where that is."""
 
     name: ClassVar[str] = "payload"
-    stage: ClassVar[int] = 0
+    stage: ClassVar[int] = -2
     offered: ClassVar = staticmethod(_where_loadable)
     equation: ClassVar[str] = "a point mass at the end of the joint's link: inertia, coupling and gravity together"
     signature: ClassVar[str] = "gravity and acceleration together, at this joint and those before it"
@@ -171,7 +171,7 @@ class GravityOffset(BodyEffect):
     """A base that stands askew: gravity turned about the first joint's axis."""
 
     name: ClassVar[str] = "gravity_offset"
-    stage: ClassVar[int] = 0
+    stage: ClassVar[int] = -1
     offered: ClassVar = staticmethod(_where_tiltable)
     equation: ClassVar[str] = "gravity(q) -> gravity with the base turned by tilt about the first joint's axis"
     signature: ClassVar[str] = "missing torque that follows the derivative of the gravity torque by position"
