@@ -9,11 +9,12 @@ from __future__ import annotations
 import sys
 import time
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
 
-sys.path[:0] = [str(Path(__file__).resolve().parents[1]), str(Path(__file__).resolve().parents[1] / "tests")]
+sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 
 from jaxid.runtime import prepare  # noqa: E402
 
@@ -23,11 +24,11 @@ prepare()
 from scipy.integrate import solve_ivp  # noqa: E402
 
 import jaxid  # noqa: E402
-import test_flexible_link as link  # noqa: E402
 from jaxid import fitters  # noqa: E402
 from jaxid.experiment import Channel, Dataset, Experiment, FrequencyResponse, ModelSpec, ParameterPrior  # noqa: E402
 from jaxid.fitter import AbstractFitter  # noqa: E402
 from jaxid.frequency import FrequencyResponseError  # noqa: E402
+from tests import test_flexible_link as link  # noqa: E402
 
 
 # ---- paper 002: one flexible link, DE against GA against PSO
@@ -64,7 +65,7 @@ def link_data() -> Dataset:
 def link_study(seeds: int) -> list[dict]:
     data = link_data()
     residual = FrequencyResponseError(magnitude=True, linear=True, timed=("phi",))
-    size = {"popsize": 100, "generations": 100}
+    size: Any = {"popsize": 100, "generations": 100}
     methods: dict[str, AbstractFitter] = {
         "DE rand/1/exp F 0.5 CR 0.8 (paper)": fitters.DifferentialEvolution(F=(0.5, 0.5), CR=0.8, crossover="exp", **size),
         "GA (paper)": fitters.GeneticAlgorithm(**size),
@@ -143,7 +144,7 @@ def tracker_data() -> Dataset:
 
 def tracker_study(seeds: int) -> list[dict]:
     data = tracker_data()
-    size = {"popsize": 20, "generations": 60}
+    size: Any = {"popsize": 20, "generations": 60}
     methods: dict[str, tuple[AbstractFitter, str]] = {
         "GA (paper: population 20)": (fitters.GeneticAlgorithm(scheme="scattered", **size), "sum_of_abs"),
         "PSO": (fitters.ParticleSwarm(**size), "sum_of_abs"),
@@ -174,7 +175,7 @@ def main() -> dict:
     rows = [{"paper": "002, flexible link", **r} for r in link_study(seeds)]
     rows += [{"paper": "003, tracker", **r} for r in tracker_study(seeds)]
     text = (
-        f"{__doc__.split(chr(10), 2)[2].strip()}\n\n{seeds} seeds each. Truth of 002: E 5.7002e10 Pa, I_m 0.0053 kg m^2, tau_c "
+        f"{(__doc__ or '').split(chr(10), 2)[2].strip()}\n\n{seeds} seeds each. Truth of 002: E 5.7002e10 Pa, I_m 0.0053 kg m^2, tau_c "
         f"0.1071 N m; the paper's own answers {PAPER_LINK} (its J is not given; it claims DE lowest in mean and spread, GA worst "
         f"mean, PSO largest spread). Truth of 003: {TRACKER}; the paper's mean F over ten runs is 4195 for GA and 8496 for PSO, "
         "on its own recordings, and counts one angle a test where ours counts both."

@@ -86,7 +86,11 @@ def main() -> dict:
             row["MAE of the logs with gain 200, held out, rad"] = "" if held_out is None else float(np.mean(part("report")))
             row |= {k: p.value for k, p in fit.parameters.items()}
             rows.append(row | {f"{e.effect}.{k}": p.value for e in fit.effects for k, p in e.parameters.items()})
-    return {"title": "A position-controlled servo as it was recorded", "text": __doc__.split("\n", 2)[2].strip(), "rows": rows}
+    return {
+        "title": "A position-controlled servo as it was recorded",
+        "text": (__doc__ or "").split("\n", 2)[2].strip(),
+        "rows": rows,
+    }
 
 
 if __name__ == "__main__":

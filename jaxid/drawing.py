@@ -108,7 +108,7 @@ def motion(model: Chain, dataset: Dataset, experiment: Experiment, start: np.nda
 
 
 @eqx.filter_jit
-def _outlines(model: Chain, samples: Samples, start: Array, last: int) -> Array:
+def _outlines(model: Chain, samples: Samples, start: Array, last: int) -> Any:
     nq = model.nq
     body = model.body().prepare(None)
 

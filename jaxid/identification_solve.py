@@ -226,7 +226,9 @@ class Bodies:
         A = self.C @ U
         # dU has one entry: C dU A' is column `row` of C times column `column` of A
         weight = np.concatenate([size[:, :4], np.ones_like(size[:, 4:])], 1)
-        half = (self.C[:, :, self.row] * weight[:, None]).swapaxes(1, 2)[..., None] * A[:, :, self.column].swapaxes(1, 2)[..., None, :]
+        half = (self.C[:, :, self.row] * weight[:, None]).swapaxes(1, 2)[..., None] * A[:, :, self.column].swapaxes(1, 2)[
+            ..., None, :
+        ]
         slope = _of_pseudo(half + half.swapaxes(-1, -2))  # [links x ten]
         return _of_pseudo(A @ A.swapaxes(1, 2)), slope.swapaxes(1, 2)
 

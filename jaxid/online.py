@@ -108,7 +108,9 @@ class OnlineIdentification:
         self.names = [*self.base.names, *(f"{k}{j + 1}" for k in ("F_c", "F_v", "offset") for j in range(n))]
         self.prior = np.zeros(p) if prior is None else np.asarray(prior, np.float64)
         if self.prior.shape != (p,):
-            raise UsageError(f"the prior has shape {self.prior.shape}; this arm has {p} parameters ({self.names[0]} … {self.names[-1]})")
+            raise UsageError(
+                f"the prior has shape {self.prior.shape}; this arm has {p} parameters ({self.names[0]} … {self.names[-1]})"
+            )
         last = str(n)
         watched = [i for i in range(len(self.base.kept)) if self.names[i].endswith(last) and not self.names[i].startswith("Ia")]
         if n >= 3:  # the paper watches the last link's parameters that stand alone

@@ -311,7 +311,9 @@ def test_an_effect_is_found_again(effect):
         model=ModelSpec("pendulum", constants=known if effect in KNOWN else {}), initial={"q": 0.0} if effect in KNOWN else None,
     )  # fmt: skip
     # The whole library stays in the chain at its neutral values, so that all fits share one program.
-    fit = fit_binding(bind(None, data, effects=[effect], candidates=LIBRARY), LevenbergMarquardt(), None, "sum_of_squares", 0, None, None)
+    fit = fit_binding(
+        bind(None, data, effects=[effect], candidates=LIBRARY), LevenbergMarquardt(), None, "sum_of_squares", 0, None, None
+    )
     (found,) = [e for e in fit.effects if e.effect == effect]
     assert 0.8 < fit.loss < 1.2, fit.loss
     for name, value in FOUND[effect].items():

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from math import pi
+from typing import Any
 
 import diffrax
 import jax
@@ -24,8 +25,8 @@ from simulated import relative, Simulator
 
 
 #: Published best answer of differential evolution (paper 002, Table 2).
-DE = {"E": 5.7002e10, "I_m": 0.0053, "alpha": 1.824, "beta": 7.6275e-5, "v": 6.3016e-4, "tau_c": 0.1071}
-OWN = {k: v for k, v in DE.items() if k not in ("v", "tau_c")}
+DE: dict[str, Any] = {"E": 5.7002e10, "I_m": 0.0053, "alpha": 1.824, "beta": 7.6275e-5, "v": 6.3016e-4, "tau_c": 0.1071}
+OWN: dict[str, Any] = {k: v for k, v in DE.items() if k not in ("v", "tau_c")}
 L, THICK, WIDE, RHO, PAYLOAD = 0.197, 0.001, 0.0266, 6404.3, 0.09466
 AREA, SECOND = WIDE * THICK, WIDE * THICK**3 / 12
 
@@ -108,7 +109,7 @@ T = np.arange(2001) * 1e-3
 def test_the_assembled_matrices_are_those_of_the_energies():
     """Lagrange by automatic differentiation is the definition; the closed forms and a separate assembly equal it."""
     with float64():
-        b = FlexibleLink(**OWN, J_p=2e-5).beam()
+        b = FlexibleLink(**OWN | {"J_p": 2e-5}).beam()
         m = beam.matrices(b, 3)
         psi, psid = jnp.asarray(np.random.default_rng(1).normal(size=(2, 6)) * 1e-2)
         turning = jax.hessian(lambda x: beam.kinetic_energy(b, x[0], psi, x[1:], rotating=False))(jnp.ones(7))
@@ -162,7 +163,7 @@ def analytic(count: int) -> list[float]:
     values = [determinant(f) for f in grid]
     for a, b, x, y in zip(grid, grid[1:], values, values[1:], strict=False):
         if x * y < 0:
-            found.append(float(brentq(determinant, a, b)))
+            found.append(float(brentq(determinant, a, b)))  # type: ignore[arg-type]
     return found[:count]
 
 
@@ -263,6 +264,7 @@ def test_the_step_against_an_implicit_solver_on_the_vector_field():
                 diffrax.PIDController(rtol=1e-8, atol=1e-10), jump_ts=jnp.array([0.1])
             ),
         )  # fmt: skip
+        assert solution.ys is not None
         truth = np.asarray(solution.ys[0])[:, 0]
     assert relative(y, truth) < 2e-5
 

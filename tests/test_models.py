@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from functools import cache
 from math import pi
+from typing import Any
 
 import hypothesis.strategies as st
 import jax
@@ -12,13 +13,14 @@ import numpy as np
 import pytest
 import sympy as sp
 from hypothesis import given, settings
+from jax.flatten_util import ravel_pytree
 from scipy.integrate import solve_ivp
 
 import jaxid
 from jaxid.chain import Command
 from jaxid.frequency import transfer
 from jaxid.layout import Layout
-from jaxid.mechanism import Mechanism, Rigid
+from jaxid.mechanism import Rigid
 from jaxid.models import FlexibleLink, MODELS, Servo, SpaceManipulator, Tracker
 from jaxid.parameter import Reference
 from jaxid.precision import float64
@@ -39,6 +41,7 @@ def lagrange(T, V, q, qd):
     return sp.lambdify((q, qd, qdd), equations, "numpy")
 
 
+PAPER: dict[str, Any] = {"J_theta": 0.117, "J_alpha": 0.1}
 M, MC, LONG, U, R, G = 0.043, 0.103, 0.26, 0.036, 0.09, 9.81
 
 
@@ -61,13 +64,13 @@ def tracker(J_theta: float, J_alpha: float, rotor: float = 0.0):
 
 
 @cache
-def space(floating: bool):
+def space(floating: bool) -> Any:
     """Base (x, y, turn), link 1, last body, all in the inertial plane; parameters below."""
     x, y, th, q1, q2 = q = sp.symbols("x y th q1 q2")
     qd = sp.symbols("xd yd thd q1d q2d")
     p = SPACE
     turn = lambda a: sp.Matrix([[sp.cos(a), -sp.sin(a)], [sp.sin(a), sp.cos(a)]])
-    rate = lambda e: sum((sp.diff(e, c) * v for c, v in zip(q, qd, strict=True)), sp.zeros(2, 1))
+    rate: Any = lambda e: sum((sp.diff(e, c) * v for c, v in zip(q, qd, strict=True)), sp.zeros(2, 1))
     centre = sp.Matrix([x, y])
     first = centre + turn(th) * sp.Matrix([p["base_x"], p["base_y"]])
     link = first + turn(th + q1) * sp.Matrix([p["c1"], 0])
@@ -85,7 +88,7 @@ def space(floating: bool):
     return lagrange(T, 0, q, qd), mass
 
 
-SPACE = {
+SPACE: dict[str, Any] = {
     "m2": 40.0, "hx": 20.0, "hy": 4.0, "I2": 18.0, "l1": 1.2, "I1": 10.2, "m1": 20.0, "c1": 0.6,
     "base_mass": 500.0, "base_inertia": 120.0, "base_x": 0.6, "base_y": 0.2,
 }  # fmt: skip
@@ -99,7 +102,8 @@ def torque(model: Rigid, q, qd, qdd) -> np.ndarray:
 @pytest.mark.parametrize("rotor", [0.0, 0.03])
 def test_the_tracker_is_the_papers_corrected_equation(rotor):
     rng = np.random.default_rng(2)
-    model = Tracker(J_theta=0.117, J_alpha=0.1, rotor_alpha=rotor)
+    values: dict[str, Any] = {"J_theta": 0.117, "J_alpha": 0.1, "rotor_alpha": rotor}
+    model = Tracker(**values)
     for q, qd, qdd in rng.normal(size=(50, 3, 2)):
         truth = np.array(tracker(0.117, 0.1, rotor)(q, qd, qdd))
         np.testing.assert_allclose(torque(model, q, qd, qdd), truth, rtol=1e-10, atol=1e-12)
@@ -269,7 +273,11 @@ RIGID = {label(c): c for c in chains() if isinstance(c.mechanism, Rigid)}
 @cache
 def masses(name: str):
     layout = Layout(RIGID[name])
-    mass = lambda theta, q: layout.model(theta).mechanism.matrices(q, jnp.zeros_like(q))[0]
+
+    def mass(theta, q):
+        mechanism: Any = layout.model(theta).mechanism
+        return mechanism.matrices(q, jnp.zeros_like(q))[0]
+
     return layout, jax.jit(jax.vmap(jax.vmap(mass, (None, 0))))
 
 
@@ -290,7 +298,7 @@ def test_the_mass_matrix_is_symmetric_and_positive_definite(seed):
         assert np.linalg.eigvalsh(A).min() > 0, chain.mechanism.name
 
 
-def energy(mechanism: Mechanism, q, qd):
+def energy(mechanism: Rigid, q, qd):
     """Kinetic and potential energy by the mass matrix and the work of the bias at rest along a path from 0 to q."""
     nodes, weights = np.polynomial.legendre.leggauss(24)
     M = np.asarray(mechanism.matrices(jnp.asarray(q), jnp.zeros(len(q)))[0])
@@ -304,7 +312,7 @@ def energy(mechanism: Mechanism, q, qd):
 @pytest.mark.parametrize(
     ("mechanism", "q", "qd"),
     [
-        (Tracker(J_theta=0.117, J_alpha=0.1), [0.0, 0.5], [2.0, 1.0]),
+        (Tracker(**PAPER), [0.0, 0.5], [2.0, 1.0]),
         (SpaceManipulator(**SPACE), [0.1, 0.5], [0.8, -1.0]),
         (SpaceManipulator(**SPACE, floating=True), [0.1, 0.5], [0.8, -1.0]),
     ],
@@ -314,8 +322,8 @@ def test_energy_is_kept_for_20_seconds(mechanism, q, qd):
     n = len(q)
     with float64():
         x0 = mechanism.start(jnp.asarray(q), jnp.asarray(qd))
-        flat, unravel = jax.flatten_util.ravel_pytree(x0)
-        field = jax.jit(lambda x: jax.flatten_util.ravel_pytree(mechanism.vector_field(0.0, unravel(x), jnp.zeros(n)))[0])
+        flat, unravel = ravel_pytree(x0)
+        field = jax.jit(lambda x: ravel_pytree(mechanism.vector_field(0.0, unravel(x), jnp.zeros(n)))[0])
         end = solve_ivp(lambda t, x: np.asarray(field(x)), (0, 20), np.asarray(flat), "DOP853", rtol=1e-11, atol=1e-12).y[:, -1]
         before, after = energy(mechanism, np.array(q), np.array(qd)), energy(mechanism, end[:n], end[n : 2 * n])
     assert abs(after - before) < 1e-8 * abs(before)
