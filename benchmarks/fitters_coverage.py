@@ -12,7 +12,7 @@ from pathlib import Path
 import numpy as np
 
 
-sys.path[:0] = [str(Path(__file__).resolve().parents[1]), str(Path(__file__).resolve().parents[1] / "tests")]
+sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 
 from jaxid.runtime import prepare  # noqa: E402
 
@@ -20,13 +20,13 @@ from jaxid.runtime import prepare  # noqa: E402
 prepare()
 
 import jaxid  # noqa: E402
-import reference as ref  # noqa: E402
 from jaxid.binding import bind  # noqa: E402
 from jaxid.estimation import Bench  # noqa: E402
 from jaxid.fitters import descend  # noqa: E402
 from jaxid.profiles import bootstrap, profile_likelihood  # noqa: E402
 from jaxid.residual import OutputError  # noqa: E402
 from jaxid.uncertainty import covariance  # noqa: E402
+from tests import reference as ref  # noqa: E402
 
 
 TRUTH = {"inertia": 0.12, "viscous": 0.1, "coulomb": 0.12, "offset": -0.03}

@@ -13,7 +13,7 @@ from pathlib import Path
 import numpy as np
 
 
-sys.path[:0] = [str(Path(__file__).resolve().parents[1]), str(Path(__file__).resolve().parents[1] / "tests")]
+sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 
 from jaxid.runtime import prepare  # noqa: E402
 
@@ -24,12 +24,12 @@ import jax  # noqa: E402
 import jax.numpy as jnp  # noqa: E402
 
 import jaxid  # noqa: E402
-import reference as ref  # noqa: E402
 from jaxid.arithmetic import sin  # noqa: E402
 from jaxid.binding import bind  # noqa: E402
 from jaxid.estimation import Bench  # noqa: E402
 from jaxid.precision import float64  # noqa: E402
 from jaxid.residual import OutputError  # noqa: E402
+from tests import reference as ref  # noqa: E402
 
 
 LANES = 64

@@ -9,6 +9,7 @@ from __future__ import annotations
 import sys
 import time
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -58,7 +59,7 @@ def peer(problem: FunctionProblem, popsize: int, generations: int, seed: int) ->
     dim = problem.size
     program = jax.jit(lambda x: problem.pure_losses(x.T, problem.data))
     loss = lambda x: np.asarray(program(x))
-    population = np.random.default_rng(seed).uniform(-2, 2, (popsize, dim))
+    population: Any = np.random.default_rng(seed).uniform(-2, 2, (popsize, dim))
     loss(population.T)
     began = time.process_time()
     found = differential_evolution(
@@ -72,7 +73,7 @@ def main(repeats: int = 5) -> dict:
     rows = []
     for dim, popsize in SIZES:
         problem = valley(dim)
-        settings = {"popsize": popsize, "generations": 10**6, "stall": 0, "restarts": 0}
+        settings: dict[str, Any] = {"popsize": popsize, "generations": 10**6, "stall": 0, "restarts": 0}
         fitters = [k(**settings) for k in (DifferentialEvolution, RandToBestDE, ParticleSwarm, GeneticAlgorithm, CMAES, Shade)]
         fitters.insert(1, DifferentialEvolution(crossover="exp", F=(0.5, 0.5), CR=0.8, **settings))
         names = [f.name for f in fitters]

@@ -47,7 +47,7 @@ def recording() -> jaxid.Dataset:
     t = np.arange(1001) * 5e-3
     rng = np.random.default_rng(0)
     tones = zip((0.2, 0.5, 0.9, 1.4, 2.1, 3.0), rng.uniform(0, 2 * np.pi, 6), strict=True)
-    u = 0.8 * sum(np.sin(2 * np.pi * f * t + p) for f, p in tones)
+    u = 0.8 * np.sum([np.sin(2 * np.pi * f * t + p) for f, p in tones], 0)
     inertia, gravity, damping = TRUTH.values()
     q, x = np.zeros(len(t)), np.zeros(2)
     for k in range(len(t) - 1):
