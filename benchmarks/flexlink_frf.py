@@ -82,6 +82,7 @@ def errors(fit: jaxid.Fit, own: Dataset, dataset: Dataset, effects: tuple[str, .
 
 
 def main() -> dict:
+    about = (__doc__ or "").split("\n", 2)[2].strip()
     dataset, rows = data(), []
     cases = (
         ("one mode", EFFECTS, {"n_modes": 1}, HIGHEST),
@@ -100,7 +101,7 @@ def main() -> dict:
         rows.append({"model": label, **{f"error {k}": v for k, v in errors(fit, own, dataset, effects).items()}, **found})
     return {
         "title": "Flexible link: a measured frequency response",
-        "text": f"{(__doc__ or '').split(chr(10), 2)[2].strip()} Errors are medians of |model - data| / |data| over the lines up to "
+        "text": f"{about} Errors are medians of |model - data| / |data| over the lines up to "
         f"400 rad/s; {DAYS[0]} is fitted. Units of the parameters as in `jaxid models flexible_link`, on the assumed drive of "
         f"{DRIVE} N m per volt.",
         "rows": rows,

@@ -171,11 +171,12 @@ def tracker_study(seeds: int) -> list[dict]:
 
 
 def main() -> dict:
+    about = (__doc__ or "").split("\n", 2)[2].strip()
     seeds = int(sys.argv[1]) if len(sys.argv) > 1 and sys.argv[1].isdigit() else 10
     rows = [{"paper": "002, flexible link", **r} for r in link_study(seeds)]
     rows += [{"paper": "003, tracker", **r} for r in tracker_study(seeds)]
     text = (
-        f"{(__doc__ or '').split(chr(10), 2)[2].strip()}\n\n{seeds} seeds each. Truth of 002: E 5.7002e10 Pa, I_m 0.0053 kg m^2, tau_c "
+        f"{about}\n\n{seeds} seeds each. Truth of 002: E 5.7002e10 Pa, I_m 0.0053 kg m^2, tau_c "
         f"0.1071 N m; the paper's own answers {PAPER_LINK} (its J is not given; it claims DE lowest in mean and spread, GA worst "
         f"mean, PSO largest spread). Truth of 003: {TRACKER}; the paper's mean F over ten runs is 4195 for GA and 8496 for PSO, "
         "on its own recordings, and counts one angle a test where ours counts both."

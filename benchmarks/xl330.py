@@ -75,6 +75,7 @@ def errors(fit: jaxid.Fit, dataset: jaxid.Dataset) -> dict[str, float]:
 
 
 def main() -> dict:
+    about = (__doc__ or "").split("\n", 2)[2].strip()
     rows = []
     for label, effects in MODELS.items():
         for held_out in (None, 200):
@@ -88,7 +89,7 @@ def main() -> dict:
             rows.append(row | {f"{e.effect}.{k}": p.value for e in fit.effects for k, p in e.parameters.items()})
     return {
         "title": "A position-controlled servo as it was recorded",
-        "text": (__doc__ or "").split("\n", 2)[2].strip(),
+        "text": about,
         "rows": rows,
     }
 

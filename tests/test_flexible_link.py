@@ -109,7 +109,8 @@ T = np.arange(2001) * 1e-3
 def test_the_assembled_matrices_are_those_of_the_energies():
     """Lagrange by automatic differentiation is the definition; the closed forms and a separate assembly equal it."""
     with float64():
-        b = FlexibleLink(**OWN | {"J_p": 2e-5}).beam()
+        values: dict[str, Any] = OWN | {"J_p": 2e-5}
+        b = FlexibleLink(**values).beam()
         m = beam.matrices(b, 3)
         psi, psid = jnp.asarray(np.random.default_rng(1).normal(size=(2, 6)) * 1e-2)
         turning = jax.hessian(lambda x: beam.kinetic_energy(b, x[0], psi, x[1:], rotating=False))(jnp.ones(7))

@@ -310,7 +310,7 @@ def test_instruments_remove_the_bias_of_noisy_positions():
     )
     real = truth(UR10().base())
     settings: dict[str, Any] = {"friction": "linear", "cutoff_hz": 8.0, "motion_hz": 25.0}
-    error = {m: np.linalg.norm((identify(None, data, method=m, **settings).theta[:40] - real)) for m in ("ls", "iv")}
+    error = {m: np.linalg.norm(identify(None, data, method=m, **settings).theta[:40] - real) for m in ("ls", "iv")}
     assert error["iv"] < 0.5 * error["ls"], error
 
 
