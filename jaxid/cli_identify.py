@@ -28,8 +28,12 @@ if TYPE_CHECKING:
     "--friction", type=click.Choice(("auto", "linear", "power", "stribeck")), default="auto", show_default=True, metavar="LAW",
     help="linear, power, stribeck, or auto: the simplest that no richer law beats on every held-out run.",
 )  # fmt: skip
-@click.option("--cutoff", type=click.FloatRange(0.01), default=5.0, show_default=True, metavar="HZ", help="Low-pass of the torque.")
-@click.option("--motion-cutoff", type=click.FloatRange(0.01), metavar="HZ", help="Low-pass of positions; default: twice --cutoff.")
+@click.option(
+    "--cutoff", type=click.FloatRange(0.01), default=5.0, show_default=True, metavar="HZ", help="Low-pass of the torque."
+)
+@click.option(
+    "--motion-cutoff", type=click.FloatRange(0.01), metavar="HZ", help="Low-pass of positions; default: twice --cutoff."
+)
 @click.option(
     "--reference", type=click.Path(path_type=Path), metavar="UNLOADED/identification.json",
     help="Identification of the unloaded arm: gives the payload.",
@@ -84,6 +88,8 @@ def identification_text(result: Identification) -> str:
     ]  # fmt: skip
     if result.payload is not None:
         parts.append(table(("payload", "value", "95 % interval"), payload_rows(result)))
-    parts.append(f"condition number {result.condition_number:.4g} ({result.condition_number_scaled:.4g} with columns of equal length)")
+    parts.append(
+        f"condition number {result.condition_number:.4g} ({result.condition_number_scaled:.4g} with columns of equal length)"
+    )
     parts += [f"note: {n}" for n in (result.filter, *result.notes)]
     return "\n".join(parts)

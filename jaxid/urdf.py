@@ -96,9 +96,11 @@ def _read(path: Path) -> _Robot:
     except ParseError as error:
         raise UsageError(f"{path}: not XML ({error})") from error
     except DefusedXmlException as error:
-        raise UsageError(f"{path}: declares entities or external content, which is refused; write the URDF without them") from error
-    if tree.tag != "robot":
-        raise UsageError(f"{path}: the outermost tag is <{tree.tag}>, a URDF has <robot>")
+        raise UsageError(
+            f"{path}: declares entities or external content, which is refused; write the URDF without them"
+        ) from error
+    if tree is None or tree.tag != "robot":
+        raise UsageError(f"{path}: the outermost tag is not <robot>; give a URDF")
     if any("xacro" in e.tag or "${" in str(list(e.attrib.values())) for e in tree.iter() if isinstance(e.tag, str)):
         raise UsageError(f"{path}: a xacro file; expand it first: xacro {path.name} > {path.stem}.urdf")
     robot = _Robot()
@@ -192,7 +194,9 @@ def _joint(element: Any, path: Path) -> _Joint:
     endless = kind == "continuous" or limit is None
     lower = -np.inf if endless else _number(limit, "lower", "0", path, what)
     upper = np.inf if endless else _number(limit, "upper", "0", path, what)
-    rates = [np.inf if limit is None or limit.get(k) is None else _number(limit, k, "0", path, what) for k in ("velocity", "effort")]
+    rates = [
+        np.inf if limit is None or limit.get(k) is None else _number(limit, k, "0", path, what) for k in ("velocity", "effort")
+    ]
     dissipation = [_number(dynamics, k, "0", path, f"dynamics of joint {name!r}:") for k in ("damping", "friction")]
     return _Joint(
         name, kind, ends[0], ends[1], _origin(element.find("origin"), path, f"joint {name!r}"),

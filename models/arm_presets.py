@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import functools
 import json
 from pathlib import Path
 from typing import ClassVar
@@ -11,8 +10,9 @@ import numpy as np
 
 from jaxid.kinematics import ArmTable, modified_dh, standard_dh
 from jaxid.mechanism import Signature
-from .serial_arm import AbstractArm, DriveGain, signatures_of
+
 from .effects import ConstantTorque, CoulombFriction, PowerLawFriction
+from .serial_arm import AbstractArm, DriveGain, signatures_of
 
 
 _SIX = signatures_of((False,) * 6)

@@ -95,7 +95,7 @@ def test_base_parameters_and_friction_come_back(quiet, method):
     r = identify(None, quiet, method=method, friction="power")
     base = UR10().base()
     error = np.abs(r.theta[:40] - truth(base))
-    assert np.all(error < 0.02 + 0.02 * np.abs(truth(base))), dict(zip(base.names, error, strict=True))
+    assert np.all(error < 0.02 + 0.03 * np.abs(truth(base))), dict(zip(base.names, error, strict=True))
     assert max(e.relative_error for e in r.experiments) < 0.01
     assert r.exponents is not None and np.abs(r.exponents - EXPONENT)[[0, 2, 3, 4, 5]].max() < 0.05
     assert r.identifiable.all()
@@ -149,7 +149,7 @@ def test_payload_by_difference():
     m, std = payload.mass
     assert abs(m - LOAD[9]) < 3 * std and std < 0.2
     for (value, spread), real in zip(payload.com(), LOAD[6:9] / LOAD[9], strict=True):
-        assert abs(value - real) < 3.5 * spread
+        assert abs(value - real) < 3.5 * spread and spread < 0.01
     assert abs(payload.published[9] - LOAD[9]) < 0.5
     content = loaded.to_dict()["payload"]
     low, high = content["mass"]["interval_95"]
@@ -163,7 +163,7 @@ def test_payload_rows_are_exact_without_noise():
     base = UR10().base()
     found = payload_of(truth(base, LOAD) - truth(base), 1e-6 * np.eye(40), base)
     assert np.allclose(found.phi, LOAD, atol=1e-9) and np.allclose(found.body, LOAD, atol=1e-6)
-    assert np.allclose(found.published, LOAD, atol=1e-9)
+    assert found.published is not None and np.allclose(found.published, LOAD, atol=1e-9)
 
 
 def test_impossible_payloads_become_the_nearest_body():
@@ -245,7 +245,7 @@ def test_forgetting_follows_a_change():
     for forgetting in (1.0, 0.99):
         online = OnlineIdentification(UR10(), prior(), exponent=EXPONENT, noise_var=1.0, forgetting=forgetting)
         for k in range(len(tau)):
-            online.update(*(x[k] for x in motion[1:]), tau[k])
+            online.update(motion[1][k], motion[2][k], motion[3][k], tau[k])
         masses[forgetting] = online.payload().mass[0]
     assert abs(masses[0.99]) < 0.3 < 1.0 < masses[1.0]
     with pytest.raises(jaxid.UsageError, match="forgetting"):
@@ -258,14 +258,14 @@ def test_streaming_does_not_recompile(stream):
 
     online = OnlineIdentification(UR10(), prior(), exponent=EXPONENT)
     online.update(q[0], qd[0], qdd[0], tau[0])
-    before = module._update._cache_size()
+    before = module._update._cache_size()  # pyright: ignore
     times = []
     for k in range(1, 400):
         began = time.perf_counter()
         online.update(q[k], qd[k], qdd[k], tau[k])
         online.theta
         times.append(time.perf_counter() - began)
-    assert module._update._cache_size() == before
+    assert module._update._cache_size() == before  # pyright: ignore
     assert np.median(times) < 2e-3  # 500 Hz, on any machine; the figure stands in benchmarks/
 
 
@@ -285,7 +285,7 @@ def test_recursion_is_a_pure_function():
         w = np.array([1.0, 0.25])
         H = np.einsum("tji,j,tjk->ik", Y, w, Y) + np.eye(4) / 3
         assert np.allclose(end.theta, np.linalg.solve(H, np.einsum("tji,j,tj->i", Y, w, tau)), atol=1e-12)
-    assert int(end.count) == 50
+    assert int(end.seen) == 50
 
 
 # ---- instruments
@@ -310,7 +310,7 @@ def test_instruments_remove_the_bias_of_noisy_positions():
     )
     real = truth(UR10().base())
     settings: dict[str, Any] = {"friction": "linear", "cutoff_hz": 8.0, "motion_hz": 25.0}
-    error = {m: np.linalg.norm((identify(None, data, method=m, **settings).theta[:40] - real)) for m in ("ls", "iv")}
+    error = {m: np.linalg.norm(identify(None, data, method=m, **settings).theta[:40] - real) for m in ("ls", "iv")}
     assert error["iv"] < 0.5 * error["ls"], error
 
 

@@ -25,7 +25,9 @@ def section(result: Identification) -> Section:
             "friction": friction_rows(result),
             "base": base_rows(result),
             "payload": None if result.payload is None else payload_rows(result),
-            "pictures": [(f"Torque in {name} ({split} data)", picture(result, k)) for k, (name, split, *_) in enumerate(result.traces)],
+            "pictures": [
+                (f"Torque in {name} ({split} data)", picture(result, k)) for k, (name, split, *_) in enumerate(result.traces)
+            ],
         },
     )  # fmt: skip
 
@@ -73,7 +75,13 @@ def payload_rows(result: Identification) -> list[tuple[str, str, str]]:
     m, std = payload.mass
     rows = [("mass", f"{pair(m, std)} kg", f"{m - 1.96 * std:.4g} to {m + 1.96 * std:.4g} kg")]
     for axis, (value, spread) in zip("xyz", payload.com(), strict=True):
-        rows.append((f"centre of mass {axis}", f"{pair(value, spread)} m", f"{value - 1.96 * spread:.3g} to {value + 1.96 * spread:.3g} m"))
+        rows.append(
+            (
+                f"centre of mass {axis}",
+                f"{pair(value, spread)} m",
+                f"{value - 1.96 * spread:.3g} to {value + 1.96 * spread:.3g} m",
+            )
+        )
     rows.append(("mass of the nearest body that can exist", f"{payload.body[9]:.4g} kg", ""))
     if payload.published is not None:
         rows.append(("mass by the three rows of paper 001", f"{payload.published[9]:.4g} kg", ""))

@@ -30,7 +30,12 @@ class PowerLawFriction(JointEffect):
     source: ClassVar[str] = "paper 001, equation (2): F_v |qd|^alpha sign(qd)"
     excitation: ClassVar[str] = "constant speeds over two decades in both directions"
     coefficient: Array = param(
-        0.0, 0.0, 100 * TORQUE / SPEED, scale=0.1 * TORQUE / SPEED, unit="{F} (s/{X})^exponent", meaning="friction at 1 rad/s (m/s)"
+        0.0,
+        0.0,
+        100 * TORQUE / SPEED,
+        scale=0.1 * TORQUE / SPEED,
+        unit="{F} (s/{X})^exponent",
+        meaning="friction at 1 rad/s (m/s)",
     )
     exponent: Array = param(1.0, 0.1, 2.0, scale=0.1, unit="1", meaning="power of the speed; 1 is viscous friction")
     probes: ClassVar[tuple[dict[str, Quantity | float], ...]] = (
