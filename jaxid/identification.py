@@ -258,7 +258,7 @@ def _stated(chain: Chain, dataset: Dataset) -> Chain:
     for name, value in known.items():
         if name != "smoothing_velocity":
             theta[layout.index(name)] = value
-    return layout.model(theta)
+    return layout.model(theta)  # pyright: ignore[reportArgumentType]  NumPy's arrays will do
 
 
 def _solve(law: Law, runs: Sequence[Run], by: Sequence[Run] | None, method: str, chain: Chain, base: BaseParameters):

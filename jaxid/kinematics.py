@@ -98,9 +98,13 @@ def modified_dh(
     wrong = [f"{k} has {len(v)}" for k, v in columns.items() if len(v) != n]
     if wrong or n == 0:
         raise UsageError(f"a table of {n} joints needs {n} entries in every column; {', '.join(wrong) or 'it is empty'}")
-    number = {k: np.asarray(columns[k], np.float64) for k in ("a", "alpha", "d", "theta", "drive_inertia")}
+    number = {k: np.asarray(v, np.float64) for k, v in columns.items()}
     table = ArmTable(
-        **number,
+        a=number["a"],
+        alpha=number["alpha"],
+        d=number["d"],
+        theta=number["theta"],
+        drive_inertia=number["drive_inertia"],
         b=np.zeros(n),
         gamma=np.zeros(n),
         prismatic=tuple(bool(p) for p in columns["prismatic"]),

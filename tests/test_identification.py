@@ -339,6 +339,37 @@ def test_the_command(quiet, tmp_path):
     assert abs(json.loads((tmp_path / "b" / "identification.json").read_text())["payload"]["mass"]["value"]) < 1e-6
 
 
+def test_an_arm_from_a_urdf(tmp_path):
+    """`--model arm.urdf`: a slide and two hinges, named by the joints' numbers in the recording."""
+    from test_serial_arm import URDF
+
+    path = tmp_path / "arm.urdf"
+    path.write_text(URDF)
+    model = pin.buildModelFromUrdf(str(path))
+    data, t = model.createData(), np.arange(0, 12, 0.01)
+    rng = np.random.default_rng(0)
+    w = 2 * np.pi * np.array([0.15, 0.4, 0.7])
+    a = rng.uniform(0.2, 0.5, (3, 3))
+    phase = rng.uniform(0, 6, (3, 3))
+    angle = w[:, None] * t[:, None, None] + phase
+    q, qd, qdd = (
+        (a * np.sin(angle)).sum(1),
+        (a * w[:, None] * np.cos(angle)).sum(1),
+        -(a * w[:, None] ** 2 * np.sin(angle)).sum(1),
+    )
+    state = lambda s: np.r_[s[:2], np.cos(s[2]), np.sin(s[2])]
+    tau = np.array([pin.rnea(model, data, state(s), v, x) for s, v, x in zip(q, qd, qdd, strict=True)]) + 0.5 * qd
+    tau += 0.01 * rng.normal(size=tau.shape)
+    recorded = jaxid.Dataset.from_arrays(
+        t, {f"tau{j + 1}": tau[:, j] for j in range(3)}, {f"q{j + 1}": q[:, j] for j in range(3)},
+        units={"tau2": "N", "q2": "m"}, check_model=False,
+    )  # fmt: skip
+    r = identify(str(path), recorded, friction="linear")
+    assert r.torque_units == ("N m", "N", "N m")
+    assert all(e.relative_error < 0.01 for e in r.experiments)
+    assert np.allclose(r.theta[-6:-3], 0.5, atol=0.05)  # F_v
+
+
 def test_models_that_are_no_arm_are_refused():
     t = np.linspace(0, 2, 201)
     data = jaxid.Dataset.from_arrays(t, {"tau": np.sin(t)}, {"q": np.sin(3 * t)}, model="pendulum")
