@@ -56,14 +56,17 @@ class Binding:
 
 
 def resolve_model(model: object, dataset: Dataset, without: Iterable[str] = ()) -> Chain:
-    """The chain that a dataset and a user mean: by id, as a mechanism, or as a chain; None takes the dataset's."""
+    """The chain that a dataset and a user mean: by id, by the path of a URDF, as a mechanism, or as a
+    chain; None takes the dataset's."""
     spec = dataset.model
     if model is None:
         if spec is None or spec.name is None:
             raise UsageError(f"the dataset names no model: give one (there is: {', '.join(catalogue.model_names())})")
         model = spec.name
     smoothing = spec.constants.get("smoothing_velocity", 0.0) if spec is not None else 0.0
-    if isinstance(model, str):
+    if isinstance(model, str) and model.endswith(".urdf"):
+        model = catalogue.model_class("serial_arm").from_urdf(model)
+    elif isinstance(model, str):
         model = catalogue.model_class(model)()
     constants = spec.constants if spec is not None else {}
     if isinstance(model, Mechanism):

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import time
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
@@ -12,7 +11,7 @@ from typing import Any
 import numpy as np
 
 from jaxid import identification_solve as solve
-from jaxid.base_parameters import BaseParameters, standard_names
+from jaxid.base_parameters import BaseParameters
 from jaxid.binding import resolve_model
 from jaxid.chain import Chain
 from jaxid.errors import nearest, UsageError
@@ -31,7 +30,7 @@ from jaxid.identification_rows import (
 )
 from jaxid.identification_solve import Estimate
 from jaxid.layout import Layout
-from jaxid.payload import Payload, payload_by_difference
+from jaxid.payload import Payload, payload_by_difference, read_reference
 from jaxid.results import SCHEMA, versions
 from jaxid.torque import drive_gains
 
@@ -227,11 +226,12 @@ def identify(
     trials = [_trial(LAWS[name], runs, *solved[name][:2]) for name in tried]
     law = LAWS[tried[_choose(trials)]]
     theta, exponent, weights, phi, found = solved[law.name]
-    names = names_of(base, law, arm_size(arm))
-    symbols = {f"{k}{j + 1}": float(v) for k in ("a", "d") for j, v in enumerate(np.asarray(getattr(arm, k)))}
+    names = names_of(base, law, len(arm.prismatic))
+    symbols = {f"{k}{j + 1}": float(v) for k in ("a", "d", "b") for j, v in enumerate(np.asarray(getattr(arm, k)))}
     result = Identification(
         model=arm.name, method=method, law=law.name, names=tuple(names), expressions=base.expressions(symbols),
-        units=tuple(_units(chain, base, law)), theta=theta, covariance=found.covariance, identifiable=found.identifiable[: len(names)],
+        units=tuple(_units(chain, base, law)), theta=theta, covariance=found.covariance,
+        identifiable=found.identifiable[: len(names)],
         base_count=len(base.kept), exponents=exponent if law.nonlinear else None, condition_number=found.condition,
         condition_number_scaled=found.condition_scaled,
         filter=f"positions: zero-phase Butterworth of order 4, {motion_hz:g} Hz, central differences; torque and columns alike: "
@@ -258,17 +258,13 @@ def _stated(chain: Chain, dataset: Dataset) -> Chain:
     for name, value in known.items():
         if name != "smoothing_velocity":
             theta[layout.index(name)] = value
-    return layout.model(theta)
-
-
-def arm_size(arm: Any) -> int:
-    return len(arm.prismatic)
+    return layout.model(theta)  # pyright: ignore[reportArgumentType]  NumPy's arrays will do
 
 
 def _solve(law: Law, runs: Sequence[Run], by: Sequence[Run] | None, method: str, chain: Chain, base: BaseParameters):
     """(theta, exponents, weights per run, standard parameters or None, covariance and condition) of one law."""
     arm: Any = chain.mechanism
-    n = arm_size(arm)
+    n = len(arm.prismatic)
     fit = [r for r in runs if r.split == "fit"]
     exponent = np.ones(n)
     phi0 = np.array([float(np.asarray(getattr(arm, name.rstrip("0123456789")))[int(name[-1]) - 1]) for name in base.standard])
@@ -281,7 +277,7 @@ def _solve(law: Law, runs: Sequence[Run], by: Sequence[Run] | None, method: str,
     theta, weights = solve.weighted(blocks, prior)
     if law.nonlinear:
         for _ in range(3):
-            old, exponent = exponent, _exponents(fit, law, blocks, weights, len(base.kept), n, exponent)
+            old, exponent = exponent, _exponents(fit, law, blocks, weights, len(base.kept), n, exponent, method == "constrained")
             blocks = blocks_of(fit, exponent)
             theta, weights = solve.weighted(blocks, prior)
             if np.abs(exponent - old).max() < 1e-3:
@@ -306,18 +302,21 @@ def _solve(law: Law, runs: Sequence[Run], by: Sequence[Run] | None, method: str,
     return theta, exponent, weights, phi, solve.estimate(blocks, weights, theta, instrument, slopes)
 
 
-def _exponents(fit: Sequence[Run], law: Law, blocks, weights, p: int, n: int, start: np.ndarray) -> np.ndarray:
+def _exponents(fit: Sequence[Run], law: Law, blocks, weights, p: int, n: int, start: np.ndarray, positive: bool) -> np.ndarray:
+    """Exponents at these weights; `positive` keeps F_c and F_v from being negative."""
     W, b = solve.stacked(blocks, weights)
-    moving = np.arange(p + n, p + 2 * n)  # the F_v columns
+    dry, viscous = np.arange(p, p + n), np.arange(p + n, p + 2 * n)
 
     def columns(exponent: np.ndarray) -> np.ndarray:
         parts = []
         for r, w in zip(fit, weights, strict=True):
             F = r.filtered(friction_columns(law, r.qd, exponent)[:, 1])[:: spacing(r)]
             parts.append((F[:, :, None] * np.eye(n) * w[:, None]).reshape(-1, n))
-        return np.concatenate(parts)
+        V = np.concatenate(parts)
+        return np.concatenate([W[:, dry], V], 1) if positive else V
 
-    return solve.project_exponents(np.delete(W, moving, 1), b, columns, start)
+    moving = np.concatenate([dry, viscous]) if positive else viscous
+    return solve.project_exponents(np.delete(W, moving, 1), b, columns, start, positive)
 
 
 def _column_noise(fit: Sequence[Run], weights: Sequence[np.ndarray], size: int) -> np.ndarray:
@@ -368,7 +367,7 @@ def _units(chain: Chain, base: BaseParameters, law: Law) -> Iterable[str]:
         slides = kind == "Ia" and arm.prismatic[j]
         yield "kg" if kind == "m" or slides else "kg m" if kind in ("mx", "my", "mz") else "kg m^2"
     for _, unit in law.parameters:
-        for j in range(arm_size(arm)):
+        for j in range(len(arm.prismatic)):
             yield chain.signature.unit(unit, j)
 
 
@@ -383,22 +382,3 @@ def _notes(found: Estimate, names: Sequence[str], method: str, law: Law) -> list
     if method == "constrained":
         notes.append("inertial parameters of bodies that can exist; standard deviations are those without that constraint")
     return notes
-
-
-def read_reference(reference: Identification | Mapping[str, Any] | str | Path) -> dict[str, Any]:
-    """Names, values and covariance of an identification, from itself, its dictionary or its JSON file."""
-    if isinstance(reference, Identification):
-        reference = reference.to_dict()
-    if isinstance(reference, str | Path):
-        try:
-            reference = json.loads(Path(reference).read_text(encoding="utf-8"))
-        except OSError as error:
-            raise UsageError(f"--reference {reference}: cannot be read ({error.strerror})") from error
-        except ValueError as error:
-            raise UsageError(f"--reference {reference}: not JSON ({error})") from error
-    if not isinstance(reference, Mapping) or reference.get("kind") != "identification" or "covariance" not in reference:
-        raise UsageError("a reference is the identification.json of the unloaded arm (jaxid identify … --out UNLOADED)")
-    return dict(reference)
-
-
-__all__ = ["Identification", "LawTrial", "METHODS", "RunScore", "identify", "read_reference", "standard_names"]

@@ -89,7 +89,8 @@ def read_run(
     rate = 1 / float(np.median(np.diff(e.t)))
     if cutoff_hz >= rate / 2.5:
         raise UsageError(
-            f"experiment {e.name!r} is sampled at {rate:.4g} Hz; a cutoff of {cutoff_hz:g} Hz is too high, give at most {rate / 4:.3g}"
+            f"experiment {e.name!r} is sampled at {rate:.4g} Hz; a cutoff of {cutoff_hz:g} Hz is too high, give at most "
+            f"{rate / 4:.3g}"
         )
     q, qd, qdd, _ = differentiate(e.t, e.y[:, iy], min(motion_hz, rate / 2.5))
     arm: Any = chain.mechanism

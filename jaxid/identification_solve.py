@@ -173,11 +173,12 @@ def _correlation_time(r: np.ndarray, memory: int) -> float:
 
 
 def project_exponents(
-    fixed: np.ndarray, b: np.ndarray, moving: Callable[[np.ndarray], np.ndarray], start: np.ndarray
+    fixed: np.ndarray, b: np.ndarray, moving: Callable[[np.ndarray], np.ndarray], start: np.ndarray, positive: bool = False
 ) -> np.ndarray:
     """Exponents of friction by variable projection (Golub and Pereyra 1973): for each trial all linear parameters are solved
-    for, so that only the exponents are searched. `fixed` columns do not depend on them, `moving(exponents)` do."""
-    from scipy.optimize import least_squares as search
+    for, so that only the exponents are searched. `fixed` columns do not depend on them, `moving(exponents)` do; `positive`
+    keeps the levels of the latter from being negative."""
+    from scipy.optimize import least_squares as search, nnls
 
     size = np.linalg.norm(fixed, axis=0)
     Q, s, _ = np.linalg.svd(fixed[:, size > 0] / size[size > 0], full_matrices=False)
@@ -187,7 +188,7 @@ def project_exponents(
     def residual(exponents: np.ndarray) -> np.ndarray:
         V = moving(exponents)
         V = V - Q @ (Q.T @ V)
-        return rest - V @ np.linalg.lstsq(V, rest, rcond=1e-9)[0]
+        return rest - V @ (nnls(V, rest)[0] if positive else np.linalg.lstsq(V, rest, rcond=1e-9)[0])
 
     return search(residual, np.clip(start, 0.15, 1.45), bounds=EXPONENT, diff_step=1e-4, xtol=1e-6, ftol=1e-9, x_scale=0.2).x
 
@@ -282,7 +283,7 @@ def constrained(
     start = np.concatenate([np.zeros(10 * n), inverse_drive, start_friction])
     lower = np.concatenate([np.full(10 * n, -12.0), np.full(n, -1e3), np.where(levels, -1e-9, -np.inf)])
     upper = np.concatenate([np.full(10 * n, 12.0), np.full(n, 1e3), np.full(levels.size, np.inf)])
-    found = search(residual, start, jacobian, bounds=(lower, upper), x_scale="jac", xtol=1e-8, ftol=1e-8, max_nfev=200)
+    found = search(residual, start, jac=jacobian, bounds=(lower, upper), x_scale="jac", xtol=1e-8, ftol=1e-8, max_nfev=200)
     phi, theta = unpack(found.x)
     theta[p:] = np.where(levels, np.maximum(theta[p:], 0.0), theta[p:])
     return theta, phi

@@ -17,11 +17,14 @@ from typing import Any
 
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Float
+from jaxtyping import Float
 
 from jaxid.arithmetic import sincos
 from jaxid.errors import UsageError
 from jaxid.rigid_body import about_origin, Placements, poses
+
+
+Column = Sequence[float] | np.ndarray
 
 
 @dataclass(frozen=True)
@@ -63,19 +66,19 @@ class ArmTable:
         drive = self.drive_inertia if drive_inertia is None else np.asarray(drive_inertia, np.float64)
         return replace(self, inertia=inertia, drive_inertia=drive)
 
-    def placements(self, q: Float[Array, n * batch]) -> Placements:
+    def placements(self, q: Float[Any, "n ..."]) -> Placements:
         """Frame of each link in the frame before it, in NumPy."""
         return placements(self, self.prismatic, np.asarray(q, np.float64))
 
 
 def modified_dh(
-    a: Sequence[float],
-    alpha: Sequence[float],
-    d: Sequence[float],
-    theta: Sequence[float] | None = None,
+    a: Column,
+    alpha: Column,
+    d: Column,
+    theta: Column | None = None,
     prismatic: Sequence[bool] | None = None,
     inertia: np.ndarray | None = None,
-    drive_inertia: Sequence[float] | None = None,
+    drive_inertia: Column | None = None,
     tool: np.ndarray | None = None,
 ) -> ArmTable:
     """A chain from a modified table (Craig; Khalil): a_{j-1}, alpha_{j-1}, d_j, theta_j, in m and rad.
@@ -95,9 +98,13 @@ def modified_dh(
     wrong = [f"{k} has {len(v)}" for k, v in columns.items() if len(v) != n]
     if wrong or n == 0:
         raise UsageError(f"a table of {n} joints needs {n} entries in every column; {', '.join(wrong) or 'it is empty'}")
-    number = {k: np.asarray(columns[k], np.float64) for k in ("a", "alpha", "d", "theta", "drive_inertia")}
+    number = {k: np.asarray(v, np.float64) for k, v in columns.items()}
     table = ArmTable(
-        **number,
+        a=number["a"],
+        alpha=number["alpha"],
+        d=number["d"],
+        theta=number["theta"],
+        drive_inertia=number["drive_inertia"],
         b=np.zeros(n),
         gamma=np.zeros(n),
         prismatic=tuple(bool(p) for p in columns["prismatic"]),
@@ -108,13 +115,13 @@ def modified_dh(
 
 
 def standard_dh(
-    a: Sequence[float],
-    alpha: Sequence[float],
-    d: Sequence[float],
-    theta: Sequence[float] | None = None,
+    a: Column,
+    alpha: Column,
+    d: Column,
+    theta: Column | None = None,
     prismatic: Sequence[bool] | None = None,
     inertia: np.ndarray | None = None,
-    drive_inertia: Sequence[float] | None = None,
+    drive_inertia: Column | None = None,
 ) -> ArmTable:
     """The same from a standard table, Rz(theta_j) Tz(d_j) Tx(a_j) Rx(alpha_j) as most makers print it.
 
@@ -132,7 +139,7 @@ def standard_dh(
 
 
 def placements(geometry: Any, prismatic: Sequence[bool], q: Any) -> Placements:
-    """Frame of each link in the frame before it; `geometry` holds a, alpha, d, theta, b, gamma [n], q is [n *batch].
+    """Frame of each link in the frame before it; `geometry` holds a, alpha, d, theta, b, gamma [n], q is [n ...].
 
     JAX arrays or NumPy's, as q is.
     """
@@ -178,7 +185,7 @@ def geometry_of(T: np.ndarray) -> tuple[float, float, float, float, float, float
 
 
 def frames(table: Any, prismatic: Sequence[bool], q: Any) -> Placements:
-    """Frames of all links in the base frame, components [n *batch]."""
+    """Frames of all links in the base frame, components [n ...]."""
     return poses(placements(table, prismatic, q))
 
 

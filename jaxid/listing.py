@@ -47,7 +47,7 @@ def to_dict(kind: str, name: str | None, found: Sequence[Any]) -> dict[str, Any]
 def summary(kind: str, found: Sequence[Any]) -> str:
     """One line for each."""
     if kind == "models":
-        rows = [(m.name, "; ".join(map(signature, m.signatures)), ", ".join(m.parameters)) for m in found]
+        rows = [(m.name, "; ".join(map(signature, m.signatures)), ", ".join(numbered(m.parameters))) for m in found]
         return table(("model", "inputs → outputs", "fitted parameters"), rows)
     if kind == "effects":
         rows = [(e.name, e.family, e.locations, one_line(e.equation)) for e in found]
@@ -55,10 +55,36 @@ def summary(kind: str, found: Sequence[Any]) -> str:
     return table(("fitter", "what it does"), [(f.name, first_sentence(f.text)) for f in found])
 
 
+def numbered(names: Sequence[str]) -> list[str]:
+    """The same with numbers one to n of a name in one: `m1 … m6`."""
+    out: list[str] = []
+    first = last = ""
+    for name in [*names, ""]:
+        stem, digits = name.rstrip("0123456789"), name[len(name.rstrip("0123456789")) :]
+        old, count = last.rstrip("0123456789"), last[len(last.rstrip("0123456789")) :]
+        if last and digits and stem == old and count and int(digits) == int(count) + 1:
+            last = name
+            continue
+        if first:
+            short = int(count or 0) - int(first[len(old) :] or 0) < 2
+            out += [n for n in dict.fromkeys((first, last)) if n] if short else [f"{first} … {last}"]
+        first = last = name
+    return out
+
+
+def channels(pairs: Sequence[tuple[str, str]]) -> str:
+    """`tau (N m)`, or `tau1 … tau6 (N m)` where many have one unit."""
+    groups: dict[str, list[str]] = {}
+    for name, unit in pairs:
+        groups.setdefault(unit, []).append(name)
+    if all(len(names) < 3 for names in groups.values()):
+        return ", ".join(f"{name} ({unit})" for name, unit in pairs)
+    return ", ".join(f"{', '.join(numbered(names))} ({unit})" for unit, names in groups.items())
+
+
 def signature(of: Any) -> str:
     """`tau (N m) → q (rad)`."""
-    sides = (", ".join(f"{name} ({unit})" for name, unit in side) for side in (of.inputs, of.outputs))
-    return " → ".join(sides)
+    return " → ".join(channels(side) for side in (of.inputs, of.outputs))
 
 
 def first_sentence(text: str) -> str:
@@ -78,7 +104,7 @@ def description(info: Any) -> str:
             rows = [[str(cell) for cell in row.values()] for row in value]
             tables += ["", title.removesuffix(" info"), indented(table(list(value[0]), rows))]
         elif isinstance(value, list):
-            lines.append(f"  {title}: {', '.join(map(str, value))}")
+            lines.append(f"  {title}: {', '.join(numbered([str(v) for v in value]))}")
         elif isinstance(value, dict):
             lines.append(f"  {title}: {', '.join(f'{k} = {v}' for k, v in value.items())}")
         elif "\n" in str(value):

@@ -28,7 +28,7 @@ class Recursion(NamedTuple):
     theta: Float[Array, " p"]
     P: Float[Array, "p p"]
     still: Array  # samples in a row
-    count: Array  # samples so far
+    seen: Array  # samples so far
 
 
 class Rule(NamedTuple):
@@ -54,7 +54,7 @@ def ridge_rls(
     step = K @ (tau - Y @ state.theta)
     P = (state.P - K @ PY.T) / forgetting
     still = jnp.where(jnp.max(jnp.abs(step[watched])) < change, state.still + 1, 0)
-    return Recursion(state.theta + step, (P + P.T) / 2, still, state.count + 1)
+    return Recursion(state.theta + step, (P + P.T) / 2, still, state.seen + 1)
 
 
 def regressor_row(arm: Any, kept: np.ndarray, q: Array, qd: Array, qdd: Array, exponent: Array) -> Float[Array, "n p"]:
@@ -136,7 +136,7 @@ class OnlineIdentification:
     def check(self) -> bool:
         """Whether the rule has been met; remembers at which sample it first was. Waits for the last update."""
         if self.converged_at is None and int(self.state.still) > self.rule.samples:
-            self.converged_at = int(self.state.count)
+            self.converged_at = int(self.state.seen)
         return self.converged_at is not None
 
     @property

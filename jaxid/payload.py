@@ -9,8 +9,10 @@ A body at the last link adds K_L phi_L to the base parameters, with K_L the last
 
 from __future__ import annotations
 
+import json
 from collections.abc import Mapping
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -75,6 +77,22 @@ class Payload:
         return out
 
 
+def read_reference(reference: Any) -> dict[str, Any]:
+    """Names, values and covariance of an identification, from itself, its dictionary or its JSON file."""
+    if hasattr(reference, "to_dict"):
+        reference = reference.to_dict()
+    if isinstance(reference, str | Path):
+        try:
+            reference = json.loads(Path(reference).read_text(encoding="utf-8"))
+        except OSError as error:
+            raise UsageError(f"--reference {reference}: cannot be read ({error.strerror})") from error
+        except ValueError as error:
+            raise UsageError(f"--reference {reference}: not JSON ({error})") from error
+    if not isinstance(reference, Mapping) or reference.get("kind") != "identification" or "covariance" not in reference:
+        raise UsageError("a reference is the identification.json of the unloaded arm (jaxid identify … --out UNLOADED)")
+    return dict(reference)
+
+
 def payload_by_difference(
     loaded: Any, reference: Mapping[str, Any], base: BaseParameters, prismatic: np.ndarray, gain_std: float = 0.0
 ) -> Payload:
@@ -85,7 +103,7 @@ def payload_by_difference(
     p = len(base.kept)
     if list(reference["names"])[: len(base.names)] != list(base.names):
         raise UsageError(
-            f"the reference identifies {reference.get('model')}, with other base parameters than {loaded.model}; use the same model"
+            f"the reference identifies {reference.get('model')}, not {loaded.model} with the same geometry; use the same model"
         )
     before = np.array([entry["value"] for entry in reference["base_parameters"]], float)
     spread = np.array(reference["covariance"], float)[:p, :p]

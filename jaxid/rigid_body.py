@@ -20,7 +20,7 @@ from typing import Any, NamedTuple
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Float
+from jaxtyping import Float
 
 
 #: The ten inertial parameters of a link, in the order of every array here.
@@ -30,7 +30,7 @@ Vector = tuple[Any, Any, Any]
 
 
 class Placements(NamedTuple):
-    """Frame of each link in the frame before it: columns x, y, z of the rotation and the origin p, components [n *batch]."""
+    """Frame of each link in the frame before it: columns x, y, z of the rotation and the origin p, components [n ...]."""
 
     x: Vector
     y: Vector
@@ -89,7 +89,7 @@ def _loop(step: Callable, carry: Any, xs: Any, reverse: bool = False) -> tuple[A
 
 
 def _rows(a: Any, like: Any) -> tuple[Any, ...]:
-    """Columns of an array [n k] as k arrays that broadcast against `like` [n *batch]."""
+    """Columns of an array [n k] as k arrays that broadcast against `like` [n ...]."""
     return tuple(a[:, i].reshape(a.shape[0], *(1,) * (like.ndim - 1)) for i in range(a.shape[1]))
 
 
@@ -134,11 +134,11 @@ def _start(gravity: Sequence[Any], qdd: Any) -> tuple[Vector, Vector, Vector]:
 def inverse_dynamics(
     E: Placements,
     prismatic: Sequence[bool],
-    inertia: Float[Array, "n 10"],
+    inertia: Float[Any, "n 10"],
     gravity: Sequence[Any],
-    qd: Float[Array, n * batch],
-    qdd: Float[Array, n * batch],
-) -> Float[Array, n * batch]:
+    qd: Float[Any, "n ..."],
+    qdd: Float[Any, "n ..."],
+) -> Float[Any, "n ..."]:
     """Joint torque (N m; N at prismatic joints) of a motion, drive inertia and friction excluded.
 
     `gravity` is the vector of free fall in the base frame, m/s^2, (0, 0, -9.81) for a robot that stands upright.
@@ -146,7 +146,8 @@ def inverse_dynamics(
 
     def outwards(carry, x):
         E, qd, qdd, phi = x
-        w, wd, a = _motion(E, *carry, qd, qdd)
+        w, wd, a = carry
+        w, wd, a = _motion(E, w, wd, a, qd, qdd)
         h = phi[6:9]
         force = add(scaled(phi[9], a), add(cross(wd, h), cross(w, cross(w, h))))
         moment = add(add(times(phi, wd), cross(w, times(phi, w))), cross(h, a))
@@ -165,7 +166,7 @@ def inverse_dynamics(
     return _loop(inwards, start[:1] * 2, (E, force, moment, _pick(prismatic, qdd)), reverse=True)[1]
 
 
-def mass_matrix(E: Placements, prismatic: Sequence[bool], inertia: Float[Array, "n 10"]) -> Float[Array, "n n *batch"]:
+def mass_matrix(E: Placements, prismatic: Sequence[bool], inertia: Float[Any, "n 10"]) -> Float[Any, "n n ..."]:
     """Joint space inertia without that of the drives; exactly symmetric."""
     like = E.x[0]
     n = like.shape[0]
@@ -196,7 +197,7 @@ def mass_matrix(E: Placements, prismatic: Sequence[bool], inertia: Float[Array, 
     return upper + swap(upper, 0, 1) - upper * np.eye(n).reshape(n, n, *(1,) * (like.ndim - 1))
 
 
-def moved(E: Placements, inertia: Sequence[Any]) -> tuple[Any, ...]:
+def moved(E: Placements, inertia: Any) -> tuple[Any, ...]:
     """Ten numbers of a body, from a link's frame to the frame before (Steiner, for a frame that need not be central)."""
     xx, xy, xz, yy, yz, zz, *h, m = inertia
     Ix, Iy, Iz = (out_of(E, row) for row in ((xx, xy, xz), (xy, yy, yz), (xz, yz, zz)))
@@ -219,9 +220,9 @@ def regressor(
     E: Placements,
     prismatic: Sequence[bool],
     gravity: Sequence[Any],
-    qd: Float[Array, n * batch],
-    qdd: Float[Array, n * batch],
-) -> Float[Array, "n n 10 *batch"]:
+    qd: Float[Any, "n ..."],
+    qdd: Float[Any, "n ..."],
+) -> Float[Any, "n n 10 ..."]:
     """Y[k, j]: torque of joint k per inertial parameter of link j, so that tau_k = sum_j Y[k, j] inertia_j.
 
     One loop over the links: each carries its motion and the partial velocities of all joints (angular `u`, linear `v`), and

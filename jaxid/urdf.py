@@ -99,8 +99,8 @@ def _read(path: Path) -> _Robot:
         raise UsageError(
             f"{path}: declares entities or external content, which is refused; write the URDF without them"
         ) from error
-    if tree.tag != "robot":
-        raise UsageError(f"{path}: the outermost tag is <{tree.tag}>, a URDF has <robot>")
+    if tree is None or tree.tag != "robot":
+        raise UsageError(f"{path}: the outermost tag is not <robot>; give a URDF")
     if any("xacro" in e.tag or "${" in str(list(e.attrib.values())) for e in tree.iter() if isinstance(e.tag, str)):
         raise UsageError(f"{path}: a xacro file; expand it first: xacro {path.name} > {path.stem}.urdf")
     robot = _Robot()

@@ -103,7 +103,7 @@ class AbstractArm(Rigid):
         self.prismatic = table.prismatic
         for k, name in enumerate(INERTIA):
             setattr(self, name, table.inertia[:, k].copy())
-        self.Ia = table.drive_inertia.copy()
+        setattr(self, "Ia", table.drive_inertia.copy())
         for name in ("a", "alpha", "d", "theta", "b", "gamma"):
             setattr(self, name, getattr(table, name).copy())
         for name in ("gravity", "base_roll", "base_pitch", "payload", "payload_x", "payload_y", "payload_z"):
@@ -142,14 +142,14 @@ class AbstractArm(Rigid):
         six = [y * y + z * z, -x * y, -x * z, x * x + z * z, -y * z, x * x + y * y]
         return phi.at[-1].add(m * jnp.stack([jnp.asarray(v) for v in (*six, x, y, z, 1.0 + 0 * x)]))
 
-    def placements(self, q: Float[Array, n * batch]) -> Placements:
+    def placements(self, q: Float[Array, "n ..."]) -> Placements:
         """Frame of each link in the frame before it."""
         return placements(self, self.prismatic, q)
 
     def outline(self, x, signature):
         return jnp.concatenate([jnp.zeros((1, 3)), jnp.stack([jnp.asarray(p) for p in self.frames(x[0]).p], -1)])
 
-    def frames(self, q: Float[Array, n * batch]) -> Placements:
+    def frames(self, q: Float[Array, "n ..."]) -> Placements:
         """Frame of each link in the base frame."""
         return poses(self.placements(q))
 
@@ -181,7 +181,7 @@ class AbstractArm(Rigid):
         return Free(v + h * v_sum, h * W[1], q + h * q_sum)
 
     def inverse(self, q, qd, qdd):
-        """Joint torque of a motion [n *batch] (any number of samples behind the joints), friction excluded."""
+        """Joint torque of a motion [n ...] (any number of samples behind the joints), friction excluded."""
         Ia = jnp.asarray(self.Ia).reshape(-1, *(1,) * (qdd.ndim - 1))
         return inverse_dynamics(self.placements(q), self.prismatic, self.inertia(), self.free_fall(), qd, qdd) + Ia * qdd
 

@@ -95,7 +95,7 @@ def test_base_parameters_and_friction_come_back(quiet, method):
     r = identify(None, quiet, method=method, friction="power")
     base = UR10().base()
     error = np.abs(r.theta[:40] - truth(base))
-    assert np.all(error < 0.02 + 0.02 * np.abs(truth(base))), dict(zip(base.names, error, strict=True))
+    assert np.all(error < 0.02 + 0.03 * np.abs(truth(base))), dict(zip(base.names, error, strict=True))
     assert max(e.relative_error for e in r.experiments) < 0.01
     assert r.exponents is not None and np.abs(r.exponents - EXPONENT)[[0, 2, 3, 4, 5]].max() < 0.05
     assert r.identifiable.all()
@@ -149,7 +149,7 @@ def test_payload_by_difference():
     m, std = payload.mass
     assert abs(m - LOAD[9]) < 3 * std and std < 0.2
     for (value, spread), real in zip(payload.com(), LOAD[6:9] / LOAD[9], strict=True):
-        assert abs(value - real) < 3.5 * spread
+        assert abs(value - real) < 3.5 * spread and spread < 0.01
     assert abs(payload.published[9] - LOAD[9]) < 0.5
     content = loaded.to_dict()["payload"]
     low, high = content["mass"]["interval_95"]
@@ -163,7 +163,7 @@ def test_payload_rows_are_exact_without_noise():
     base = UR10().base()
     found = payload_of(truth(base, LOAD) - truth(base), 1e-6 * np.eye(40), base)
     assert np.allclose(found.phi, LOAD, atol=1e-9) and np.allclose(found.body, LOAD, atol=1e-6)
-    assert np.allclose(found.published, LOAD, atol=1e-9)
+    assert found.published is not None and np.allclose(found.published, LOAD, atol=1e-9)
 
 
 def test_impossible_payloads_become_the_nearest_body():
@@ -245,7 +245,7 @@ def test_forgetting_follows_a_change():
     for forgetting in (1.0, 0.99):
         online = OnlineIdentification(UR10(), prior(), exponent=EXPONENT, noise_var=1.0, forgetting=forgetting)
         for k in range(len(tau)):
-            online.update(*(x[k] for x in motion[1:]), tau[k])
+            online.update(motion[1][k], motion[2][k], motion[3][k], tau[k])
         masses[forgetting] = online.payload().mass[0]
     assert abs(masses[0.99]) < 0.3 < 1.0 < masses[1.0]
     with pytest.raises(jaxid.UsageError, match="forgetting"):
@@ -258,14 +258,14 @@ def test_streaming_does_not_recompile(stream):
 
     online = OnlineIdentification(UR10(), prior(), exponent=EXPONENT)
     online.update(q[0], qd[0], qdd[0], tau[0])
-    before = module._update._cache_size()
+    before = module._update._cache_size()  # pyright: ignore
     times = []
     for k in range(1, 400):
         began = time.perf_counter()
         online.update(q[k], qd[k], qdd[k], tau[k])
         online.theta
         times.append(time.perf_counter() - began)
-    assert module._update._cache_size() == before
+    assert module._update._cache_size() == before  # pyright: ignore
     assert np.median(times) < 2e-3  # 500 Hz, on any machine; the figure stands in benchmarks/
 
 
@@ -285,7 +285,7 @@ def test_recursion_is_a_pure_function():
         w = np.array([1.0, 0.25])
         H = np.einsum("tji,j,tjk->ik", Y, w, Y) + np.eye(4) / 3
         assert np.allclose(end.theta, np.linalg.solve(H, np.einsum("tji,j,tj->i", Y, w, tau)), atol=1e-12)
-    assert int(end.count) == 50
+    assert int(end.seen) == 50
 
 
 # ---- instruments
@@ -337,6 +337,37 @@ def test_the_command(quiet, tmp_path):
     )  # fmt: skip
     assert loaded.exit_code == 0, loaded.output
     assert abs(json.loads((tmp_path / "b" / "identification.json").read_text())["payload"]["mass"]["value"]) < 1e-6
+
+
+def test_an_arm_from_a_urdf(tmp_path):
+    """`--model arm.urdf`: a slide and two hinges, named by the joints' numbers in the recording."""
+    from test_serial_arm import URDF
+
+    path = tmp_path / "arm.urdf"
+    path.write_text(URDF)
+    model = pin.buildModelFromUrdf(str(path))
+    data, t = model.createData(), np.arange(0, 12, 0.01)
+    rng = np.random.default_rng(0)
+    w = 2 * np.pi * np.array([0.15, 0.4, 0.7])
+    a = rng.uniform(0.2, 0.5, (3, 3))
+    phase = rng.uniform(0, 6, (3, 3))
+    angle = w[:, None] * t[:, None, None] + phase
+    q, qd, qdd = (
+        (a * np.sin(angle)).sum(1),
+        (a * w[:, None] * np.cos(angle)).sum(1),
+        -(a * w[:, None] ** 2 * np.sin(angle)).sum(1),
+    )
+    state = lambda s: np.r_[s[:2], np.cos(s[2]), np.sin(s[2])]
+    tau = np.array([pin.rnea(model, data, state(s), v, x) for s, v, x in zip(q, qd, qdd, strict=True)]) + 0.5 * qd
+    tau += 0.01 * rng.normal(size=tau.shape)
+    recorded = jaxid.Dataset.from_arrays(
+        t, {f"tau{j + 1}": tau[:, j] for j in range(3)}, {f"q{j + 1}": q[:, j] for j in range(3)},
+        units={"tau2": "N", "q2": "m"}, check_model=False,
+    )  # fmt: skip
+    r = identify(str(path), recorded, friction="linear")
+    assert r.torque_units == ("N m", "N", "N m")
+    assert all(e.relative_error < 0.01 for e in r.experiments)
+    assert np.allclose(r.theta[-6:-3], 0.5, atol=0.05)  # F_v
 
 
 def test_models_that_are_no_arm_are_refused():

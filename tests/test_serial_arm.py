@@ -107,7 +107,7 @@ def compare(table: ArmTable, arm: Any, model: Any, count: int, seed: int = 1) ->
 def table_of(arm: Any) -> ArmTable:
     geometry = (np.asarray(getattr(arm, k)) for k in ("a", "alpha", "d", "theta", "b", "gamma"))
     with float64():
-        return ArmTable(*geometry, arm.prismatic, np.asarray(arm.inertia()), np.asarray(arm.Ia))
+        return ArmTable(*geometry, prismatic=arm.prismatic, inertia=np.asarray(arm.inertia()), drive_inertia=np.asarray(arm.Ia))
 
 
 def test_ur10_equals_pinocchio():
@@ -207,22 +207,33 @@ def test_tilted_base_and_payload():
 
 URDF = """<robot name="test">
   <link name="world"/>
-  <link name="base"><inertial><mass value="9"/><inertia ixx="1" iyy="1" izz="1" ixy="0" ixz="0" iyz="0"/></inertial></link>
+  <link name="base"><inertial><mass value="9"/>
+    <inertia ixx="1" iyy="1" izz="1" ixy="0" ixz="0" iyz="0"/>
+  </inertial></link>
   <joint name="mount" type="fixed"><parent link="world"/><child link="base"/><origin xyz="0.1 0.2 0.3" rpy="0.1 0 0.4"/></joint>
   <link name="upper"><inertial><origin xyz="0.1 0.02 0.3" rpy="0.3 0.2 -0.5"/><mass value="4"/>
-    <inertia ixx="0.3" ixy="0.01" ixz="-0.02" iyy="0.4" iyz="0.03" izz="0.2"/></inertial></link>
+    <inertia ixx="0.3" ixy="0.01" ixz="-0.02" iyy="0.4" iyz="0.03" izz="0.2"/>
+  </inertial></link>
   <joint name="shoulder" type="revolute"><parent link="base"/><child link="upper"/><origin xyz="0 0.1 0.5" rpy="0.2 -0.3 0.1"/>
     <axis xyz="0 1 0"/><limit lower="-1" upper="2" effort="50" velocity="3"/><dynamics damping="0.7" friction="1.2"/></joint>
-  <link name="slide"><inertial><origin xyz="0 0 0.1"/><mass value="2"/><inertia ixx="0.1" iyy="0.12" izz="0.05" ixy="0" ixz="0" iyz="0"/></inertial></link>
+  <link name="slide"><inertial><origin xyz="0 0 0.1"/><mass value="2"/>
+    <inertia ixx="0.1" iyy="0.12" izz="0.05" ixy="0" ixz="0" iyz="0"/>
+  </inertial></link>
   <joint name="lift" type="prismatic"><parent link="upper"/><child link="slide"/><origin xyz="0.3 0 0" rpy="0 0 1"/>
     <axis xyz="0.6 0 0.8"/><limit lower="0" upper="0.4" effort="9" velocity="1"/></joint>
   <link name="bracket"><inertial><origin xyz="0.02 0.01 0" rpy="1 0 0"/><mass value="0.5"/>
-    <inertia ixx="0.01" iyy="0.02" izz="0.015" ixy="0" ixz="0.001" iyz="0"/></inertial></link>
+    <inertia ixx="0.01" iyy="0.02" izz="0.015" ixy="0" ixz="0.001" iyz="0"/>
+  </inertial></link>
   <joint name="bolt" type="fixed"><parent link="slide"/><child link="bracket"/><origin xyz="0.05 0 0.2" rpy="0 0.4 0"/></joint>
-  <link name="camera"><inertial><mass value="0.2"/><inertia ixx="0.001" iyy="0.001" izz="0.001" ixy="0" ixz="0" iyz="0"/></inertial></link>
+  <link name="camera"><inertial><mass value="0.2"/>
+    <inertia ixx="0.001" iyy="0.001" izz="0.001" ixy="0" ixz="0" iyz="0"/>
+  </inertial></link>
   <joint name="clamp" type="fixed"><parent link="upper"/><child link="camera"/><origin xyz="0 0.1 0"/></joint>
-  <link name="hand"><inertial><origin xyz="0 0 0.05"/><mass value="1"/><inertia ixx="0.02" iyy="0.03" izz="0.01" ixy="0" ixz="0" iyz="0"/></inertial></link>
-  <joint name="wrist" type="continuous"><parent link="bracket"/><child link="hand"/><origin xyz="0 0 0.1"/><axis xyz="0 0 -1"/></joint>
+  <link name="hand"><inertial><origin xyz="0 0 0.05"/><mass value="1"/>
+    <inertia ixx="0.02" iyy="0.03" izz="0.01" ixy="0" ixz="0" iyz="0"/>
+  </inertial></link>
+  <joint name="wrist" type="continuous"><parent link="bracket"/><child link="hand"/>
+    <origin xyz="0 0 0.1"/><axis xyz="0 0 -1"/></joint>
   <link name="tool"/>
   <joint name="flange" type="fixed"><parent link="hand"/><child link="tool"/><origin xyz="0 0 0.2" rpy="0 1.5 0"/></joint>
 </robot>"""
@@ -314,7 +325,7 @@ def test_energy_is_kept():
     def block(x, _):
         def step(x, _):
             free = arm.free(1e-3, x, jnp.zeros(6))
-            return arm.close(1e-3, x, free, 0.0, free.qd, 0.0), None
+            return arm.close(1e-3, x, free, jnp.zeros(6), free.qd, jnp.zeros(6)), None
 
         return jax.lax.scan(step, x, None, length=200)[0], (energy(*x), jnp.abs(x[1]).max())
 
@@ -387,7 +398,7 @@ def test_names_units_and_what_is_held():
     assert [u for _, u in arm.signatures[0].inputs] == ["N m", "N", "N m"]
     assert {"exponent1", "exponent2", "exponent3"} <= arm.held()
     assert layout.values[layout.index("m2")] == arm.m[1]
-    moved = layout.model(np.arange(len(layout)) + 0.5)
+    moved = layout.model(np.arange(len(layout)) + 0.5)  # pyright: ignore[reportArgumentType]
     assert moved.mechanism.Iyz[2] == layout.index("Iyz3") + 0.5  # pyright: ignore[reportAttributeAccessIssue]
 
 

@@ -25,7 +25,9 @@ def section(result: Identification) -> Section:
             "friction": friction_rows(result),
             "base": base_rows(result),
             "payload": None if result.payload is None else payload_rows(result),
-            "pictures": [(f"Torque in {name} ({split} data)", picture(result, k)) for k, (name, split, *_) in enumerate(result.traces)],
+            "pictures": [
+                (f"Torque in {name} ({split} data)", picture(result, k)) for k, (name, split, *_) in enumerate(result.traces)
+            ],
         },
     )  # fmt: skip
 
