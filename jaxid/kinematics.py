@@ -63,7 +63,7 @@ class ArmTable:
         drive = self.drive_inertia if drive_inertia is None else np.asarray(drive_inertia, np.float64)
         return replace(self, inertia=inertia, drive_inertia=drive)
 
-    def placements(self, q: Float[Array, n *batch]) -> Placements:
+    def placements(self, q: Float[Array, "n *batch"]) -> Placements:
         """Frame of each link in the frame before it, in NumPy."""
         return placements(self, self.prismatic, np.asarray(q, np.float64))
 

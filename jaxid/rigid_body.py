@@ -136,9 +136,9 @@ def inverse_dynamics(
     prismatic: Sequence[bool],
     inertia: Float[Array, "n 10"],
     gravity: Sequence[Any],
-    qd: Float[Array, n *batch],
-    qdd: Float[Array, n *batch],
-) -> Float[Array, n *batch]:
+    qd: Float[Array, "n *batch"],
+    qdd: Float[Array, "n *batch"],
+) -> Float[Array, "n *batch"]:
     """Joint torque (N m; N at prismatic joints) of a motion, drive inertia and friction excluded.
 
     `gravity` is the vector of free fall in the base frame, m/s^2, (0, 0, -9.81) for a robot that stands upright.
@@ -219,8 +219,8 @@ def regressor(
     E: Placements,
     prismatic: Sequence[bool],
     gravity: Sequence[Any],
-    qd: Float[Array, n *batch],
-    qdd: Float[Array, n *batch],
+    qd: Float[Array, "n *batch"],
+    qdd: Float[Array, "n *batch"],
 ) -> Float[Array, "n n 10 *batch"]:
     """Y[k, j]: torque of joint k per inertial parameter of link j, so that tau_k = sum_j Y[k, j] inertia_j.
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 import json
 from pathlib import Path
 from typing import ClassVar
@@ -10,9 +11,8 @@ import numpy as np
 
 from jaxid.kinematics import ArmTable, modified_dh, standard_dh
 from jaxid.mechanism import Signature
-
-from .effects import ConstantTorque, CoulombFriction, PowerLawFriction
 from .serial_arm import AbstractArm, DriveGain, signatures_of
+from .effects import ConstantTorque, CoulombFriction, PowerLawFriction
 
 
 _SIX = signatures_of((False,) * 6)

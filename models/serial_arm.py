@@ -11,8 +11,8 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from jaxid.arithmetic import dot, inverse
 from jaxid.base_parameters import base_parameters, BaseParameters, STANDARD, standard_names
+from jaxid.arithmetic import dot, inverse
 from jaxid.chain import InputEffect
 from jaxid.kinematics import ArmTable, free_fall, modified_dh, placements
 from jaxid.mechanism import Free, Rigid, Signature
@@ -142,14 +142,14 @@ class AbstractArm(Rigid):
         six = [y * y + z * z, -x * y, -x * z, x * x + z * z, -y * z, x * x + y * y]
         return phi.at[-1].add(m * jnp.stack([jnp.asarray(v) for v in (*six, x, y, z, 1.0 + 0 * x)]))
 
-    def placements(self, q: Float[Array, n *batch]) -> Placements:
+    def placements(self, q: Float[Array, "n *batch"]) -> Placements:
         """Frame of each link in the frame before it."""
         return placements(self, self.prismatic, q)
 
     def outline(self, x, signature):
         return jnp.concatenate([jnp.zeros((1, 3)), jnp.stack([jnp.asarray(p) for p in self.frames(x[0]).p], -1)])
 
-    def frames(self, q: Float[Array, n *batch]) -> Placements:
+    def frames(self, q: Float[Array, "n *batch"]) -> Placements:
         """Frame of each link in the base frame."""
         return poses(self.placements(q))
 
