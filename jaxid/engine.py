@@ -180,8 +180,32 @@ def programs_for(layout: Layout, lane: Lane, length: int, reach: int, burn: bool
     return _PROGRAMS[key]
 
 
+def families(layout: Layout) -> dict[str, np.ndarray]:
+    """Family of effects -> positions of its numbers, for effects that are no part of the mechanism by default. A family is the
+    module that defines its effects."""
+    builtin = {kind.name for kind, _ in layout.chain.mechanism.builtin}
+    out: dict[str, list[int]] = {}
+    for i, e in enumerate(layout.entries):
+        if e.owner >= 0 and (effect := layout.chain.effects[e.owner]).name not in builtin:
+            out.setdefault(type(effect).__module__, []).append(i)
+    return {name: np.array(index) for name, index in out.items()}
+
+
+def restricted(layout: Layout, kept: frozenset[str]) -> tuple[Layout, np.ndarray]:
+    """The layout without the families that are not kept, and the positions of its numbers in the whole."""
+    own = families(layout)
+    gone = {layout.entries[i].owner for name, index in own.items() if name not in kept for i in index}
+    names = [layout.chain.effects[k].name for k in gone]
+    small = Layout(layout.chain.without(*names))
+    return small, np.array([layout.index(n) for n in small.names])
+
+
 class Engine:
-    """Compiled predictions of a layout on records, with tangents and without, for any number of lanes."""
+    """Compiled predictions of a layout on records, with tangents and without, for any number of lanes.
+
+    An effect at its neutral value is the identity, bitwise. So a lane runs in the program of the mechanism and of those families
+    of effects that are at work in it, and a chain that holds the whole library at its neutral values costs what it uses.
+    """
 
     def __init__(
         self,
@@ -191,18 +215,23 @@ class Engine:
         overrides: np.ndarray,
         lane: Lane,
         length: int = 0,
+        whole: bool = False,
     ):
         """`overrides` [records size]: numbers that a record's experiment states itself, nan elsewhere. `length` is the least
-        size of a lane's output, so that engines on other records share one program."""
+        size of a lane's output, so that engines on other records share one program. `whole` runs every lane in the program of
+        all effects, also those that do nothing."""
         self.layout, self.records, self.overrides, self.lane = layout, list(records), overrides, lane
         self.length = bucket(max(length, *(r.count + r.lead for r in records)), BLOCK)
         self.compile_time_s = 0.0
         with float64():
             self.samples = Samples(*(jnp.asarray(a) for a in samples))
         reach = max(reach_of(samples, r) for r in self.records)
-        programs = programs_for(layout, lane, self.length, reach, any(r.lead for r in self.records))
-        self.predict, self.programs, self._known = programs.predict, programs.losses, programs.known
-        self._outputs, self._tangents = programs.outputs, programs.tangents
+        self._kind = lane, self.length, reach, any(r.lead for r in self.records)
+        self._families = {} if whole else families(layout)
+        self._neutral = np.array([e.spec.value for e in layout.entries])
+        self._restricted: dict[frozenset[str], tuple[Programs, np.ndarray]] = {}
+        programs = programs_for(layout, *self._kind)
+        self.predict, self.programs = programs.predict, programs.losses
         self.where = np.array([[r.offset - r.lead, r.first, r.last, r.lead] for r in self.records], np.int32)
         self.steps = np.array([r.count + r.lead for r in self.records], np.int32)
 
@@ -213,7 +242,7 @@ class Engine:
 
     def outputs(self, theta: np.ndarray, start: np.ndarray, record: np.ndarray, share: float = 1.0) -> np.ndarray:
         """Predictions [lanes length ny]; theta [lanes size], start [lanes 2 nq], record [lanes]; only the first `share`."""
-        return self._call("outputs", self._outputs, (self.theta_of(theta, record), start), record, share)[0]
+        return self._call("outputs", (self.theta_of(theta, record),), (start,), record, share)[0]
 
     def tangents(
         self,
@@ -226,11 +255,45 @@ class Engine:
     ) -> tuple[np.ndarray, np.ndarray]:
         """Predictions and their derivative along (dtheta, dstart), each [lanes length ny]."""
         dtheta = np.where(np.isnan(self.overrides[record]), dtheta, 0.0)
-        arrays = (self.theta_of(theta, record), start, dtheta, dstart)
-        y, dy = self._call("tangents", self._tangents, arrays, record, share)
+        y, dy = self._call("tangents", (self.theta_of(theta, record), dtheta), (start, dstart), record, share)
         return y, dy
 
-    def _call(self, name: str, program, arrays, record: np.ndarray, share: float) -> list[np.ndarray]:
+    def _at_work(self, numbers: tuple[np.ndarray, ...], record: np.ndarray) -> dict[frozenset[str], np.ndarray]:
+        """Families at work -> lanes. All lanes of one record and one candidate meet in one program, so that their predictions are
+        the same bits."""
+        busy = {}
+        for name, index in self._families.items():
+            theta = np.any(numbers[0][:, index] != self._neutral[index], 1)
+            busy[name] = theta | np.any([np.any(d[:, index] != 0, 1) for d in numbers[1:]], 0) if numbers[1:] else theta
+        table = np.array(list(busy.values()), bool).reshape(len(busy), len(record)).T
+        names = list(busy)
+        groups: dict[frozenset[str], list[int]] = {}
+        for k, row in enumerate(table):
+            groups.setdefault(frozenset(n for n, b in zip(names, row, strict=True) if b), []).append(k)
+        return {kept: np.array(lanes) for kept, lanes in groups.items()}
+
+    def _programs_of(self, kept: frozenset[str]) -> tuple[Programs, np.ndarray]:
+        if kept not in self._restricted:
+            everything = self.layout, np.arange(len(self.layout))
+            small, index = restricted(self.layout, kept) if len(kept) < len(self._families) else everything
+            self._restricted[kept] = programs_for(small, *self._kind), index
+        return self._restricted[kept]
+
+    def _call(self, name: str, numbers, states, record: np.ndarray, share: float) -> list[np.ndarray]:
+        results: list[np.ndarray] = []
+        for kept, lanes in self._at_work(numbers, record).items():
+            programs, index = self._programs_of(kept)
+            own, other = [a[np.ix_(lanes, index)] for a in numbers], [a[lanes] for a in states]
+            arrays = [x for pair in zip(own, other, strict=True) for x in pair]
+            out = self._run(name, programs, arrays, record[lanes], share)
+            if not results:
+                results = [np.empty((record.size, *o.shape[1:])) for o in out]
+            for r, o in zip(results, out, strict=True):
+                r[lanes] = o
+        return results
+
+    def _run(self, name: str, programs: Programs, arrays, record: np.ndarray, share: float) -> list[np.ndarray]:
+        program = getattr(programs, name)
         steps = np.ceil(self.steps[record] * share).astype(np.int32)
         order = np.argsort(-steps, kind="stable")  # longest first, so that a block holds lanes of like length
         results: list[np.ndarray] = []
@@ -248,11 +311,11 @@ class Engine:
                 r[part] = o[: part.size]
 
         parts = [order[k : k + LANES] for k in range(0, order.size, LANES)]
-        if name not in self._known:  # the first call compiles
+        if name not in programs.known:  # the first call compiles
             began = time.perf_counter()
             store(*block(parts.pop(0)))
             self.compile_time_s += time.perf_counter() - began
-            self._known.add(name)
+            programs.known.add(name)
         for part, out in _POOL.map(block, parts) if len(parts) > 1 else map(block, parts):
             store(part, out)
         return results

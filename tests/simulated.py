@@ -26,6 +26,7 @@ class Simulator:
         step: float = 2e-3,
         hold: str = "zero",
         size: int = 4096,
+        whole: bool = False,
     ):
         signature = chain.signature
         channels = [Channel(n, "input", unit, hold=hold) for n, unit in signature.inputs]
@@ -37,7 +38,7 @@ class Simulator:
         nq, count = chain.nq, samples.step_count(run, step)
         still, known = np.zeros(nq), np.zeros(2 * nq, bool)
         record = Record(0, 0, count, 0, count - 1, 0, still, still, known, self.positions)
-        self.engine = Engine(self.layout, buffers, [record], np.full((1, len(self.layout)), np.nan), simulate_lane, size)
+        self.engine = Engine(self.layout, buffers, [record], np.full((1, len(self.layout)), np.nan), simulate_lane, size, whole)
 
     def theta(self, values: Mapping[str, float]) -> np.ndarray:
         """All numbers of the chain: its own start values, and these."""

@@ -19,7 +19,7 @@ from jaxid.fitters import LevenbergMarquardt
 from jaxid.layout import Layout
 from jaxid.models import Joint, Pendulum, PlanarArm
 from jaxid.models.effects import LIBRARY
-from simulated import relative, Simulator
+from simulated import REFERENCE, relative, Simulator, within_bounds
 
 
 CASES: dict[str, Any] = {
@@ -144,7 +144,7 @@ class Product:
         self.kinds = [e for e in LIBRARY if self.nominal.offers(e)]
         chain = self.nominal.with_effects(*(e() for e in self.kinds if e.name not in has))
         self.step = 1e-4 if nq > 1 else 2e-4
-        self.s = Simulator(chain, self.t, self.u, self.step, size=8192)
+        self.s = Simulator(chain, self.t, self.u, self.step, size=8192, whole=True)
         self.layout = self.s.layout
         keys = [(e.name, k) for e in self.kinds if e.name not in FINE for k in range(3)]
         values = [named(self.layout, e, settings_of(e, case)[k]) for e, k in keys]
@@ -246,11 +246,11 @@ def test_neutral_effects_beside_the_builtin_ones_are_bitwise_absent(product):
 def test_no_gradient_is_nan(product):
     """At rest without command, with every effect neutral; and anywhere within the bounds."""
     layout, nq = product.layout, product.layout.chain.nq
-    still = Simulator(layout.chain, product.t[:4], 0 * product.u[:4], 2e-3, size=1024)
+    still = Simulator(layout.chain, product.t[:4], 0 * product.u[:4], 2e-3, size=1024, whole=True)
     y, dy = still.tangents(layout.values)
     assert np.all(np.isfinite(dy)) and np.all(y == 0)
     references = [REFERENCE._replace(torque=float(x)) for x in TORQUE[product.case]]
-    short = Simulator(layout.chain, product.t, product.u, 2e-3, size=1024)
+    short = Simulator(layout.chain, product.t, product.u, 2e-3, size=1024, whole=True)
     rng = np.random.default_rng(1)
     for _ in range(4):
         theta = layout.values.copy()

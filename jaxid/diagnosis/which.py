@@ -23,7 +23,7 @@ from jaxid.residual import InverseDynamics, Residual
 #: A difference of held-out evidence below this many chi-square units (3 sigma) decides nothing.
 DECISIVE = 9.0
 #: Candidates within this share of the best screen value are refitted, at least MINIMUM and at most MAXIMUM of them.
-SCREEN_SHARE, MINIMUM, MAXIMUM = 0.02, 8, 16
+SCREEN_SHARE, MINIMUM, MAXIMUM = 0.02, 6, 16
 #: An effect must remove at least this share of what is left of the gap on validation data.
 GAIN = 0.02
 #: Near the floor: nothing worth another effect is left below this mean square on validation data.
@@ -152,7 +152,20 @@ class Searcher:
         (or [-4, 4] where its parameters may have either sign).
         Returns (share, candidate, starts for the refit), best first.
         """
-        p, z = h.path.problem, h.path.z
+        return self._ranked(h.path.problem, h.path.z, h.theta, pool)
+
+    def torque_screen(self, h: Hypothesis, pool: Sequence[Candidate]) -> list[tuple[float, Candidate, list[np.ndarray]]]:
+        """The same by the torque that the measured motion lacks. It is blind to what has no place in an inverse (play, springs,
+        sensors) and biased by the noise of derivatives, but it does not depend on how far the free run has gone astray."""
+        if not self.bench.binding.motions:
+            return []
+        p = self.bench.problem(InverseDynamics(decimate=1), "fit", h.path.problem.free, h.theta)
+        path = descend([(p, p.z(h.theta))], 12, 1e-6)[0]
+        return self._ranked(p, path.z, p.theta(path.z), pool) if np.isfinite(path.cost) else []
+
+    def _ranked(
+        self, p: Problem, z: np.ndarray, theta0: np.ndarray, pool: Sequence[Candidate]
+    ) -> list[tuple[float, Candidate, list[np.ndarray]]]:
         parts = list(rows([(p, z)]))
         Q = _basis(parts, p.size)
         r0 = np.concatenate([part.r.ravel() for part in parts])
@@ -161,7 +174,7 @@ class Searcher:
         probes: list[tuple[Candidate, np.ndarray]] = []
         jobs = []
         for c in pool:
-            for theta in self.probes(c, h.theta):
+            for theta in self.probes(c, theta0):
                 q = Problem(p.runs, theta, [], self.bench.binding.lower, self.bench.binding.upper, p.records)
                 zq = np.concatenate([np.zeros(0), p.starts(z)[q.start_rows, q.start_columns]])
                 probes.append((c, theta))
@@ -181,7 +194,7 @@ class Searcher:
             both = all(lower[i] < 0 for i in c.index if not entries[i].spec.log)  # an effect of either sign
             scale = float(np.clip(-(r0 @ d) / power, -4.0 if both else 0.0, 4.0))
             gain = float(-2 * scale * (r0 @ d) - scale**2 * power)
-            start = h.theta + (max(scale, 0.05) if scale >= 0 else min(scale, -0.05)) * (theta - h.theta)
+            start = theta0 + (max(scale, 0.05) if scale >= 0 else min(scale, -0.05)) * (theta - theta0)
             for i in c.index:  # a shape parameter has no zero to be scaled from
                 if self.bench.binding.layout.entries[i].spec.log:
                     start[i] = theta[i]
@@ -253,8 +266,11 @@ class Searcher:
             return []
         if self.progress:
             self.progress("screen", len(h.effects), 3, f"{len(ranked)} candidates react to the data")
-        bar = ranked[0][0] - SCREEN_SHARE
-        kept = [f for k, f in enumerate(ranked) if k < MINIMUM or f[0] >= bar][:MAXIMUM]
+        kept = _head(ranked)
+        names = {str(c) for _, c, _ in kept}
+        # A free run that has gone far astray says little to first order: what the torque screen puts first is tried as well.
+        more = {str(c) for _, c, _ in _head(self.torque_screen(h, [c for _, c, _ in ranked]))} - names
+        kept = [*kept, *(f for f in ranked if str(f[1]) in more)][:MAXIMUM]
         if self.progress:
             self.progress("refit", len(h.effects), 3, f"{len(kept)} candidates")
         return self.refit([((*h.effects, c), starts) for _, c, starts in kept])
@@ -349,6 +365,11 @@ class Searcher:
                 if near and both * count / factor < 2 * DECISIVE:
                     out.append(e)
         return out
+
+
+def _head(ranked: list) -> list:
+    """What is refitted of a ranking."""
+    return [f for k, f in enumerate(ranked) if k < MINIMUM or f[0] >= ranked[0][0] - SCREEN_SHARE]
 
 
 def sensible(effects: Sequence[Candidate]) -> bool:
