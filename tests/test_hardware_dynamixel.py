@@ -271,14 +271,16 @@ def run_cli(servo: Emulator, folder: Path) -> subprocess.Popen:
     return process
 
 
-@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGKILL])
+@pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGKILL])
 def test_the_end_of_the_recorder_stops_the_servo(servo, tmp_path, number):
     process = run_cli(servo, tmp_path)
     sent = time.monotonic()
     process.send_signal(number)
     off = lambda log: [e for e in writes(log, 64) if e["at"] >= sent and e["data"] == [0]]
     servo.wait_for(lambda log: bool(off(log)), 3.0)
-    assert off(servo.log())[0]["at"] - sent < 0.05 + SLACK_S
+    after = off(servo.log())[0]["at"] - sent
+    print(f"torque off after {1e3 * after:.0f} ms")
+    assert after < 0.05 + SLACK_S
     process.communicate(timeout=20)
     if number == signal.SIGKILL:
         recover(tmp_path / "out")

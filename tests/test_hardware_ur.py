@@ -174,14 +174,15 @@ def run_cli(robot: Emulator, out: Path, *more: str) -> subprocess.Popen:
 
 def first_stop(robot: Emulator, since: float) -> float:
     robot.wait_for(lambda log: any(e["at"] >= since for e in stops(log)), 3.0)
-    return next(e["at"] for e in stops(robot.log(since=since))) - since
+    after = next(e["at"] for e in stops(robot.log(since=since))) - since
+    print(f"stopped after {1e3 * after:.0f} ms")
+    return after
 
 
-@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
-def test_an_interrupt_stops_the_robot_at_once(robot, tmp_path, number):
+def test_an_interrupt_stops_the_robot_at_once(robot, tmp_path):
     process = run_cli(robot, tmp_path / "out")
     sent = time.monotonic()
-    process.send_signal(number)
+    process.send_signal(signal.SIGINT)
     after = first_stop(robot, sent)
     _, errors = process.communicate(timeout=20)
     assert process.returncode == 130 and "interrupted" in errors and "Traceback" not in errors
@@ -331,11 +332,11 @@ def test_nobody_listening_and_an_unknown_variable(robot):
 
 
 def test_a_second_run_is_added(robot, tmp_path):
-    record(UR(robot.address), tmp_path / "out", play=path(1.5), live=True, limits=LIMITS)
+    record(UR(robot.address), tmp_path / "out", play=path(1.2, 0.1), live=True, limits=LIMITS)
     with pytest.raises(UsageError, match="--append"):
         record(UR(robot.address), tmp_path / "out", 0.3)
     second = record(
-        UR(robot.address), tmp_path / "out", play=path(1.5, 0.2), live=True, limits=LIMITS, split="validation", append=True
+        UR(robot.address), tmp_path / "out", play=path(1.2, 0.05), live=True, limits=LIMITS, split="validation", append=True
     )
     assert second.file == "run_2.parquet"
     data = load_dataset(tmp_path / "out", check_model=False)
