@@ -28,6 +28,7 @@ from jaxid.residual import OutputError  # noqa: E402
 from jaxid.uncertainty import covariance  # noqa: E402
 from tests import reference as ref  # noqa: E402
 
+
 TRUTH = {"inertia": 0.12, "viscous": 0.1, "coulomb": 0.12, "offset": -0.03}
 NOISE, STEP = 1e-3, 1.25e-3
 

@@ -31,6 +31,7 @@ from jaxid.precision import float64  # noqa: E402
 from jaxid.residual import OutputError  # noqa: E402
 from tests import reference as ref  # noqa: E402
 
+
 LANES = 64
 
 

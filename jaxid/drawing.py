@@ -96,7 +96,7 @@ def plane(outline: Float[np.ndarray, "frames points d"]) -> Float[np.ndarray, "f
 
 
 def motion(model: Chain, dataset: Dataset, experiment: Experiment, start: np.ndarray, noise: np.ndarray) -> Motion | None:
-    """How a model with its numbers in place moves on an experiment's inputs from `start` (q, qd); None where it has no outline."""
+    """How a model with its numbers in place moves on an experiment's inputs from `start` (q, qd); None without an outline."""
     if model.mechanism.outline(model.mechanism.start(jnp.zeros(model.nq), jnp.zeros(model.nq)), model.signature) is None:
         return None
     buffers, (positions,) = recorded.build(dataset, [experiment], model, noise)

@@ -348,7 +348,7 @@ class Simulation:
     units: dict[str, str]
     notes: tuple[str, ...] = ()
     motion: Callable[[int], Any] = field(default=lambda i: None, repr=False, compare=False)
-    """`motion(i)`: the mechanism in run i as a `jaxid.drawing.Motion` (`strip()`, `animate()`), or None where it has no outline."""
+    """The mechanism in run i as a `jaxid.drawing.Motion` (`strip()`, `animate()`), or None where it has no outline."""
 
     def to_dict(self) -> dict[str, Any]:
         return {

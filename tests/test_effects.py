@@ -293,14 +293,15 @@ FOUND: dict[str, dict[str, float]] = {
     "backlash": {"play": 0.03, "motor_share": 0.4, "contact_compliance": 0.03},
     "gravity_offset": {"tilt": 0.05}, "spring_torque": {"stiffness": 0.5}, "reflected_inertia": {"inertia": 0.02},
     "flexible_mode": {"inertia": 0.02, "frequency": 5.0, "damping_ratio": 0.05}, "sensor_bias": {"bias": 0.05},
-    "sensor_scale": {"gain": 0.03}, "sensor_lag": {"lag": 0.02}, "sensor_delay": {"delay": 0.008}, "timestamp_jitter": {"spread": 0.01},
+    "sensor_scale": {"gain": 0.03}, "sensor_lag": {"lag": 0.02}, "sensor_delay": {"delay": 0.008},
+    "timestamp_jitter": {"spread": 0.01},
 }  # fmt: skip
 T_FIT = np.arange(241) * 0.01
 
 
 @pytest.mark.parametrize("effect", FOUND)
 def test_an_effect_is_found_again(effect):
-    """From noisy data with viscous friction beside it, by a fit that starts without it. Friction laws: tests/test_diagnosis.py."""
+    """From noisy data with viscous friction beside it, by a fit that starts without it (friction: tests/test_diagnosis.py)."""
     u = ref.multisine(T_FIT, [1.2], 3, periods=2, lines=8)
     u[:10] = 0.0
     values = {p: np.array([v]) for p, v in FOUND[effect].items()}

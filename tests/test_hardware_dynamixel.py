@@ -13,9 +13,9 @@ from pathlib import Path
 import numpy as np
 import pyarrow.parquet as pq
 import pytest
-from emulators import Emulator, PATIENT_S, signed, SLACK_S, writes
 from hypothesis import given, HealthCheck, settings, strategies as st
 
+from emulators import Emulator, PATIENT_S, signed, SLACK_S, writes
 from jaxid.dataset_io import load_dataset
 from jaxid.errors import UsageError
 from jaxid.hardware import Dynamixel, HardwareError, Limits, record, recover, Trajectory, xseries as x

@@ -15,9 +15,9 @@ from pathlib import Path
 import numpy as np
 import pyarrow.parquet as pq
 import pytest
-from emulators import Emulator, PATIENT_S, servoing, SLACK_S, stops
 from hypothesis import given, HealthCheck, settings, strategies as st
 
+from emulators import Emulator, PATIENT_S, servoing, SLACK_S, stops
 from jaxid.dataset_io import load_dataset
 from jaxid.errors import UsageError
 from jaxid.hardware import HardwareError, Limits, record, recover, SensorSpec, Trajectory, UR
