@@ -69,7 +69,7 @@ def loaded_arm(payload1: float, payload2: float, l2: float = 0.4) -> Plant:
 
     def plant(q, v):
         parts = [f(q, v) for f in (bare, first, second)]
-        return sum(M for M, _ in parts), sum(b for _, b in parts)
+        return np.sum([M for M, _ in parts], 0), np.sum([b for _, b in parts], 0)
 
     return plant
 

@@ -108,7 +108,7 @@ def simulate(
             against = against + m.torque(z, r, q, v)
             out += list(r)
             k += m.size
-        if coupling:
+        if coupling and spring is not None and motor is not None:
             link, dlink = rows[k], rows[k + 1]
             load = spring(q - link, v - dlink)
             M, bias = plant(link, dlink)
