@@ -142,7 +142,7 @@ def bind(
             theta[layout.index(name)] = prior.value
             stated.add(layout.index(name))
 
-    chain = layout.model(theta)  # with what the dataset states
+    chain = layout.model(theta)  # pyright: ignore[reportArgumentType]  with what the dataset states
     layout = Layout(chain)
     fixed |= {layout.index(name) for name in chain.mechanism.held() if name in layout.names and name not in priors}
     own = {i for i, e in enumerate(layout.entries) if e.owner < 0 or chain.effects[e.owner].name in present}
