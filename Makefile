@@ -9,7 +9,7 @@ demo: .venv/installed
 	@echo "The report with pictures: out/demo/report.html"
 
 test: .venv/installed-dev
-	$(BIN)/python -m pytest -q -n auto --maxprocesses 2 --dist worksteal $(ARGS)
+	OPENBLAS_NUM_THREADS=1 $(BIN)/python -m pytest -q -n auto --maxprocesses 2 --dist worksteal $(ARGS)
 
 lint: .venv/installed-dev
 	$(BIN)/ruff check .

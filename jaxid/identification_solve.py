@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
@@ -283,9 +284,8 @@ def constrained(
     start = np.concatenate([np.zeros(10 * n), inverse_drive, start_friction])
     lower = np.concatenate([np.full(10 * n, -12.0), np.full(n, -1e3), np.where(levels, -1e-9, -np.inf)])
     upper = np.concatenate([np.full(10 * n, 12.0), np.full(n, 1e3), np.full(levels.size, np.inf)])
-    found = search(  # pyright: ignore
-        residual, start, jac=jacobian, bounds=(lower, upper), x_scale="jac", xtol=1e-8, ftol=1e-8, max_nfev=200
-    )
+    slopes: Any = jacobian  # SciPy's annotation knows only the names of schemes
+    found = search(residual, start, jac=slopes, bounds=(lower, upper), x_scale="jac", xtol=1e-8, ftol=1e-8, max_nfev=200)
     phi, theta = unpack(found.x)
     theta[p:] = np.where(levels, np.maximum(theta[p:], 0.0), theta[p:])
     return theta, phi
