@@ -8,7 +8,7 @@ from jaxid.cli import Commands
 
 
 _PLANT = click.option(
-    "--plant", metavar="FILE", help="TOML or JSON: model, parameters, effects; `ideal` starts at once without any model."
+    "--plant", metavar="FILE", help="TOML or JSON: model, parameters, effects, noise; `ideal` starts at once without any model."
 )
 _LOG = click.option("--log", type=click.Path(dir_okay=False), metavar="FILE", help="Write everything that moves to a file.")
 

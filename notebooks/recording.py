@@ -66,6 +66,8 @@ gravity_torque = 0.92
 viscous = 0.05
 coulomb = 0.07
 offset = 0.015
+[noise]
+q = 7.0e-4  # rad, before the encoder rounds to 1.5e-3
 [[effects]]
 effect = "dead_zone"
 parameters = { width = 0.12 }
@@ -73,7 +75,7 @@ parameters = { width = 0.12 }
 emulator, port = emulate("dynamixel", "--plant", str(folder / "servo.toml"), "--return-delay", "0", "--latency", "0.0005")
 
 excitation = Trajectory.multisine(0.5, 10.0, frequencies=(0.15, 2.5), lines=9, kind="current")
-servo = {"rate": 100.0, "mode": "current", "zero": "here"}
+servo = {"rate": 100.0, "mode": "current"}
 print(record(Dynamixel(port, **servo), folder / "servo", play=excitation).text)
 
 # %% [markdown]

@@ -18,8 +18,8 @@ from jaxid.cli import main
 from jaxid.dataset_io import load_dataset
 from jaxid.errors import UsageError
 from jaxid.hardware import HardwareError, Limits, recover, SensorSpec, Trajectory
+from jaxid.hardware.channels import channel_map
 from jaxid.hardware.clock import from_arrivals, from_signals, within_tick
-from jaxid.hardware.finishing import channel_map
 from jaxid.hardware.limits import Clamp, Refused
 from jaxid.hardware.recorder import Column, read_events, read_rows, Recorder, Stream
 from jaxid.hardware.rtde import DATA, RTDEReader
@@ -180,9 +180,10 @@ def test_a_tick_is_refined_and_never_left():
     true = 3.0 + np.cumsum(rng.uniform(0.0045, 0.0056, 2000))
     tick = np.floor(true * 1000) / 1000
     sent = 100 + true * (1 + 30e-6) - 2e-4 - rng.exponential(2e-5, 2000)
-    fine, host, blur = within_tick(tick, 1e-3, sent, sent + 2e-3 + rng.exponential(1e-3, 2000))
+    fine, host, blur, asked = within_tick(tick, 1e-3, sent, sent + 2e-3 + rng.exponential(1e-3, 2000))
     assert np.all((fine >= tick) & (fine < tick + 1e-3))
     assert np.std(fine - true) < 1.2e-4 < np.std(tick - true)
+    assert np.abs(asked.inverse(sent) - fine).max() < 5e-4
     assert blur < 1.5e-4 and abs(host.drift - 30e-6) < 5 * host.drift_std
 
 

@@ -154,7 +154,14 @@ def test_bad_answers_are_counted_and_never_stored(servo, tmp_path):
     rows = stored(tmp_path / "out")
     assert np.all(np.diff(rows["t"]) > 0)
     goals = {signed(e["data"]) for e in writes(servo.log(since=since), x.GOAL_CURRENT.address)}
-    assert {round(c / x.MODELS[1020][1]) for c in rows["current_cmd"]} <= goals | {0}
+    told = pq.read_table(tmp_path / "out" / "run_1.commands.parquet")
+    counts = np.round(told["current_cmd"].to_numpy() / x.MODELS[1020][1])
+    assert set(counts) <= goals | {0} and len(counts) > 100
+    # What was told between two rows keeps its sum, also where answers were lost.
+    t, at, held = rows["t"], told["t"].to_numpy(), told["current_cmd"].to_numpy()
+    fine = np.arange(t[0], t[-1], 1e-4)
+    steps = np.where(fine < at[0], 0.0, held[np.maximum(np.searchsorted(at, fine, side="right") - 1, 0)])
+    assert np.sum(rows["current_cmd"][:-1] * np.diff(t)) == pytest.approx(np.sum(steps) * 1e-4, abs=1e-3)
 
 
 def test_time_goes_on_where_the_counter_wraps(servo, tmp_path):
@@ -167,6 +174,7 @@ def test_time_goes_on_where_the_counter_wraps(servo, tmp_path):
 
 
 def test_the_dataset_is_what_the_servo_did(servo, tmp_path):
+    since = time.monotonic()
     result = record(
         Dynamixel(servo.address, mode="position", rate=RATE, zero="here"),
         tmp_path / "out",
@@ -181,9 +189,9 @@ def test_the_dataset_is_what_the_servo_did(servo, tmp_path):
     assert [c.name for c in data.inputs] == ["q_cmd"] and [(c.name, c.resolution) for c in data.outputs] == [("q", x.POSITION)]
     assert np.max(np.abs(run.u[:, 0] - run.y[:, 0])) < 0.25 and run.constants == {"supply_voltage": 12.0}
     assert run.auxiliary["voltage"][0] == pytest.approx(12.0) and run.auxiliary["temperature"][0] == pytest.approx(308.15)
-    log = servo.log()
-    order = [e["address"] for e in writes(log) if e["address"] in (11, 64, 98)][-9:]
-    assert order.index(98) < order.index(64, 1), "the watchdog is set before torque is on"
+    log = servo.log(since=since)
+    order = [(e["address"], e["data"][0] > 0) for e in writes(log)]
+    assert order.index((98, True)) < order.index((64, True)), "the watchdog is set before torque is on"
     assert writes(log, 64)[-1]["data"] == [0] and writes(log, 98)[-1]["data"] == [0]
 
 

@@ -153,24 +153,27 @@ def _smooth(t: np.ndarray, x: np.ndarray, step: float, derivative: int) -> np.nd
 
 def within_tick(
     tick: np.ndarray, resolution: float, sent: np.ndarray, received: np.ndarray
-) -> tuple[np.ndarray, ClockMap, float]:
-    """Device times finer than the device counts, the host's clock against it, and the times' standard deviation.
+) -> tuple[np.ndarray, ClockMap, float, ClockMap]:
+    """Device times finer than the device counts, the host's clock against it, the times' standard deviation, and the host time
+    at which something is sent so that it arrives at a device time.
 
     A sample was taken while its counter read `tick` (s, steps of `resolution`), a little after the question was `sent` and before
     the answer was `received` (host s). How long after is the same every time but for jitter, so a line through either host time
     tells the device's time between two counts; the one that jitters less is taken. No time leaves its tick.
     """
     center = float(tick.mean())
-    best = None
+    best, asked = None, None
     for host, word in ((sent, "question"), (received, "answer")):
         late = host - tick - resolution / 2
         keep = np.abs(late - np.median(late)) < 3 * resolution  # a delayed question says nothing of the clocks
         slope, level = np.polyfit(tick[keep] - center, late[keep], 1) if keep.sum() > 3 else (0.0, float(np.median(late)))
         rest = late - level - slope * (tick - center)
         low, high = np.percentile(rest, [10, 90])
+        if asked is None:
+            asked = ClockMap(float(level - slope * center), float(slope), 0.0, 0.0, "")
         if best is None or high - low < best[0]:
             best = (high - low, float(slope), float(level), host, rest, word, int(keep.sum()))
-    assert best is not None
+    assert best is not None and asked is not None
     width, slope, level, host, rest, word, count = best
     # Rounding down to a tick alone spreads the rest evenly over one resolution; what exceeds it is jitter.
     spread = width / 0.8 / np.sqrt(12)
@@ -183,4 +186,4 @@ def within_tick(
     )
     offset_std = float(np.hypot(spread / np.sqrt(count), drift_std * abs(center)))
     clock = ClockMap(level - slope * center, slope, offset_std, drift_std, text)
-    return np.clip(clock.inverse(host), tick, tick + resolution * (1 - 1e-6)), clock, blur
+    return np.clip(clock.inverse(host), tick, tick + resolution * (1 - 1e-6)), clock, blur, asked

@@ -64,9 +64,10 @@ class Plan:
 
 @dataclass
 class News:
-    """What came from a device since the last look: samples, and the driver's messages."""
+    """What came from a device since the last look: samples, commands with their own times, and the driver's messages."""
 
     samples: list[Sample] = field(default_factory=list)
+    commands: list[Sample] = field(default_factory=list)
     messages: list[Mapping[str, Any]] = field(default_factory=list)
 
 
@@ -82,7 +83,9 @@ class Device(Protocol):
         """Connects and checks; changes nothing on the device."""
         ...
 
-    def stream(self) -> Stream: ...
+    def streams(self) -> list[Stream]:
+        """Its samples, and its commands where they are recorded by themselves (clock `COMMANDS`)."""
+        ...
 
     def limits(self) -> Limits:
         """Its own limits, which a user's can only tighten."""

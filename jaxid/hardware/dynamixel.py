@@ -16,7 +16,7 @@ from jaxid.hardware.device import approach, Measured, News, Plan, Sample
 from jaxid.hardware.errors import HardwareError
 from jaxid.hardware.limits import Limits
 from jaxid.hardware.link import Driver
-from jaxid.hardware.recorder import Column, Stream
+from jaxid.hardware.recorder import Column, COMMANDS, Stream
 from jaxid.hardware.trajectory import KINDS, Trajectory
 
 
@@ -106,7 +106,7 @@ class Dynamixel:
             pass
         return advice
 
-    def stream(self) -> Stream:
+    def streams(self) -> list[Stream]:
         columns = []
         for j, servo in enumerate(self.servos):
             n = "" if self.joints == 1 else str(j + 1)
@@ -133,7 +133,9 @@ class Dynamixel:
             "advice": self.advice,
             "tick_s": x.TICK_S,
         }
-        return Stream(self.name, tuple(columns), "realtime tick of the first servo (register 120)", 1 / self.rate, info)
+        main = Stream(self.name, tuple(columns), "realtime tick of the first servo (register 120)", 1 / self.rate, info)
+        told = tuple(c for c in columns if c.name.endswith("_cmd"))
+        return [main, Stream("commands", told, COMMANDS)] if told else [main]
 
     def _scale(self, j: int) -> float:
         """SI value of one count of servo j's goal."""
@@ -174,6 +176,9 @@ class Dynamixel:
         for m in messages:
             if m["kind"] == "sample":
                 out.samples.append(Sample(m["received"], m["device"], self._values(m)))
+            elif m["kind"] == "command":
+                values = [self._from_counts(g, j) for j, g in enumerate(m["goal"])]
+                out.commands.append(Sample(m["at"], m["at"], values))
             elif m["kind"] == "lost":
                 self._lost = {k: v for k, v in m.items() if k != "kind"}
             elif m["kind"] == "stopping":

@@ -1,7 +1,8 @@
 """The driver process of Dynamixel servos: reads, and moves them, through ROBOTIS' own SDK. Run by
 `jaxid.hardware.dynamixel.Dynamixel`.
 
-A cycle writes the command first and reads right after it, so that a row holds the command that acts from its own time on.
+A cycle writes the command first and reads right after it. Every command is told with its own time, so that what a servo was
+told between two samples is known however late or lost the answers are.
 """
 
 from __future__ import annotations
@@ -205,6 +206,7 @@ class Session:
         self.mode: str | None = None
         self.data_age = 0.0
         self.goal: list[int] | None = None
+        self.told: list[int] | None = None
         self.restore: dict[int, int] = {}
 
     def _inspect(self, identity: int, baud: int) -> dict[str, Any]:
@@ -272,7 +274,11 @@ class Session:
     def _cycle(self) -> bool:
         """One question; whether it gave a sample. While torque is on, the goal is written before it."""
         if self.goal is not None and self.mode is not None:
+            at = time.monotonic()
             self.bus.write(x.MODES[self.mode][1], self.goal)
+            if self.goal != self.told:
+                self.told = self.goal
+                self.link.send("command", at=at, goal=self.goal)
         sent = time.monotonic()
         blocks = self.bus.read()
         received = time.monotonic()

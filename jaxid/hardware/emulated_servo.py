@@ -6,6 +6,7 @@ simple laws of our own, not the firmware's.
 
 from __future__ import annotations
 
+import random
 import struct
 from collections.abc import Callable, Mapping
 from typing import Any
@@ -41,6 +42,7 @@ class Servo:
         self.fed = 0.0
         self.drive = 0.0
         self.shift = 0.0  # s, of the counter against the clock
+        self.noise: Callable[[], float] = lambda: 0.0  # rad, of the encoder before it rounds
         self.triggered: Callable[[int], None] = lambda identity: None
         for register, value in (
             (x.MODEL_NUMBER, MODEL), (x.FIRMWARE, 46), (x.ID, identity), (x.BAUD_RATE, 3), (x.RETURN_DELAY, 250),
@@ -91,7 +93,7 @@ class Servo:
 
     def show(self, now: float) -> None:
         """Brings the readable values up to date."""
-        q, qd = self.plant.q[self.joint], self.plant.qd[self.joint]
+        q, qd = self.plant.q[self.joint] + self.noise(), self.plant.qd[self.joint]
         self.set(x.TICK, int((now + self.shift) * 1000) % x.TICK_WRAP)
         self.set(x.PRESENT_CURRENT, round(self.drive / CURRENT))
         self.set(x.PRESENT_VELOCITY, round(qd / x.VELOCITY))
@@ -136,14 +138,17 @@ class Bench:
     def __init__(self, identities: list[int], plant: Plant, settings: Mapping[str, Any], log: Log, clock: Callable[[], float]):
         self.plant, self.log, self.clock = plant, log, clock
         self.torque_constant = float(settings.get("torque_constant", TORQUE_CONSTANT))
+        self._random = random.Random(settings.get("seed", 0))
+        self._noise = float(settings.get("noise", {}).get("q", 0.0))
         self.servos = {i: Servo(i, j, plant) for j, i in enumerate(identities)}
         for s in self.servos.values():
+            s.noise = lambda: self._random.gauss(0.0, self._noise)
             s.triggered = lambda identity: self.log("watchdog", id=identity)
         self.now = clock()
 
-    def advance(self) -> None:
-        """Moves everything on to the present, in steps of the servos' own controllers."""
-        now = self.clock()
+    def advance(self, now: float | None = None) -> None:
+        """Moves everything on to a time, or to the present, in steps of the servos' own controllers."""
+        now = self.clock() if now is None else now
         while now - self.now > 1e-9:
             step = min(LOOP_S, now - self.now)
             before = []
@@ -167,9 +172,9 @@ class Bench:
         servo.set(x.HARDWARE_ERROR, 0x20)
         servo.set(x.TORQUE_ENABLE, 0)
 
-    def answer(self, identity: int, instruction: int, body: bytes) -> list[bytes]:
-        """Status packets for one instruction packet, in the order in which they go out."""
-        self.advance()
+    def answer(self, identity: int, instruction: int, body: bytes, when: float) -> list[bytes]:
+        """Status packets for one instruction packet that arrived at `when`, in the order in which they go out."""
+        self.advance(when)
         for s in self.servos.values():
             s.fed = self.now  # "communication is defined as all the instruction packets"
         named = [self.servos[identity]] if identity in self.servos else []

@@ -121,16 +121,16 @@ class Bus:
         for identity, instruction, body, size in self.packets.feed(block):
             # The packet is whole on the wire when its last bit is; what the host wrote together goes one after the other.
             self._free = max(self._free, now) + 10 * size / self.baud
-            self._at(self._free, lambda i=identity, c=instruction, b=body: self._handle(i, c, b))
+            self._at(self._free, lambda i=identity, c=instruction, b=body, t=self._free: self._handle(i, c, b, t))
 
     def _same_baud(self) -> bool:
         speed = termios.tcgetattr(self.master)[4]
         known = {getattr(termios, f"B{b}"): b for b in x.BAUDS.values() if hasattr(termios, f"B{b}")}
         return known.get(speed, self.baud) == self.baud
 
-    def _handle(self, identity: int, instruction: int, body: bytes) -> None:
-        when = time.monotonic()
-        for answer in self.bench.answer(identity, instruction, body):
+    def _handle(self, identity: int, instruction: int, body: bytes, when: float) -> None:
+        # The servo acts when the packet is whole on the wire, even where this process comes to it later.
+        for answer in self.bench.answer(identity, instruction, body, when):
             servo = self.bench.servos.get(answer[4])
             delay = 2e-6 * (servo.get(x.RETURN_DELAY) if servo is not None else 0)
             self._free = when = max(self._free, when) + delay + 10 * len(answer) / self.baud

@@ -6,7 +6,7 @@ import hashlib
 import json
 import os
 import shutil
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -14,8 +14,9 @@ from typing import Any
 import numpy as np
 
 from jaxid.errors import UsageError
+from jaxid.hardware.channels import channel_map
 from jaxid.hardware.clock import ClockMap, from_arrivals, from_signals, within_tick
-from jaxid.hardware.recorder import Column, read_about, read_events, read_rows, Rows, Stream, SUFFIX
+from jaxid.hardware.recorder import Column, COMMANDS, read_about, read_events, read_rows, Rows, Stream, SUFFIX
 from jaxid.hardware.sensor import SensorSpec
 
 
@@ -54,75 +55,6 @@ class Recording:
         return {"schema": 1, "kind": "dry_run" if self.dry_run else "recording", **self.__dict__, "folder": str(self.folder)}
 
 
-def channel_map(model: str | None, columns: Sequence[Column], joint: int | None, gain: Sequence[float] | None) -> dict[str, dict]:
-    """`[channels]` of a dataset: as recorded, or as a model needs them.
-
-    With a model, torques are currents times a stated gain (N m/A), which stays visible as `scale`; `joint` picks one joint of
-    several for a model with one. Raises `UsageError` where the model cannot be served.
-    """
-    columns = [c for c in columns if c.role != "clock"]
-    have = {c.name: c for c in columns}
-    if model is None:
-        return {c.name: _channel(c) for c in columns}
-    from jaxid.catalogue import describe
-
-    first, used = "", set()
-    for signature in describe(model).signatures:
-        wanted = [(n, u, "input") for n, u in signature.inputs] + [(n, u, "output") for n, u in signature.outputs]
-        chosen: dict[str, dict] = {}
-        used = set()
-        for name, unit, role in wanted:
-            entry, column = _serve(name, unit, role, have, joint, gain)
-            if column is None:
-                first = first or entry
-                break
-            chosen[name] = entry
-            used.add(column)
-        else:
-            # What the model does not need stays auxiliary; a column that is needed under another name is not listed twice.
-            rest = {c.name: _channel(c) | {"role": "auxiliary"} for c in columns if c.name not in used and c.name not in chosen}
-            return chosen | rest
-    raise UsageError(f"model {model}: {first}")
-
-
-def _channel(c: Column) -> dict[str, Any]:
-    entry = {"role": c.role, "unit": c.unit, "noise_std": c.noise_std, "resolution": c.resolution}
-    entry |= {"hold": c.hold} if c.hold != "zero" else {}
-    return {k: v for k, v in entry.items() if v is not None}
-
-
-def _serve(name: str, unit: str, role: str, have: Mapping[str, Column], joint: int | None, gain) -> tuple[Any, str | None]:
-    """The channel entry for one name of a model's signature and its column; or a sentence and None."""
-    stem, number = name.rstrip("0123456789"), name[len(name.rstrip("0123456789")) :]
-    # `q_cmd` of a model is q3_cmd of joint 3.
-    base, _, tail = stem.partition("_")
-    place = number or ("" if joint is None else str(joint))
-    spelled = [f"{base}{place}" + (f"_{tail}" if tail else ""), f"{stem}{place}", name]
-    for column in spelled:
-        if column in have and have[column].unit == unit:
-            entry = _channel(have[column]) | {"role": role} | ({} if column == name else {"column": column})
-            return entry, column
-    if stem == "tau":
-        named = [c for c in (f"current{place}", f"current{place}_cmd") if c in have]
-        column = next((c for c in named if have[c].role == "input"), next(iter(named), None))
-        if column is not None and gain is None:
-            return (
-                f"it needs the torque {name!r}, and the device has a current, {column!r}. State the gain you assume in N m/A "
-                "(--gain); it stays visible in dataset.toml as `scale`"
-            ), None
-        if column is not None:
-            k = (int(place) - 1) if place else 0
-            if k >= len(gain) and len(gain) != 1:
-                return f"there are {len(gain)} gains, none for joint {place}", None
-            scale = float(gain[k if len(gain) > 1 else 0])
-            entry = {"role": role, "unit": unit, "column": column, "scale": scale}
-            resolution = have[column].resolution
-            return entry | ({} if resolution is None else {"resolution": abs(scale) * resolution}), column
-    several = sorted(c for c in have if c.rstrip("0123456789") in (stem, "current" if stem == "tau" else stem))
-    hint = f" (there is: {', '.join(several)}; pick one with --joint)" if several and not number and joint is None else ""
-    return f"it needs {name!r} in {unit}, which this device does not record{hint}", None
-
-
 def finish(folder: str | os.PathLike[str], end_reason: str | None = None) -> Recording:
     """Makes a run of the dataset beside it from a recording folder `run_N.recording`, then removes it.
 
@@ -158,6 +90,10 @@ def finish(folder: str | os.PathLike[str], end_reason: str | None = None) -> Rec
     inside = np.ones(len(timed.t), bool)
     for stream in streams[1:]:
         other = read_rows(folder, stream)
+        if stream.clock == COMMANDS:
+            extra[stream.name] = _told(table, stream, other, timed)
+            clocks[stream.name] = "sent by the host, and as late as a question; in the table, means from each row to the next"
+            continue
         if len(other.device) < 4:
             notes.append(f"sensor {stream.name} gave {len(other.device)} rows; it is left out")
             continue
@@ -225,18 +161,20 @@ class _Timed:
     gaps: list[tuple[float, float, int]]
     notes: list[str]
     blur: float  # standard deviation of each time (s)
+    asked: ClockMap  # host time of sending against the device time of arrival
 
 
 def _timed(stream: Stream, rows: Rows) -> _Timed:
     device, notes, blur = rows.device, [], 0.0
+    asked: ClockMap | None = None
     if stream.info.get("tick_s"):
         names = [c.name for c in stream.columns]
-        asked, answered = (rows.values[:, names.index(n)] for n in ("t_sent", "t_received"))
+        sent, answered = (rows.values[:, names.index(n)] for n in ("t_sent", "t_received"))
         rising = _rising(device)
         host: ClockMap | None = None
         fine = device.copy()
         if rising.sum() >= 4:
-            fine[rising], host, blur = within_tick(device[rising], stream.info["tick_s"], asked[rising], answered[rising])
+            fine[rising], host, blur, asked = within_tick(device[rising], stream.info["tick_s"], sent[rising], answered[rising])
         device = fine
     else:
         rising = _rising(device)
@@ -266,22 +204,51 @@ def _timed(stream: Stream, rows: Rows) -> _Timed:
         worst = max(gaps, key=lambda g: g[2])
         notes.append(f"{len(gaps)} gaps of {missing.sum()} samples together, the longest from {worst[0]:.3f} to {worst[1]:.3f} s")
     repeated = len(rows.device) - len(keep) - back
-    return _Timed(keep, np.round(t - zero, 9), zero, host, rate, int(missing.sum()), max(repeated, 0), gaps, notes, blur)
+    return _Timed(
+        keep, np.round(t - zero, 9), zero, host, rate, int(missing.sum()), max(repeated, 0), gaps, notes, blur, asked or host
+    )
 
 
 def _blurred(column: Column, table: Mapping[str, np.ndarray], timed: _Timed) -> Column:
-    """An angle's noise where its time is known to `blur` only: what it turns in that time is noise like its resolution."""
+    """An angle's noise: of its resolution and of what it turns while its time is in doubt, or what the samples show if more."""
+    from jaxid.noise import sensor_noise
+
     rate = table.get("qd" + column.name[1:]) if column.name.rstrip("0123456789") == "q" else None
     if rate is None or column.noise_std is not None or timed.blur == 0:
         return column
     turned = float(np.sqrt(np.mean((timed.blur * rate) ** 2)))
-    return replace(column, noise_std=float(f"{np.hypot((column.resolution or 0.0) / np.sqrt(12), turned):.3g}"))
+    known = float(np.hypot((column.resolution or 0.0) / np.sqrt(12), turned))
+    return replace(column, noise_std=float(f"{max(known, sensor_noise([table[column.name]])):.3g}"))
 
 
 def _rising(t: np.ndarray) -> np.ndarray:
     """Which samples are later than every one before them."""
     top = np.maximum.accumulate(t)
     return np.concatenate([[True], t[1:] > top[:-1]])
+
+
+def _told(table: dict[str, np.ndarray], stream: Stream, rows: Rows, timed: _Timed) -> dict[str, np.ndarray]:
+    """The commands at their own times; the table's become the mean of what was told from each row to the next.
+
+    A held mean drives a mechanism like the commands it is the mean of, wherever between two rows they came, also where answers
+    were lost.
+    """
+    at = timed.asked.inverse(rows.host) - timed.zero
+    if "t_sent" in table:  # what went out just before a question arrived just before its answer was made, however late both were
+        k = np.minimum(np.searchsorted(table["t_sent"], rows.host), len(table["t"]) - 1)
+        ahead = table["t_sent"][k] - rows.host
+        at = np.where((ahead >= 0) & (ahead < 5e-3), table["t"][k] - ahead, at)
+        at = np.maximum.accumulate(at)
+    out = {"t": at} | {c.name: rows.values[:, k] for k, c in enumerate(stream.columns)}
+    t = table["t"]
+    for c in stream.columns if len(at) and len(t) > 1 else ():
+        edges = np.concatenate([[min(t[0], at[0]) - 1.0], at, [max(t[-1], at[-1]) + 1.0]])
+        held = np.concatenate([[table[c.name][0]], out[c.name]])
+        total = np.concatenate([[0.0], np.cumsum(held * np.diff(edges))])
+        mean = np.diff(np.interp(t, edges, total)) / np.diff(t)
+        last = held[np.searchsorted(at, t[-1], side="right")]
+        table[c.name] = np.append(mean, last)
+    return out
 
 
 def _onto(table: dict[str, np.ndarray], stream: Stream, rows: dict[str, np.ndarray], notes: list[str]) -> np.ndarray:

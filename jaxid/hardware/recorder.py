@@ -22,6 +22,8 @@ import numpy as np
 
 ABOUT, EVENTS, SUFFIX = "about.json", "events.jsonl", ".recording"
 FORMAT_VERSION = 1
+#: Clock of a stream of commands: the host's time when each was sent; they hold until the next.
+COMMANDS = "sent by the host"
 _HEAD = struct.Struct("<II")  # checksum of what follows, number of the row
 
 

@@ -16,11 +16,12 @@ from pathlib import Path
 from typing import Any
 
 from jaxid.errors import UsageError
+from jaxid.hardware.channels import channel_map
 from jaxid.hardware.device import Device, Plan, Sample
 from jaxid.hardware.errors import HardwareError
-from jaxid.hardware.finishing import channel_map, finish, Recording
+from jaxid.hardware.finishing import finish, Recording
 from jaxid.hardware.limits import Limits
-from jaxid.hardware.recorder import Recorder, SUFFIX
+from jaxid.hardware.recorder import COMMANDS, Recorder, SUFFIX
 from jaxid.hardware.sensor import SensorSpec, SerialSensor
 from jaxid.hardware.trajectory import Trajectory
 
@@ -85,11 +86,12 @@ def record(
         for sensor in serial:
             stack.callback(sensor.close)
             sensor.open()
-        streams = [device.stream(), *(s.spec.stream() for s in serial)]
+        own = device.streams()
+        streams = [*own, *(s.spec.stream() for s in serial)]
         if len({s.name for s in streams}) < len(streams):
             raise UsageError("two devices have the same name; rename a sensor")
         files = [s for s in sensors if s.file is not None]
-        columns = [c for s in streams for c in s.columns] + [c for s in files for c in s.stream().columns]
+        columns = [c for s in streams if s.clock != COMMANDS for c in s.columns] + [c for s in files for c in s.stream().columns]
         channel_map(model, columns, joint, gains)
         if number > 1:
             _refuse_other_columns(out, [c.name for c in columns])
@@ -117,7 +119,7 @@ def record(
         error: BaseException | None = None
         reason, complete = "the time was over", True
         try:
-            reason = _run(device, serial, recorder, watch, plan, seconds, bounds, progress)
+            reason = _run(device, serial, len(own), recorder, watch, plan, seconds, bounds, progress)
         except BaseException as caught:
             error, complete = caught, False
             reason = "interrupted" if isinstance(caught, KeyboardInterrupt) else str(caught) or type(caught).__name__
@@ -277,7 +279,9 @@ def _wait(device: Device, sensors: Sequence[SerialSensor], timeout: float) -> No
         pass  # a line that just broke; reading it says what happened
 
 
-def _run(device, sensors, recorder: Recorder, watch: _Watch, plan: Plan | None, seconds, bounds: Limits, progress) -> str:
+def _run(
+    device, sensors, own: int, recorder: Recorder, watch: _Watch, plan: Plan | None, seconds, bounds: Limits, progress
+) -> str:
     """Until the time is over or the path played; returns why it ended, raises what ended it early."""
     watch.began = watch.heard = now = time.monotonic()
     silence = max(SILENCE_S, 3 * (recorder.streams[0].period or 0.0))
@@ -296,10 +300,12 @@ def _run(device, sensors, recorder: Recorder, watch: _Watch, plan: Plan | None, 
             watch.last, watch.first = sample, watch.first or sample
             watch.heard = now
             _judge(device, bounds, sample, watch)
+        for command in news.commands:
+            recorder.append(1, *command)
         for k, sensor in enumerate(sensors):
             samples = sensor.read()
             for sample in samples:
-                recorder.append(1 + k, *sample)
+                recorder.append(own + k, *sample)
             heard[id(sensor)] = now if samples else heard[id(sensor)]
             if now - heard[id(sensor)] > 2 * SILENCE_S:
                 raise HardwareError(f"sensor {sensor.spec.name} has been silent for {now - heard[id(sensor)]:.1f} s")

@@ -91,7 +91,7 @@ class UR:
             raise HardwareError(f"{self.host}: not connected")
         return self._reader
 
-    def stream(self) -> Stream:
+    def streams(self) -> list[Stream]:
         columns = [Column(_numbered(stem, j + 1), unit, role) for stem, (_, unit, role) in VECTORS.items() for j in range(JOINTS)]
         columns += [Column(name, "1") for name in SCALARS]
         if "actual_main_voltage" in self.reader.names:
@@ -99,7 +99,7 @@ class UR:
         if "actual_tool_accelerometer" in self.reader.names:
             columns += [Column(f"tool_acceleration_{axis}", "m/s^2") for axis in "xyz"]
         info = {"host": self.host, "controller_version": list(self.reader.version), "variables": list(self.reader.names)}
-        return Stream(self.name, tuple(columns), "controller time, RTDE `timestamp`", 1 / self.rate, info)
+        return [Stream(self.name, tuple(columns), "controller time, RTDE `timestamp`", 1 / self.rate, info)]
 
     def limits(self) -> Limits:
         return LIMITS
@@ -116,7 +116,7 @@ class UR:
         for host, row in self.reader.read():
             kelvin = [v + 273.15 for v in row[first : first + JOINTS]]
             samples.append(Sample(host, row[0], [*row[1:first], *kelvin, *row[first + JOINTS :]]))
-        news = News(samples, [{"kind": "note", "text": f"the controller says: {t}"} for t in self.reader.notes])
+        news = News(samples, messages=[{"kind": "note", "text": f"the controller says: {t}"} for t in self.reader.notes])
         self.reader.notes.clear()
         if self._driver is not None:
             messages = self._driver.messages()

@@ -1,0 +1,78 @@
+"""From recorded columns to the channels of a dataset: as they are, or as a model needs them."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+from jaxid.errors import UsageError
+from jaxid.hardware.recorder import Column
+
+
+def channel_map(model: str | None, columns: Sequence[Column], joint: int | None, gain: Sequence[float] | None) -> dict[str, dict]:
+    """`[channels]` of a dataset: as recorded, or as a model needs them.
+
+    With a model, torques are currents times a stated gain (N m/A), which stays visible as `scale`; `joint` picks one joint of
+    several for a model with one. Raises `UsageError` where the model cannot be served.
+    """
+    columns = [c for c in columns if c.role != "clock"]
+    have = {c.name: c for c in columns}
+    if model is None:
+        return {c.name: _channel(c) for c in columns}
+    from jaxid.catalogue import describe
+
+    first, used = "", set()
+    for signature in describe(model).signatures:
+        wanted = [(n, u, "input") for n, u in signature.inputs] + [(n, u, "output") for n, u in signature.outputs]
+        chosen: dict[str, dict] = {}
+        used = set()
+        for name, unit, role in wanted:
+            entry, column = _serve(name, unit, role, have, joint, gain)
+            if column is None:
+                first = first or entry
+                break
+            chosen[name] = entry
+            used.add(column)
+        else:
+            # What the model does not need stays auxiliary; a column that is needed under another name is not listed twice.
+            rest = {c.name: _channel(c) | {"role": "auxiliary"} for c in columns if c.name not in used and c.name not in chosen}
+            return chosen | rest
+    raise UsageError(f"model {model}: {first}")
+
+
+def _channel(c: Column) -> dict[str, Any]:
+    entry = {"role": c.role, "unit": c.unit, "noise_std": c.noise_std, "resolution": c.resolution}
+    entry |= {"hold": c.hold} if c.hold != "zero" else {}
+    return {k: v for k, v in entry.items() if v is not None}
+
+
+def _serve(name: str, unit: str, role: str, have: Mapping[str, Column], joint: int | None, gain) -> tuple[Any, str | None]:
+    """The channel entry for one name of a model's signature and its column; or a sentence and None."""
+    stem, number = name.rstrip("0123456789"), name[len(name.rstrip("0123456789")) :]
+    # `q_cmd` of a model is q3_cmd of joint 3.
+    base, _, tail = stem.partition("_")
+    place = number or ("" if joint is None else str(joint))
+    spelled = [f"{base}{place}" + (f"_{tail}" if tail else ""), f"{stem}{place}", name]
+    for column in spelled:
+        if column in have and have[column].unit == unit:
+            entry = _channel(have[column]) | {"role": role} | ({} if column == name else {"column": column})
+            return entry, column
+    if stem == "tau":
+        named = [c for c in (f"current{place}", f"current{place}_cmd") if c in have]
+        column = next((c for c in named if have[c].role == "input"), next(iter(named), None))
+        if column is not None and gain is None:
+            return (
+                f"it needs the torque {name!r}, and the device has a current, {column!r}. State the gain you assume in N m/A "
+                "(--gain); it stays visible in dataset.toml as `scale`"
+            ), None
+        if column is not None:
+            k = (int(place) - 1) if place else 0
+            if k >= len(gain) and len(gain) != 1:
+                return f"there are {len(gain)} gains, none for joint {place}", None
+            scale = float(gain[k if len(gain) > 1 else 0])
+            entry = {"role": role, "unit": unit, "column": column, "scale": scale}
+            resolution = have[column].resolution
+            return entry | ({} if resolution is None else {"resolution": abs(scale) * resolution}), column
+    several = sorted(c for c in have if c.rstrip("0123456789") in (stem, "current" if stem == "tau" else stem))
+    hint = f" (there is: {', '.join(several)}; pick one with --joint)" if several and not number and joint is None else ""
+    return f"it needs {name!r} in {unit}, which this device does not record{hint}", None
