@@ -156,6 +156,7 @@ _PORTS = {
     "JointEffect": ("friction and forces at the joint", "joint", "a joint"),
     "BodyEffect": ("mechanism", "body", "a joint"),
     "OutputEffect": ("sensor", "output", "an output channel"),
+    "RecordEffect": ("sensor", "output", "an output channel"),
 }
 
 
