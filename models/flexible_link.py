@@ -11,7 +11,7 @@ from jaxtyping import Array
 from jaxid.beam import Beam, decay, matrices, Modes, modes
 from jaxid.mechanism import Free, Mechanism, Signature
 from jaxid.models.effects import CoulombFriction, ViscousFriction
-from jaxid.parameter import constant, param, setting
+from jaxid.parameter import constant, param, setting, with_fields
 
 
 class FlexibleLink(Mechanism):
@@ -34,7 +34,7 @@ class FlexibleLink(Mechanism):
     equations: ClassVar[str] = (
         "M qdd + h + C qd + K q + (v phid + tau_c sign phid) e1 = tau e1,  q = (phi, u1, theta1, ... un, thetan)\n"
         "C = diag(0, alpha M_psi + beta K_psi);  h = 0, or with nonlinear = true\n"
-        "h_phi = 2 phid psi' M_psi psid,  h_psi = -phid^2 (M_psi - K_G) psi,  K_G only with stiffening = true\n"
+        "h_phi = 2 phid psi' M_psi psid,  h_psi = -phid^2 (M_psi - K_G) psi,  K_G times stiffening\n"
         "tip_acceleration = L phidd + undd (and - un phid^2 with rotating_sensor = true)"
     )
     source: ClassVar[str] = "paper 002, Machines 12(6), 409, 2024: equations (3) to (6), Table 1 for the bounds"
@@ -50,10 +50,10 @@ class FlexibleLink(Mechanism):
     rho: Array = constant(6404.3, unit="kg/m^3", meaning="density")
     m_p: Array = constant(0.09466, unit="kg", meaning="payload at the tip")
     J_p: Array = constant(0.0, unit="kg m^2", meaning="rotary inertia of the payload")
+    stiffening: Array = constant(0.0, unit="1", meaning="share of the centrifugal tension's stiffening that counts (nonlinear)")
     n_elements: int = setting(4, 1, 32, meaning="finite elements")
     n_modes: int = setting(0, 0, 64, meaning="elastic modes kept; 0: all")
     nonlinear: bool = setting(False, meaning="centrifugal and Coriolis terms of the deflection")
-    stiffening: bool = setting(False, meaning="geometric stiffening by the centrifugal tension; includes nonlinear")
     rotating_sensor: bool = setting(False, meaning="the tip accelerometer also senses the deflection's rotation")
 
     prepared: Any = eqx.field(default=None, repr=False)  # modes, and with a step length their exponentials
@@ -74,12 +74,16 @@ class FlexibleLink(Mechanism):
         return self.prepared if self.prepared is not None else self.prepare(None).prepared
 
     def _rotation(self, e: Array) -> Array:
-        """S eta, with S = I - K_G between modes: the part of a deflection that turns with the hub."""
-        return e - self._parts()[0].geometric @ e if self.stiffening else e
+        """S eta, with S = I - stiffening K_G between modes: the part of a deflection that turns with the hub."""
+        return e - self.stiffening * (self._parts()[0].geometric @ e)
 
-    @property
-    def _turning(self) -> bool:
-        return self.nonlinear or self.stiffening
+    def stiffened(self, share: Array) -> FlexibleLink:
+        """The same with more (share [1]) of the geometric stiffening."""
+        return with_fields(self, {"stiffening": self.stiffening + share[0]})
+
+    def loaded(self, mass: Array) -> FlexibleLink:
+        """The same with mass [1] more at the tip."""
+        return with_fields(self, {"m_p": self.m_p + mass[0]})
 
     def start(self, q, qd):
         still = jnp.zeros(self._parts()[0].squares.shape)
@@ -92,14 +96,14 @@ class FlexibleLink(Mechanism):
         """Modal forces of stiffness, damping and, with the nonlinear terms, of the hub's rotation at speed w [1]."""
         kept, damping, _, _ = self._parts()
         force = -kept.squares * e - damping * z
-        return force + w * w * self._rotation(e) if self._turning else force
+        return force + w * w * self._rotation(e) if self.nonlinear else force
 
     def acceleration(self, x: Any, tau: Array) -> tuple[Array, Array]:
         """(phidd [1], modal accelerations) under hub torque tau [1]."""
         kept, _, inertia, _ = self._parts()
         _, w, e, z = x
         pull = self.pull(w, e, z)
-        if self._turning:
+        if self.nonlinear:
             turned = self._rotation(e)
             inertia, tau = inertia + jnp.dot(e, turned), tau - 2 * w * jnp.dot(turned, z)
         phidd = (tau - jnp.dot(kept.participation, pull)) / (inertia - jnp.dot(kept.participation, kept.participation))
@@ -127,7 +131,7 @@ class FlexibleLink(Mechanism):
             return (momentum - moving * w - jnp.dot(G, z1 - z) + h * tau) / effective, effective, e1, z1
 
         force, momentum, moving = jnp.zeros_like(e), inertia * w, inertia
-        if self._turning:
+        if self.nonlinear:
             # The deflection's rotation as a force held at its middle value; the hub's inertia at both ends. Values from a
             # first pass with those of the beginning.
             turned = self._rotation(e)

@@ -10,7 +10,7 @@ from jaxtyping import Array
 from jaxid.arithmetic import sin
 from jaxid.mechanism import Rigid, Signature
 from jaxid.models.effects import CoulombFriction, ViscousFriction
-from jaxid.parameter import constant, param
+from jaxid.parameter import constant, param, with_fields
 
 
 class Servo(Rigid):
@@ -47,6 +47,10 @@ class Servo(Rigid):
     length: Array = constant(0.1, unit="m", meaning="its distance from the axis")
     gravity: Array = constant(9.81, unit="m/s^2")
     current_limit: Array = constant(1e6, unit="V", meaning="highest voltage over the winding that the current limit admits")
+
+    def loaded(self, mass: Array) -> Servo:
+        """The same with mass [1] more at the load's place."""
+        return with_fields(self, {"mass": self.mass + mass[0]})
 
     def outline(self, x, signature):
         q = x[0][0]

@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
-from typing import ClassVar
+import dataclasses
+from typing import Any, ClassVar
 
+import equinox as eqx
 import jax
 import jax.numpy as jnp
 from jaxtyping import Array
@@ -76,6 +78,8 @@ class SpaceManipulator(Rigid):
     base_y: Array = constant(0.2, unit="m", meaning="joint 1 from the base's centre, across")
     floating: bool = setting(False, meaning="the base floats freely; false: it stands still")
 
+    base_lightness: Any = eqx.field(default=None, repr=False)  # of a base that an effect loosens
+
     def start(self, q, qd):
         return q, qd, jnp.zeros(1)
 
@@ -104,10 +108,14 @@ class SpaceManipulator(Rigid):
         return jnp.stack([jnp.stack(r) for r in rows]), jnp.stack([jnp.stack(r) for r in mixed])
 
     def _reduced(self, q):
-        """Mass matrix [2 2] of the joints at zero momentum, and the base's rate per joint rate [2]."""
+        """Mass matrix [2 2] of the joints at zero momentum, and the base's rate per joint rate [2].
+
+        The base's mass and inertia count 1 / lightness times: 0 is a base that stands still.
+        """
         M, P = self._full(q)
-        M = M - dot(P.T, P) / (self.base_mass + self.m1 + self.m2)
-        turn = -M[0, 1:] / M[0, 0]
+        light = 1.0 if self.base_lightness is None else self.base_lightness
+        M = M - light * dot(P.T, P) / (self.base_mass + light * (self.m1 + self.m2))
+        turn = -light * M[0, 1:] / (self.base_inertia + light * (M[0, 0] - self.base_inertia))
         return M[1:, 1:] + M[1:, :1] * turn, turn
 
     def outline(self, x, signature):
@@ -119,9 +127,16 @@ class SpaceManipulator(Rigid):
         return jnp.stack([jnp.zeros(2), first, second, second + jnp.stack([jnp.cos(b), jnp.sin(b)])])
 
     def mass(self, q):
-        if self.floating:
-            return self._reduced(q)[0]
-        return self._full(q)[0][1:, 1:]
+        if not self.floating:
+            return self._full(q)[0][1:, 1:]
+        reduced = self._reduced(q)[0]
+        if self.base_lightness is None:
+            return reduced
+        return jnp.where(self.base_lightness > 0, reduced, self._full(q)[0][1:, 1:])
+
+    def loosened(self, share: Array) -> SpaceManipulator:
+        """The same on a base that gives way: share [1] 0 stands still, 1 floats with the known mass and inertia."""
+        return dataclasses.replace(self, floating=True, base_lightness=share[0])
 
     def matrices(self, q, qd):
         # bias = dM/dt qd - d/dq (qd' M qd) / 2

@@ -19,7 +19,7 @@ from jaxid import beam
 from jaxid.experiment import Channel, FrequencyResponse, ModelSpec
 from jaxid.frequency import FrequencyResponseError, merged, transfer
 from jaxid.models import FlexibleLink
-from jaxid.models.effects import ViscousFriction
+from jaxid.models.effects import GeometricStiffening, ViscousFriction
 from jaxid.precision import float64
 from simulated import relative, Simulator
 
@@ -239,9 +239,12 @@ def test_the_nonlinear_step_against_an_integration(stiffening):
     truth = np.append(first.y[0, :-1], second.y[0])
     chain = jaxid.Chain(FlexibleLink(n_elements=2, nonlinear=True, stiffening=stiffening))
     linear = jaxid.Chain(FlexibleLink(n_elements=2))
+    added = jaxid.Chain(FlexibleLink(n_elements=2, nonlinear=True)).with_effects(GeometricStiffening())
     values = [DE | {"v": 0.0, "tau_c": 0.0}]
     errors = [relative(Simulator(chain, t, u[:, None], h).outputs(values)[0, :, 0], truth) for h in (1e-3, 5e-4)]
     assert errors[1] < 4e-5 and errors[1] < 0.3 * errors[0]
+    as_effect = Simulator(added, t, u[:, None], 5e-4).outputs([values[0] | {"geometric_stiffening.share@phi": float(stiffening)}])
+    assert relative(as_effect[0], Simulator(chain, t, u[:, None], 5e-4).outputs(values)[0]) < 1e-12
     assert relative(Simulator(linear, t, u[:, None], 5e-4).outputs(values)[0, :, 0], truth) > 0.01
     assert np.abs(np.diff(truth)).max() * 1e3 > 8  # rad/s: the terms count
 

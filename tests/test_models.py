@@ -22,6 +22,7 @@ from jaxid.frequency import transfer
 from jaxid.layout import Layout
 from jaxid.mechanism import Rigid
 from jaxid.models import FlexibleLink, MODELS, Servo, SpaceManipulator, Tracker
+from jaxid.models.effects import BaseMotion
 from jaxid.parameter import Reference
 from jaxid.precision import float64
 from simulated import relative, Simulator
@@ -186,6 +187,20 @@ def test_the_base_turns_as_the_full_system_does():
     assert relative(fixed[:, :2], truth[3:5].T) > 0.1 and np.all(fixed[:, 2] == 0)
 
 
+def test_a_base_that_gives_way_is_an_effect():
+    """At share 1 the arm floats as the model with a floating base does, at 0 it is the nominal one."""
+    t = np.arange(301) * 0.01
+    u = np.column_stack([30 * np.sin(0.8 * t), -12 * np.sin(1.1 * t)])
+    names = ("q1", "q2")
+    loose = Simulator(jaxid.Chain(SpaceManipulator()).with_effects(BaseMotion()), t, u, 2.5e-3)
+    place = "base_motion.share@"
+    free = Simulator(jaxid.Chain(SpaceManipulator(floating=True)), t, u, 2.5e-3).outputs([SPACE])[0]
+    still = Simulator(jaxid.Chain(SpaceManipulator()), t, u, 2.5e-3).outputs([SPACE])[0]
+    found = loose.outputs([SPACE, SPACE | {place + n: 1.0 for n in names}])
+    assert relative(found[0], still) < 1e-12 and relative(found[1], free) < 1e-12
+    assert relative(free[:, :2], still[:, :2]) > 0.1
+
+
 def test_the_servo_against_scipy():
     """Saturated duty, back-EMF, current limit, a release; viscous friction, no dry friction (that is the step's own test)."""
     p = {
@@ -219,7 +234,7 @@ def test_the_servo_against_scipy():
 def chains() -> list[jaxid.Chain]:
     out = [jaxid.Chain(kind()) for kind in MODELS]
     voltage = jaxid.Chain(Tracker(motor_table=True), signature=Tracker.signatures[1])
-    return [*out, jaxid.Chain(SpaceManipulator(floating=True)), voltage, jaxid.Chain(FlexibleLink(stiffening=True))]
+    return [*out, jaxid.Chain(SpaceManipulator(floating=True)), voltage, jaxid.Chain(FlexibleLink(nonlinear=True))]
 
 
 def label(chain: jaxid.Chain) -> str:

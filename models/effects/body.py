@@ -37,6 +37,36 @@ class Tiltable(Protocol):
         ...
 
 
+@runtime_checkable
+class Stiffenable(Protocol):
+    """A turning beam whose centrifugal tension may stiffen it."""
+
+    nonlinear: bool
+
+    def stiffened(self, share: Float[Array, " nq"]) -> Mechanism:
+        """The same with more of the geometric stiffening."""
+        ...
+
+
+@runtime_checkable
+class Loosenable(Protocol):
+    """An arm on a base that may move."""
+
+    floating: bool
+
+    def loosened(self, share: Float[Array, " nq"]) -> Mechanism:
+        """The same on a base that gives way."""
+        ...
+
+
+def _where_stiffenable(mechanism, signature):
+    return signature.joints[:1] if isinstance(mechanism, Stiffenable) and mechanism.nonlinear else ()
+
+
+def _where_loosenable(mechanism, signature):
+    return signature.joints[:1] if isinstance(mechanism, Loosenable) and not mechanism.floating else ()
+
+
 def _where_loadable(mechanism, signature):
     return signature.joints if isinstance(mechanism, Loadable) else ()
 
@@ -182,3 +212,37 @@ class GravityOffset(BodyEffect):
 
     def __call__(self, mechanism):
         return mechanism.tilted(self.tilt) if isinstance(mechanism, Tiltable) else mechanism
+
+
+class GeometricStiffening(BodyEffect):
+    """A turning beam that its own centrifugal tension stiffens; on a flexible link with its nonlinear terms."""
+
+    name: ClassVar[str] = "geometric_stiffening"
+    stage: ClassVar[int] = -1
+    offered: ClassVar = staticmethod(_where_stiffenable)
+    equation: ClassVar[str] = "K_psi -> K_psi + share phid^2 K_G,  K_G = int (m_p L + rho A (L^2 - x^2) / 2) N' N'^T dx"
+    signature: ClassVar[str] = "the beam's frequency rises with the hub's speed where the model lets it fall"
+    source: ClassVar[str] = "foreshortening of a rotating beam; the linear strain of paper 002 has softening only"
+    excitation: ClassVar[str] = "the same pulse at rest and during a fast turn (7 rad/s and more)"
+    share: Array = param(0.0, -0.5, 3.0, scale=0.1, unit="1", meaning="1: all of the tension counts")
+    probes: ClassVar[tuple[dict[str, Quantity | float], ...]] = ({"share": 1.0},)
+
+    def __call__(self, mechanism):
+        return mechanism.stiffened(self.share) if isinstance(mechanism, Stiffenable) and mechanism.nonlinear else mechanism
+
+
+class BaseMotion(BodyEffect):
+    """A base that gives way under an arm which the model bolts to the ground; on a space manipulator."""
+
+    name: ClassVar[str] = "base_motion"
+    stage: ClassVar[int] = -1
+    offered: ClassVar = staticmethod(_where_loosenable)
+    equation: ClassVar[str] = "M -> M_mm - M_mb M_bb^-1 M_bm, the base's mass and inertia counted 1 / share times"
+    signature: ClassVar[str] = "all inertias seem smaller, and the more so the more posture changes; hardly any residual"
+    source: ClassVar[str] = "exact reduced dynamics at zero momentum (paper 000 assumes a base that stands still)"
+    excitation: ClassVar[str] = "two sets of postures far apart, and the base's own rate"
+    share: Array = param(0.0, 0.0, 20.0, scale=0.1, unit="1", meaning="1: the base floats with its known mass and inertia")
+    probes: ClassVar[tuple[dict[str, Quantity | float], ...]] = ({"share": 0.1}, {"share": 1.0})
+
+    def __call__(self, mechanism):
+        return mechanism.loosened(self.share) if isinstance(mechanism, Loosenable) and not mechanism.floating else mechanism
