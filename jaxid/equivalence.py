@@ -1,11 +1,13 @@
 """Which effects of the library a model cannot tell apart, and which its own parameters absorb.
 
 Nothing is listed by hand: the model moves under a rich command of its own, each effect is switched on at its probe strengths, and
-what re-tuning the model's parameters and its unknown start could do to first order is taken out of the change.
+what re-tuning the model's parameters and its unknown start could do to first order is taken out of the change. Effects whose
+changes are parallel are then fitted to each other's recordings.
 """
 
 from __future__ import annotations
 
+import itertools
 from dataclasses import dataclass
 from typing import Any
 
@@ -13,20 +15,21 @@ import numpy as np
 
 from jaxid.binding import bind, Binding
 from jaxid.chain import Chain
-from jaxid.diagnosis.which import candidates, explained_by_retuning, probe_residuals
+from jaxid.diagnosis.which import Candidate, candidates, explained_by_retuning, probe_residuals
 from jaxid.errors import UsageError
 from jaxid.estimation import Bench, probes
 from jaxid.experiment import Dataset
+from jaxid.fitters import search
 from jaxid.layout import Layout
-from jaxid.problem import rows
+from jaxid.problem import Problem, rows
 from jaxid.residual import OutputError
 
 
 #: An effect is absorbed where re-tuning leaves less than this share of what a weak one (WEAK of a probe) changes.
 ABSORBED, WEAK = 3e-3, 1e-3
-#: Two effects are alike where, at every probe strength of each, the other has one whose change points the same way: this cosine
-#: at least, weak and at full strength (where what re-tuning does is taken out to first order only).
-ALIKE, ALIKE_AT_FULL = 0.9999, 0.99
+#: Two effects whose weak changes point this much the same way (cosine) are compared in earnest: the recording of one, at its
+#: last probe, is fitted with the other, and they are alike where both fits leave less than LEFT of what re-tuning alone leaves.
+PARALLEL, LEFT = 0.999, 0.01
 RATE, SECONDS = 200, 5.0
 
 
@@ -98,9 +101,9 @@ def equivalences(model: str) -> Equivalences:
     found = probe_residuals(p, z, thetas)
     noise = 1e-7 * np.sqrt(base.size) * float(np.mean([part.w.max() for part in parts])) * float(np.max(binding.sigma)) * 1e3
     absorbed, invisible = [], []
-    seen: dict[Place, tuple[np.ndarray, np.ndarray]] = {}
+    seen: dict[Place, tuple[np.ndarray, Candidate]] = {}
     for k, c in enumerate(pool):
-        left, ways, tangents = [], [], []
+        left, acts, tangents = [], False, []
         for n in np.flatnonzero(np.array(owner) == k):
             for full, r in ((True, found[2 * n]), (False, found[2 * n + 1])):
                 change = r - base
@@ -108,34 +111,64 @@ def equivalences(model: str) -> Equivalences:
                 if not np.isfinite(size) or size < (noise if full else noise * WEAK):
                     continue
                 rest = remaining(change)
-                (ways if full else tangents).append(rest / max(float(np.linalg.norm(rest)), 1e-300))
+                acts |= full
                 if not full:
+                    tangents.append(rest / max(float(np.linalg.norm(rest)), 1e-300))
                     left.append(float(np.linalg.norm(rest)) / size)
         place = Place(c.effect, c.location, max(left, default=1.0))
-        if not ways:
+        if not acts:
             invisible.append(Place(c.effect, c.location, 0.0))
         elif left and place.left < ABSORBED:
             absorbed.append(place)
         else:
-            seen[place] = np.array(tangents), np.array(ways)
-    return Equivalences(model, text, tuple(absorbed), tuple(invisible), _classes(seen))
+            seen[place] = np.array(tangents), c
+    alike = {frozenset(pair) for pair in _parallel(seen) if all(_explains(bench, p, z, *order) for order in _orders(seen, pair))}
+    return Equivalences(model, text, tuple(absorbed), tuple(invisible), _classes(list(seen), alike))
 
 
-def _classes(seen: dict[Place, tuple[np.ndarray, np.ndarray]]) -> tuple[tuple[Place, ...], ...]:
-    """Groups of places whose changes [probes samples], weak and at full strength, point the same ways."""
+def _parallel(seen: dict[Place, tuple[np.ndarray, Candidate]]) -> list[tuple[Place, Place]]:
+    """Pairs whose weak changes [probes samples] point the same ways."""
+    out = []
+    for first, second in itertools.combinations(seen, 2):
+        a, b = seen[first][0], seen[second][0]
+        if a.size and b.size and min((c := np.abs(a @ b.T)).max(1).min(), c.max(0).min()) > PARALLEL:
+            out.append((first, second))
+    return out
 
-    def alike(a: np.ndarray, b: np.ndarray, least: float) -> bool:
-        if not a.size or not b.size:
-            return a.size == b.size
-        cosine = np.abs(a @ b.T)
-        return bool(min(cosine.max(1).min(), cosine.max(0).min()) > least)
 
-    left, out = list(seen), []
-    while left:
-        group = [left.pop(0)]
-        weak, full = seen[group[0]]
-        group += [p for p in left if alike(weak, seen[p][0], ALIKE) and alike(full, seen[p][1], ALIKE_AT_FULL)]
-        left = [p for p in left if p not in group]
+def _orders(seen: dict[Place, tuple[np.ndarray, Candidate]], pair: tuple[Place, Place]) -> list[tuple[Candidate, Candidate]]:
+    a, b = (seen[place][1] for place in pair)
+    return [(a, b), (b, a)]
+
+
+def _explains(bench: Bench, p: Problem, z: np.ndarray, truth: Candidate, other: Candidate) -> bool:
+    """Whether the model with one effect follows the recording that the other one makes."""
+    b = bench.binding
+    of = lambda c: probes(b, next(e for e in b.chain.effects if e.name == c.effect), c.location, p.theta(z))
+    strengths = of(truth)
+    made = p.runs.engine.outputs(np.array([strengths[-1]]), p.starts(z), np.array(p.records))[0]
+    (number,) = p.records
+    record = p.runs.record(number)
+    targets = p.runs.targets.copy()
+    targets[record.offset : record.offset + record.count] = made[: record.count]
+    left = []
+    for free, starts in ((list(p.free), [p.theta(z)]), ([*p.free, *other.index], of(other))):
+        problem = bench.problem(OutputError(), "fit", free, starts[0])
+        problem.targets = targets
+        (path,), _ = search([[(problem, problem.z(theta)) for theta in starts]], 25, 1e-10)
+        left.append(path.cost)
+    return bool(left[1] < LEFT**2 * left[0])
+
+
+def _classes(places: list[Place], alike: set[frozenset[Place]]) -> tuple[tuple[Place, ...], ...]:
+    """Groups of places that are alike, one by one or through others."""
+    out = []
+    while places:
+        group = [places.pop(0)]
+        for member in group:
+            mates = [p for p in places if frozenset((member, p)) in alike]
+            group += mates
+            places = [p for p in places if p not in mates]
         if len(group) > 1:
             out.append(tuple(group))
     return tuple(out)
@@ -187,6 +220,7 @@ def _with_friction(binding: Binding) -> np.ndarray:
     for effect in binding.chain.effects:
         for place in binding.chain.places(effect):
             index = binding.layout.of_effect(effect.name, place)
-            if index and set(index) <= binding.nominal and effect.probes and not np.any(theta[index]):
+            friction = index and np.all(binding.lower[index] >= 0)  # an offset would start the run by itself
+            if friction and set(index) <= binding.nominal and effect.probes and not np.any(theta[index]):
                 theta = probes(binding, effect, place, theta)[0]
     return theta
