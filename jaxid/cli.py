@@ -248,10 +248,23 @@ def models(name, as_json, quiet) -> int:
 
 @cli.command()
 @click.argument("name", required=False)
+@click.option("--model", metavar="M", help="Say which effects model M cannot tell apart, and which its parameters absorb.")
 @output_options
-def effects(name, as_json, quiet) -> int:
+def effects(name, model, as_json, quiet) -> int:
     """List the effects a model can lack, or describe one."""
-    return catalogue("effects", name, as_json, quiet)
+    if model is None:
+        return catalogue("effects", name, as_json, quiet)
+    from jaxid import runtime
+
+    runtime.prepare()
+    from jaxid.equivalence import equivalences
+
+    found = equivalences(model)
+    if as_json:
+        print(json.dumps(found.to_dict(), indent=1))
+    elif not quiet:
+        terminal.say(str(found))
+    return SUCCESS
 
 
 @cli.command()

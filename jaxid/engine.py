@@ -279,6 +279,19 @@ class Engine:
             self._restricted[kept] = programs_for(small, *self._kind), index
         return self._restricted[kept]
 
+    def predictor(self, theta: np.ndarray, free: np.ndarray) -> tuple[Callable[..., Array], dict[Any, Any]]:
+        """`predict` for numbers that equal theta but in `free`: only with the effects that can then be at work; and the compiled
+        losses made of it."""
+        could = np.zeros(len(theta), bool)
+        could[free] = True
+        could |= (theta != self._neutral) | np.any(~np.isnan(self.overrides), 0)
+        kept = frozenset(name for name, index in self._families.items() if could[index].any())
+        if len(kept) == len(self._families):
+            return self.predict, self.programs
+        programs, index = self._programs_of(kept)
+        predict = lambda theta, *others: programs.predict(theta[:, index], *others)
+        return predict, self.programs.setdefault(kept, {})
+
     def _call(self, name: str, numbers, states, record: np.ndarray, share: float) -> list[np.ndarray]:
         results: list[np.ndarray] = []
         for kept, lanes in self._at_work(numbers, record).items():

@@ -75,7 +75,7 @@ class Problem(AbstractProblem):
         typical = 0.02 * (self.upper - self.lower)[: self.free.size] if scale is None else scale[self.free]
         self.scale = np.concatenate([np.where(self.log, 1.0, typical), 0.1 * reach[rows, columns]])
         self.whole = lower, upper, scale
-        self.programs = runs.engine.programs
+        self.predict, self.programs = runs.engine.predictor(self.base, self.free)
         self.work = int(runs.engine.steps[self.records].max()) * len(self.records)
         self.targets, self.weights = runs.targets, runs.weights
         self._data: Data | None = None
@@ -144,7 +144,7 @@ class Problem(AbstractProblem):
 
     @property
     def pure(self) -> Losses:
-        predict, length, total = self.runs.engine.predict, self.runs.engine.length, LOSSES[self.loss_name]
+        predict, length, total = self.predict, self.runs.engine.length, LOSSES[self.loss_name]
         return lambda z, data: penalised(total(sums(predict, length, z, data), data.count, data.norm))
 
     @property

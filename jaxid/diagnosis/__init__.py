@@ -119,7 +119,7 @@ def _search(
     bench = searcher.bench
     compile_time = sum(b.compile_time() for b in (*searcher.benches, bench))
     path = search.nominal.path
-    minimum = Minimum(path.z, path.problem.loss(path.z), result.converged, result.stopped_because, result.evaluations,
+    minimum = Minimum(path.z, search.nominal.fit_loss, result.converged, result.stopped_because, result.evaluations,
                       result.history)  # fmt: skip
     spent = time.perf_counter() - began
     return (
@@ -180,7 +180,7 @@ def _effect_estimates(binding: Binding, h: Hypothesis) -> tuple[EffectEstimate, 
 
 def _fit(bench: Bench, h: Hypothesis, residual: Residual, seed: int, compile_time: float, wall_time: float) -> Fit:
     problem = h.path.problem
-    minimum = Minimum(h.path.z, problem.loss(h.path.z), h.path.converged, h.path.stopped, h.path.linearisations)
+    minimum = Minimum(h.path.z, h.fit_loss, h.path.converged, h.path.stopped, h.path.linearisations)
     return assemble(bench, problem, minimum, residual, "lm", seed, compile_time, wall_time)
 
 

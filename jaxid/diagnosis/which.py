@@ -7,7 +7,7 @@ of the true effect; runs that were not fitted do not.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -16,7 +16,7 @@ from jaxid.diagnosis.evidence import held_out, HeldOut, inflation, memory, worth
 from jaxid.estimation import Bench, probes, step_error, STEP_SHARE
 from jaxid.fitter import Progress
 from jaxid.fitters import descend, Path, search
-from jaxid.problem import Problem, rows
+from jaxid.problem import Problem, rows, Rows
 from jaxid.residual import InverseDynamics, Residual
 
 
@@ -167,26 +167,19 @@ class Searcher:
         self, p: Problem, z: np.ndarray, theta0: np.ndarray, pool: Sequence[Candidate]
     ) -> list[tuple[float, Candidate, list[np.ndarray]]]:
         parts = list(rows([(p, z)]))
-        Q = _basis(parts, p.size)
-        r0 = np.concatenate([part.r.ravel() for part in parts])
-        total = float(r0 @ r0)
-        r0 = r0 - Q @ (Q.T @ r0)
-        probes: list[tuple[Candidate, np.ndarray]] = []
-        jobs = []
-        for c in pool:
-            for theta in self.probes(c, theta0):
-                q = Problem(p.runs, theta, [], self.bench.binding.lower, self.bench.binding.upper, p.records)
-                zq = np.concatenate([np.zeros(0), p.starts(z)[q.start_rows, q.start_columns]])
-                probes.append((c, theta))
-                jobs.append((q, zq))
-        residuals = _residuals(p, jobs)
+        remaining = explained_by_retuning(parts, p.size)
+        before = np.concatenate([part.r.ravel() for part in parts])
+        total = float(before @ before)
+        r0 = remaining(before)
+        probes = [(c, theta) for c in pool for theta in self.probes(c, theta0)]
+        residuals = probe_residuals(p, z, [theta for _, theta in probes])
         best: dict[str, list[tuple[float, np.ndarray]]] = {}
         who: dict[str, Candidate] = {}
         for (c, theta), r in zip(probes, residuals, strict=True):
-            d = r - np.concatenate([part.r.ravel() for part in parts])
+            d = r - before
             if not np.isfinite(d).all():
                 continue
-            d = d - Q @ (Q.T @ d)
+            d = remaining(d)
             power = float(d @ d)
             if power <= 1e-12 * max(total, 1.0) * 1e-6 or power < 1e-6:
                 continue  # the data do not react to this effect
@@ -382,8 +375,8 @@ def _key(effects: Sequence[Candidate]) -> frozenset[str]:
     return frozenset(str(c) for c in effects)
 
 
-def _basis(parts, size: int) -> np.ndarray:
-    """Orthonormal basis of what re-tuning can do to the residual, [samples rank]."""
+def explained_by_retuning(parts: Sequence[Rows], size: int) -> Callable[[np.ndarray], np.ndarray]:
+    """Takes out of a residual vector what re-tuning the free numbers could do to it, to first order."""
     n = sum(part.r.size for part in parts)
     J = np.zeros((n, size))
     k = 0
@@ -391,23 +384,18 @@ def _basis(parts, size: int) -> np.ndarray:
         J[k : k + part.r.size, part.z_columns] = part.J.reshape(part.r.size, -1)
         k += part.r.size
     J = J[:, np.abs(J).max(0) > 0] / np.linalg.norm(J[:, np.abs(J).max(0) > 0], axis=0)
-    q, s, _ = np.linalg.svd(J, full_matrices=False)
-    return q[:, s > 1e-9 * s[0]] if s.size else q
+    Q, s, _ = np.linalg.svd(J, full_matrices=False)
+    Q = Q[:, s > 1e-9 * s[0]] if s.size else Q
+    return lambda r: r - Q @ (Q.T @ r)
 
 
-def _residuals(p: Problem, jobs: Sequence[tuple[Problem, np.ndarray]]) -> list[np.ndarray]:
-    """Weighted residual vectors at the samples, without tangents."""
-    runs = p.runs
-    n = len(p.records)
-    theta = np.repeat(np.array([q.base for q, _ in jobs]), n, 0)
-    start = np.concatenate([q.starts(z) for q, z in jobs])
-    record = np.tile(np.array(p.records), len(jobs))
-    y = runs.engine.outputs(theta, start, record)
-    out = []
-    for k in range(len(jobs)):
-        parts = []
-        for i, number in enumerate(p.records):
-            at = runs.record(number).samples
-            parts.append((runs.weights[at] * (runs.sample_prediction(number, y[k * n + i]) - runs.targets[at])).ravel())
-        out.append(np.concatenate(parts))
-    return out
+def probe_residuals(p: Problem, z: np.ndarray, thetas: Sequence[np.ndarray]) -> list[np.ndarray]:
+    """Weighted residual vectors at the samples for full parameter vectors, from the starts of z."""
+    runs, n = p.runs, len(p.records)
+    record = np.tile(np.array(p.records), len(thetas))
+    y = runs.engine.outputs(np.repeat(np.array(thetas), n, 0), np.tile(p.starts(z), (len(thetas), 1)), record)
+    each = []
+    for k, number in enumerate(record):
+        at = runs.record(number).samples
+        each.append((runs.weights[at] * (runs.sample_prediction(number, y[k]) - runs.targets[at])).ravel())
+    return [np.concatenate(each[k : k + n]) for k in range(0, len(each), n)]
