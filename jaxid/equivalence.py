@@ -196,10 +196,21 @@ def _rich_motion(chain: Chain, model: str) -> tuple[Dataset, str]:
         outputs = y or {n: np.sin(t) for n, _ in chain.signature.outputs}
         noise = {n: max(1e-3 * float(np.std(v)), 1e-9) for n, v in outputs.items()}
         return Dataset.from_arrays(
-            t, inputs, outputs, units=units, noise_std=noise, at_rest=True, model=model, split="fit", initial=None, check_model=False
+            t,
+            inputs,
+            outputs,
+            units=units,
+            noise_std=noise,
+            at_rest=True,
+            model=model,
+            split="fit",
+            initial=None,
+            check_model=False,
         )
 
-    stated = {e.name: {"value": float(v)} for e, v in zip(Layout(chain).entries, Layout(chain).values, strict=True) if not e.spec.fixed}
+    stated = {
+        e.name: {"value": float(v)} for e, v in zip(Layout(chain).entries, Layout(chain).values, strict=True) if not e.spec.fixed
+    }
     best = None
     for strength in 10.0 ** np.arange(-3, 4.1, 0.5) if names else [1.0]:
         run = simulate_dataset({"parameters": stated, "effects": []}, recorded(strength), None).runs[0]

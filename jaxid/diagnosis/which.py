@@ -16,7 +16,7 @@ from jaxid.diagnosis.evidence import held_out, HeldOut, inflation, memory, worth
 from jaxid.estimation import Bench, probes, step_error, STEP_SHARE
 from jaxid.fitter import Progress
 from jaxid.fitters import descend, Path, search
-from jaxid.problem import Problem, rows, Rows
+from jaxid.problem import Problem, Rows, rows
 from jaxid.residual import InverseDynamics, Residual
 
 
