@@ -310,7 +310,7 @@ def test_restarts_go_on_from_a_stall():
     once = DifferentialEvolution(popsize=8, generations=100, strategy="best/1", F=(0.3, 0.3), stall=20)
     often = dataclasses.replace(once, restarts=20)
     losses = [f.minimise(problem, [np.array([3.9, 3.9])], jax.random.key(1)).loss for f in (once, often)]
-    assert losses[1] < 0.3 * losses[0]
+    assert losses[1] < 0.7 * losses[0]
 
 
 # ---- recursion

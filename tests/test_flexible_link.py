@@ -11,6 +11,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 import scipy.linalg
+from jax.flatten_util import ravel_pytree
 from scipy.integrate import solve_ivp
 from scipy.optimize import brentq
 
@@ -190,6 +191,29 @@ def test_centrifugal_terms_change_the_clamped_frequency():
                 assert np.sqrt(np.linalg.eigvals(K).real.min()) / 2 / pi == pytest.approx(f, abs=6e-4)
                 dense = DE["E"] * Kp - speed**2 * (Mp - stiff * G)
                 assert np.sqrt(scipy.linalg.eigvalsh(dense, Mp)[0]) / 2 / pi == pytest.approx(f, abs=6e-4)
+
+
+@pytest.mark.parametrize("stiffening", [0.0, 1.0])
+def test_energy_is_kept_for_20_seconds(stiffening):
+    """Without damping and friction: hub at 8 rad/s, bent beam; kinetic and strain energy from the elements' integrals."""
+    undamped: dict[str, Any] = OWN | {"alpha": 0.0, "beta": 0.0, "stiffening": stiffening, "n_elements": 1, "nonlinear": True}
+    with float64():
+        model = FlexibleLink(**undamped).prepare(None)
+        shapes = np.asarray(model.prepared[0].shapes)
+        x0 = (jnp.zeros(1), jnp.array([8.0]), jnp.array([2e-3, 0.0]), jnp.zeros(2))
+        flat, unravel = ravel_pytree(x0)
+        field = jax.jit(lambda x: ravel_pytree(model.vector_field(0.0, unravel(x), jnp.zeros(1)))[0])
+        end = solve_ivp(lambda t, x: np.asarray(field(x)), (0, 20), np.asarray(flat), "DOP853", rtol=1e-11, atol=1e-13).y[:, -1]
+
+        def energy(x) -> float:
+            _, w, e, z = unravel(jnp.asarray(x))
+            psi, psid = jnp.asarray(shapes @ np.asarray(e)), jnp.asarray(shapes @ np.asarray(z))
+            b = model.beam()
+            kinetic = beam.kinetic_energy(b, w[0], psi, psid) + DE["I_m"] * w[0] ** 2 / 2
+            # Foreshortening lowers the inertia: it counts against the kinetic energy.
+            return float(kinetic + beam.strain_energy(b, psi) - stiffening * beam.foreshortening_energy(b, w[0], psi))
+
+        assert abs(energy(end) - energy(flat)) < 1e-8 * energy(flat)
 
 
 # ---- time
