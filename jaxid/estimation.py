@@ -119,7 +119,8 @@ def probes(binding: Binding, effect: Effect, place: str, theta: np.ndarray) -> l
 
 
 def probe_starts(bench: Bench, problem: Problem, theta: np.ndarray, keep: int = 4) -> list[np.ndarray]:
-    """Starts for added effects: the best of their probes. At the neutral value many effects have no derivative."""
+    """Starts for added effects: the best of their probes, and what the torque residual makes of them all (free of the free run's
+    local minima). At the neutral value many effects have no derivative."""
     b, found = bench.binding, []
     for effect in b.chain.effects:
         for place in b.chain.places(effect):
@@ -136,7 +137,12 @@ def probe_starts(bench: Bench, problem: Problem, theta: np.ndarray, keep: int = 
     with np.errstate(all="ignore"):
         each = [np.sum(problem.runs.residual(r, y[k]) ** 2) for k, r in enumerate(problem.records * len(found))]
         cost = np.nan_to_num(np.array(each).reshape(len(found), n).sum(1), nan=np.inf)
-    return [found[k] for k in np.argsort(cost, kind="stable")[:keep] if np.isfinite(cost[k])]
+    best = [found[k] for k in np.argsort(cost, kind="stable")[:keep] if np.isfinite(cost[k])]
+    if not b.motions or b.chain.mechanism.hidden_states or not b.dataset.split("fit"):
+        return best
+    torque = bench.problem(InverseDynamics(decimate=1), "fit", problem.free, theta)
+    paths = sorted(descend([(torque, torque.z(f)) for f in found], 15, 1e-7), key=lambda p: p.cost)
+    return best + [torque.theta(p.z) for p in paths[:2] if np.isfinite(p.cost)]
 
 
 def estimate_starts(bench: Bench, split: str, thetas: Sequence[np.ndarray]) -> np.ndarray:

@@ -75,6 +75,7 @@ TORQUE = Quantity(1.0, (("torque", 1),))
 SPEED = Quantity(1.0, (("speed", 1),))
 ANGLE = Quantity(1.0, (("angle", 1),))
 DURATION = Quantity(1.0, (("duration", 1),))
+STEP = Quantity(1.0, (("step", 1),))
 
 Bound = float | Quantity
 

@@ -184,7 +184,8 @@ def test_centrifugal_terms_change_the_clamped_frequency():
     Mp, Kp, _, _, G = elements()
     with float64():
         for stiff, table in ((False, {3: 3.466, 5: 3.407, 10: 3.116}), (True, {3: 3.505, 5: 3.517, 10: 3.569})):
-            link = FlexibleLink(**OWN, nonlinear=True, stiffening=stiff).prepare(None)
+            values: dict[str, Any] = OWN | {"stiffening": float(stiff), "nonlinear": True}
+            link = FlexibleLink(**values).prepare(None)
             for speed, f in table.items():
                 still = jnp.zeros(8)
                 K = -np.asarray(jax.jacfwd(link.pull, 1)(jnp.array([float(speed)]), still, still))

@@ -26,6 +26,9 @@ DECISIVE = 9.0
 SCREEN_SHARE, MINIMUM, MAXIMUM = 0.02, 6, 16
 #: An effect must remove at least this share of what is left of the gap on validation data.
 GAIN = 0.02
+#: Timing comes before physics: these are always refitted first, and win a tie. One sample of offset between two channels, or the
+#: wrong hold of the command, is soon made and looks like lag, friction or inertia.
+TIMING = ("input_hold", "input_delay", "sensor_delay")
 #: Near the floor: nothing worth another effect is left below this mean square on validation data.
 NEAR_FLOOR = 1.02
 
@@ -263,7 +266,9 @@ class Searcher:
         names = {str(c) for _, c, _ in kept}
         # A free run that has gone far astray says little to first order: what the torque screen puts first is tried as well.
         more = {str(c) for _, c, _ in _head(self.torque_screen(h, [c for _, c, _ in ranked]))} - names
-        kept = [*kept, *(f for f in ranked if str(f[1]) in more)][:MAXIMUM]
+        first = [f for f in ranked if f[1].effect in TIMING and not h.effects]
+        others = [f for f in (*kept, *(f for f in ranked if str(f[1]) in more)) if f not in first]
+        kept = [*first, *others][:MAXIMUM]
         if self.progress:
             self.progress("refit", len(h.effects), 3, f"{len(kept)} candidates")
         return self.refit([((*h.effects, c), starts) for _, c, starts in kept])
@@ -292,7 +297,7 @@ class Searcher:
 
     def _best(self, before: Hypothesis, found: Sequence[Hypothesis]) -> Hypothesis | None:
         """The choice among refits: best on validation data; of those that it does not beat decisively, the one with the
-        fewest parameters, then with the best evidence on fit and validation data together."""
+        fewest parameters, timing before physics, then the best evidence on fit and validation data together."""
         good = [h for h in found if self._significant(before, h)]
         if not good:
             return None
@@ -300,7 +305,8 @@ class Searcher:
         factor = inflation(top.validation)
         near = [h for h in good if worth(top.validation, h.validation, factor) < DECISIVE]
         fewest = min(h.size for h in near)
-        return min((h for h in near if h.size == fewest), key=self._joint)
+        physics = lambda h: h.effects[-1].effect not in TIMING
+        return min((h for h in near if h.size == fewest), key=lambda h: (physics(h), self._joint(h)))
 
     def _joint(self, h: Hypothesis) -> float:
         """Mean square over fit and validation samples together."""

@@ -9,7 +9,7 @@ from jaxtyping import Array
 
 from jaxid.arithmetic import sincos
 from jaxid.chain import drives, InputEffect, JointEffect
-from jaxid.parameter import ANGLE, param, Quantity, SPEED, TORQUE
+from jaxid.parameter import ANGLE, param, Quantity, SPEED, STEP, TORQUE
 
 
 class DeadZone(InputEffect):
@@ -47,7 +47,12 @@ class InputDelay(InputEffect):
     source: ClassVar[str] = "exact for a held input: mean of the delayed command over the step"
     excitation: ClassVar[str] = "one multisine with energy up to ten times the bandwidth, and a recorded clock pulse"
     delay: Array = param(0.0, 0.0, 0.1, scale=0.002, unit="s", meaning="delay of the command")
-    probes: ClassVar[tuple[dict[str, Quantity | float], ...]] = ({"delay": 0.001}, {"delay": 0.004}, {"delay": 0.015})
+    probes: ClassVar[tuple[dict[str, Quantity | float], ...]] = (
+        {"delay": 0.001},
+        {"delay": 1.0 * STEP},
+        {"delay": 0.004},
+        {"delay": 0.015},
+    )
 
     def start(self, u):
         return ()

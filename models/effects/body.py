@@ -11,12 +11,11 @@ from jaxid.arithmetic import sincos
 from jaxid.chain import BodyEffect, JointEffect
 from jaxid.coupling import with_inertia
 from jaxid.mechanism import Mechanism
-from jaxid.parameter import ANGLE, DURATION, param, Quantity, SPEED, TORQUE
+from jaxid.parameter import ANGLE, DURATION, param, Quantity, SPEED, STEP, TORQUE
 
 
 #: Inertia that the drive's torque would swing over the travel at the speed seen.
 INERTIA = TORQUE * ANGLE / (SPEED * SPEED)
-STEP = Quantity(1.0, (("step", 1),))
 
 
 @runtime_checkable

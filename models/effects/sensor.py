@@ -9,7 +9,7 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float
 
 from jaxid.chain import OutputEffect, RecordEffect
-from jaxid.parameter import ANGLE, param, Quantity
+from jaxid.parameter import ANGLE, param, Quantity, STEP
 
 
 class SensorBias(OutputEffect):
@@ -91,7 +91,12 @@ class SensorDelay(RecordEffect):
     source: ClassVar[str] = "exact but for the interpolation (four points)"
     excitation: ClassVar[str] = "a pulse that both the command and this channel record, or closed loop with the command logged"
     delay: Array = param(0.0, 0.0, 0.1, scale=0.002, unit="s", meaning="delay of the reading")
-    probes: ClassVar[tuple[dict[str, Quantity | float], ...]] = ({"delay": 0.001}, {"delay": 0.004}, {"delay": 0.015})
+    probes: ClassVar[tuple[dict[str, Quantity | float], ...]] = (
+        {"delay": 0.001},
+        {"delay": 1.0 * STEP},
+        {"delay": 0.004},
+        {"delay": 0.015},
+    )
 
     def __call__(self, t, y):
         late = jax.vmap(lambda column, d: interpolated(t, column, t - d), (1, 0), 1)(y, self.delay)
