@@ -320,7 +320,7 @@ def test_an_effect_is_found_again(effect):
     )  # fmt: skip
     # The whole library stays in the chain at its neutral values, so that effects of a family share a program.
     binding = bind(None, data, effects=[effect], candidates=LIBRARY, splits=False)
-    bench = Bench(binding)
+    bench = Bench(binding, 1.25e-3)  # the step of a fit that has checked its step
     guesses = start_values(bench, binding.free, 0)
     problem = bench.problem(OutputError(), "fit", binding.free, guesses[0])
     starts = [problem.z(theta) for theta in (*guesses, *probe_starts(bench, problem, guesses[0]))]
