@@ -155,7 +155,7 @@ class Programs(NamedTuple):
     predict: Callable[..., Array]
     outputs: Callable[..., Any]
     tangents: Callable[..., Any]
-    losses: dict[str, Any]
+    losses: dict[Any, Any]
     known: set[str]  # which of them have been compiled in this process
 
 

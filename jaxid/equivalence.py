@@ -185,7 +185,8 @@ def _rich_motion(chain: Chain, model: str) -> tuple[Dataset, str]:
     units = dict((*chain.signature.inputs, *chain.signature.outputs))
     shape = {}
     for name, unit in chain.signature.inputs:
-        u = sum(np.sin(2 * np.pi * f * t + rng.uniform(0, 2 * np.pi)) / np.sqrt(f) for f in rng.uniform(0.3, 8.0, 10)) / 2.5
+        sines = [np.sin(2 * np.pi * f * t + rng.uniform(0, 2 * np.pi)) / np.sqrt(f) for f in rng.uniform(0.3, 8.0, 10)]
+        u = np.sum(sines, 0) / 2.5
         for _ in range(4):
             a = int(rng.integers(40, t.size - 120))
             u[a : a + int(rng.integers(30, 100))] = rng.choice([-1.0, 0.0, 0.0, 1.0])

@@ -329,7 +329,8 @@ def test_an_effect_is_found_again(effect):
     if effect in NEAR:
         near = guesses[-1].copy()
         for i in binding.layout.of_effect(effect):
-            near[i] = 1.1 * FOUND[effect].get(binding.layout.entries[i].field, near[i] / 1.1)
+            value = FOUND[effect].get(str(binding.layout.entries[i].field))
+            near[i] = near[i] if value is None else 1.1 * value
         starts.insert(0, problem.z(near))
     found = LevenbergMarquardt(restarts=0).minimise(problem, starts, jax.random.key(0))
     assert 0.7 < found.loss < 1.3, found.loss
