@@ -96,6 +96,36 @@ def search(
     return best, tried
 
 
+#: Stages of a race, as of `STAGES`; how many go on to the end, and those whose cost is within this factor of the best.
+HEATS = ((0.1, 5, 2), (0.4, 4, 2), (1.0, 4, 1))
+FINALISTS, WITHIN = 5, 1.5
+
+
+def race(groups: Sequence[Sequence[tuple[AbstractProblem, np.ndarray]]], iterations: int, tolerance: float) -> list[Path]:
+    """A path of each group of (problem, start) on the same data, as by `search` but for a choice among the groups: those that are
+    clearly behind after the first steps stay where they are, and only the front ones descend to the end."""
+    current = [list(g) for g in groups]
+    paths: list[Path] = []
+    for share, steps, keep in HEATS:
+        if share == 1.0:
+            for g, original in zip(current, groups, strict=True):
+                g += [original[0]] if not any(z is original[0][1] for _, z in g) else []
+        flat = [(k, job) for k, g in enumerate(current) for job in g]
+        found = descend([job for _, job in flat], steps, 1e-4, share)
+        paths = []
+        for k, g in enumerate(current):
+            own = sorted((p for (n, _), p in zip(flat, found, strict=True) if n == k), key=lambda p: p.cost)
+            points = distinct([p.z for p in own if np.isfinite(p.cost)] or [own[0].z])[:keep]
+            current[k] = [(g[0][0], z) for z in points]
+            paths.append(own[0])
+    order = sorted(range(len(paths)), key=lambda k: paths[k].cost)
+    front = [k for n, k in enumerate(order) if n < FINALISTS or paths[k].cost <= WITHIN * paths[order[0]].cost]
+    for k, path in zip(front, descend([current[k][0] for k in front], iterations, tolerance), strict=True):
+        if path.cost <= paths[k].cost:
+            paths[k] = path
+    return paths
+
+
 Curvature = Callable[["Path", np.ndarray, Linear], np.ndarray]
 
 

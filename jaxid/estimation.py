@@ -39,9 +39,11 @@ class Bench:
 
     def __post_init__(self):
         self._runs: dict[tuple[str, str], Runs] = {}
-        steps = {e.name: samples.step_count(e, self.step) for e in self.binding.dataset.experiments}
+        # One shape for all splits, and for the half step that a search may go over to: one program.
+        room = min(self.step, samples.STEP / 2)
+        steps = {e.name: samples.step_count(e, room) for e in self.binding.dataset.experiments}
         totals = [sum(steps[e.name] for e in self.binding.experiments(s)) for s in ("fit", "validation", "report")]
-        self._shape = max(totals), max(steps.values(), default=0)  # one shape for all splits, hence one program
+        self._shape = max(totals), max(steps.values(), default=0)
 
     def runs(self, residual: Residual, split: str) -> Runs:
         key = (repr(residual), split)
