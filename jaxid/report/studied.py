@@ -104,17 +104,17 @@ def _losses(shown: dict[Problem, list[tuple[Task, Outcome]]], fitters: list[str]
     from jaxid.study.tables import best_loss, excess, TOLERANCE
 
     axes = figure.add_subplot()
-    seen = set()
+    points: dict[str, list[tuple[float, float]]] = {fitter: [] for fitter in fitters}
     for k, runs in enumerate(shown.values()):
         best = best_loss(runs)
-        for task, o in runs:
-            j = fitters.index(task.method)
-            x = np.clip(excess(o, best), LOWEST, RIGHT)
-            y = k + 0.7 * ((j + 0.5) / len(fitters) - 0.5) + 0.25 / len(fitters) * np.sin(7.0 * task.seed)
-            label = None if task.method in seen else plot.label(task.method, 20)
-            seen.add(task.method)
-            color, marker = COLORS[j % len(COLORS)], MARKERS[(j // len(COLORS)) % len(MARKERS)]
-            axes.scatter([x], [y], s=12, marker=marker, color=color, alpha=0.7, linewidths=0, label=label)
+        for task, o in runs[:: max(1, len(runs) // plot.POINTS)]:
+            line = k + 0.7 * ((fitters.index(task.method) + 0.5) / len(fitters) - 0.5)
+            x = float(np.clip(excess(o, best), LOWEST, RIGHT))
+            points[task.method].append((x, line + 0.25 / len(fitters) * np.sin(7.0 * task.seed)))
+    for j, (fitter, own) in enumerate(points.items()):
+        color, marker = COLORS[j % len(COLORS)], MARKERS[(j // len(COLORS)) % len(MARKERS)]
+        x, y = np.array(own).reshape(-1, 2).T
+        axes.scatter(x, y, s=12, marker=marker, color=color, alpha=0.7, linewidths=0, label=plot.label(fitter, 20))
     axes.axvline(TOLERANCE, color=plot.GREY, linestyle="--", linewidth=0.8)
     axes.set_xscale("log")
     axes.set_yticks(range(len(shown)), [plot.label(str(p), 40) for p in shown])
@@ -134,7 +134,7 @@ def _seconds(result: StudyResult, fitters: list[str], figure) -> None:
                 if result.study.tasks[k].command == "fit" and result.study.tasks[k].method == fitter and getattr(o, field)
             ]
             if values:
-                x = np.sort(values)
+                x = np.quantile(values, np.linspace(0, 1, min(len(values), 200)))
                 label = plot.label(fitter, 20)
                 axes.step(x, (np.arange(len(x)) + 1) / len(x), where="post", color=COLORS[j % len(COLORS)], label=label)
         axes.set_xscale("log")

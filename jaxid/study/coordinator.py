@@ -16,7 +16,7 @@ import threading
 import time
 import uuid
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import asdict, dataclass, field
+from dataclasses import dataclass, field
 from typing import Any
 
 from jaxid.errors import UsageError
@@ -177,7 +177,7 @@ class Coordinator:
     def _submit(self, batch: Batch) -> None:
         tasks = list(batch.tasks.values())
         limits = [t.timeout_s for t in tasks if t.timeout_s is not None]
-        content = json.dumps([asdict(t) | {"key": t.key} for t in tasks])
+        content = json.dumps([t.settings | {"key": t.key} for t in tasks])
         future = self.client.submit(
             supervisor.run_batch,
             self.cluster.session,

@@ -39,7 +39,9 @@ class Outcome:
 
     def row(self, task: Task, arrays: str = "") -> Row:
         """For the store; the task's own settings go with it, so that a store can be read without its study."""
-        body = {name: getattr(self, name) for name in FIELDS} | {"task": {k: v for k, v in vars(task).items() if v is not None}}
+        body = {name: getattr(self, name) for name in FIELDS} | {
+            "task": {k: v for k, v in task.settings.items() if v is not None}
+        }
         return Row(self.key, self.status, json.dumps(body, allow_nan=False).encode(), arrays)
 
 
@@ -48,12 +50,15 @@ FIELDS = tuple(name for name in Outcome.__dataclass_fields__ if name not in ("ke
 
 def of_row(row: Row) -> Outcome:
     """The outcome that a row of the store holds."""
-    body = json.loads(row.body)
-    own = {name: body[name] for name in FIELDS if name in body}
-    return Outcome(row.key, row.status, **own | {"named": tuple(own.get("named", ()))})
+    return _outcome(json.loads(row.body) | {"key": row.key, "status": row.status})
 
 
 def of_message(message: Mapping[str, Any], host: str = "") -> Outcome:
     """The outcome that a solver has reported."""
-    own = {name: message[name] for name in FIELDS if name in message}
-    return Outcome(message["key"], message["status"], **own | {"named": tuple(own.get("named", ())), "host": host})
+    return _outcome({**message, "host": host})
+
+
+def _outcome(given: Mapping[str, Any]) -> Outcome:
+    own: dict[str, Any] = {name: given[name] for name in ("key", "status", *FIELDS) if name in given}
+    own["named"] = tuple(own.get("named", ()))
+    return Outcome(**own)

@@ -13,7 +13,8 @@ import math
 import re
 import tomllib
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass, fields
+from functools import cached_property
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 from typing import Any, Literal
@@ -123,17 +124,20 @@ class Task:
     timeout_s: float | None
     version: str
 
-    @property
+    @cached_property
+    def settings(self) -> dict[str, Any]:
+        """Every field by its name."""
+        return {f.name: getattr(self, f.name) for f in fields(self)}
+
+    @cached_property
     def group(self) -> str:
         """What tasks share that run in the same compiled programs: everything but the seed."""
-        own = asdict(self)
-        for name in ("seed", "timeout_s", "label", "dataset", "system"):
-            del own[name]
+        apart = {"seed", "timeout_s", "label", "dataset", "system"}
         if self.model_sha256 is not None:
-            del own["model"]  # a path; the content counts
-        return json.dumps(own, sort_keys=True)
+            apart.add("model")  # a path; the content counts
+        return json.dumps({k: v for k, v in self.settings.items() if k not in apart}, sort_keys=True)
 
-    @property
+    @cached_property
     def key(self) -> str:
         return hashlib.sha256(f"{self.group}\n{self.seed}".encode()).hexdigest()[:32]
 
@@ -247,9 +251,7 @@ def _toml(path: Path) -> tuple[str, dict[str, Any]]:
     except (OSError, ValueError) as error:
         if isinstance(error, StudyError):
             raise
-        raise refuse(
-            f"not readable ({getattr(error, 'strerror', None) or error})", "Check the path and its permissions"
-        ) from None
+        raise refuse(f"not readable ({_why(error)})", "Check the path and its permissions") from None
     try:
         text = content.decode("utf-8-sig")
     except UnicodeDecodeError as error:
@@ -262,6 +264,10 @@ def _toml(path: Path) -> tuple[str, dict[str, Any]]:
         message = str(error).split(" (at ")[0].strip().rstrip(".") or type(error).__name__
         row = int(line[1]) if line else None
         raise refuse(f"not readable as TOML: {message[:1].lower()}{message[1:]}", "Correct the line", row) from None
+
+
+def _why(error: Exception) -> str:
+    return getattr(error, "strerror", None) or str(error)
 
 
 def _meaningless(entry: RunsEntry, key: tuple[str | int, ...], places: Places) -> Iterator[Problem]:
@@ -319,9 +325,7 @@ class _Folders:
                     return None
                 digest, label, model = fingerprint(folder)
             except (OSError, ValueError, RuntimeError) as error:  # RuntimeError: a circle of links
-                self.problem(
-                    key, f"dataset {name!r} cannot be read ({getattr(error, 'strerror', None) or error})", "Correct the path"
-                )
+                self.problem(key, f"dataset {name!r} cannot be read ({_why(error)})", "Correct the path")
                 return None
             if self.labels.setdefault(label or name, digest) != digest:
                 label = name  # another recording has this name
@@ -338,7 +342,7 @@ class _Folders:
                 return None
             return str(path), hashlib.sha256(path.read_bytes()).hexdigest()
         except (OSError, ValueError, RuntimeError) as error:
-            self.problem(key, f"model {name!r} cannot be read ({getattr(error, 'strerror', None) or error})", "Correct the path")
+            self.problem(key, f"model {name!r} cannot be read ({_why(error)})", "Correct the path")
             return None
 
 

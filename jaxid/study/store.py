@@ -189,7 +189,7 @@ class Store:
         now = time.time()
         with self._transaction():
             held = self.db.execute("SELECT host, pid, started, renewed FROM lease").fetchone()
-            if held is not None and _alive(*held, now):
+            if held is not None and _alive(held):
                 raise StoreError(
                     f"{self.path}: this study is being run by process {held[1]} on {held[0].split('/')[0]}; "
                     "`jaxid batch STUDY.toml --status` shows how far it is"
@@ -288,7 +288,7 @@ class Store:
     def running(self) -> int:
         """Tasks handed out by a process that is alive."""
         held = self.db.execute("SELECT host, pid, started, renewed, running FROM lease").fetchone()
-        return held[4] if held is not None and _alive(*held[:4], time.time()) else 0
+        return held[4] if held is not None and _alive(held) else 0
 
     def arrays(self, row: Row) -> dict[str, Any]:
         """The history of a task [points 2]: evaluations and best loss so far; empty where it has none or its file is gone."""
@@ -423,11 +423,12 @@ def _started(pid: int) -> float:
         return 0.0
 
 
-def _alive(host: str, pid: int, started: float, renewed: float, now: float) -> bool:
-    """Whether the holder of a lease lives: on this machine by its process, elsewhere by its last word."""
+def _alive(held: Sequence[Any]) -> bool:
+    """Whether the holder of a lease (host, pid, started, renewed) lives: here by its process, elsewhere by its last word."""
+    host, pid, started, renewed = held[:4]
     if host == machine():
         return abs(_started(pid) - started) < 1.0
-    return abs(now - renewed) < LEASE_S
+    return abs(time.time() - renewed) < LEASE_S
 
 
 def loads(body: bytes) -> dict[str, Any]:
