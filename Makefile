@@ -2,7 +2,7 @@
 PYTHON ?= $(shell command -v python3.11 || command -v python3 || command -v python)
 BIN := .venv/bin
 
-.PHONY: demo test lint format benchmark clean
+.PHONY: demo test lint format benchmark benchmark-reliability clean
 
 demo: .venv/installed
 	$(BIN)/jaxid diagnose examples/servo_pendulum --out out/demo
@@ -22,6 +22,9 @@ format: .venv/installed-dev
 
 benchmark: .venv/installed-dev
 	$(BIN)/python benchmarks/run_all.py $(ARGS)
+
+benchmark-reliability: .venv/installed-dev
+	$(BIN)/python benchmarks/run_all.py reliability study_throughput
 
 clean:
 	rm -rf .venv out build dist .pytest_cache .ruff_cache .hypothesis *.egg-info

@@ -33,6 +33,8 @@ DEATHS = 2
 #: Solvers that die before they are ready, in a row, until the study gives up.
 STARTS = 4
 RENEW_S, WORKERS_S = 5.0, 1.0
+#: How long a scheduler may take to answer.
+CONNECT_S = 10.0
 #: After the first Ctrl-C running batches may finish for so long; then their processes are ended.
 GRACE_S = 1.0
 
@@ -345,7 +347,7 @@ def running_cluster(address: str) -> Iterator[Cluster]:
     from distributed import Client
 
     try:
-        client = Client(address, timeout=20, set_as_default=False)
+        client = Client(address, timeout=CONNECT_S, set_as_default=False)
     except (OSError, ValueError, TypeError) as error:
         raise UsageError(
             f"--scheduler {address}: no scheduler answers there ({error}); start one with `dask scheduler`"
