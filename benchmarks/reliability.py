@@ -25,9 +25,9 @@ import psutil
 
 from jaxid.study import read_study, run_study, study_status
 from jaxid.study.store import Row, Store, StoreError
-from study_fleet import number
-from test_batch import acknowledged, fleet, rows_of, SOLVE, table, write_dataset, write_study
-from test_batch_hostile import rich_study, survives
+from tests.study_fleet import number
+from tests.test_batch import acknowledged, rows_of, SOLVE, start, table, write_dataset, write_study
+from tests.test_batch_hostile import rich_study, survives
 
 
 SHARE = float(os.environ.get("JAXID_RELIABILITY", "1"))
@@ -126,8 +126,7 @@ def kills_of_fits(home: Path) -> tuple[str, str, str]:
 def poison(home: Path) -> tuple[str, str, str]:
     count = times(1000)
     study = write_study(home, f"seeds = {count}")
-    process = fleet(study, "--sleep", "0.02", "--poison", str(count // 2), wait=False)
-    assert isinstance(process, subprocess.Popen)
+    process = start(study, "--sleep", "0.02", "--poison", str(count // 2))
     rng, deaths = random.Random(12), 0
     while process.poll() is None:
         time.sleep(rng.uniform(0.2, 1.0))
@@ -192,9 +191,8 @@ def coordinators(home: Path) -> tuple[str, str, str]:
     ran, refused = 0, 0
     for _ in range(count):
         shutil.rmtree(home / "out", ignore_errors=True)
-        started = [fleet(study, "--sleep", "0.01", wait=False) for _ in range(4)]
+        started = [start(study, "--sleep", "0.01") for _ in range(4)]
         for p in started:
-            assert isinstance(p, subprocess.Popen)
             _, err = p.communicate(timeout=300)
             ran, refused = ran + (p.returncode == 0), refused + (p.returncode == 2 and "is being run by process" in err)
         with sqlite3.connect(home / "out" / "study.sqlite") as db:
@@ -211,8 +209,7 @@ def signals(home: Path) -> tuple[str, str, str]:
     spent, rng = [], random.Random(14)
     for k in range(times(20)):
         study = write_study(home, "seeds = 400", store=f"out{k}")
-        process = fleet(study, "--sleep", "0.05", "--hang", "3", wait=False)
-        assert isinstance(process, subprocess.Popen)
+        process = start(study, "--sleep", "0.05", "--hang", "3")
         until = time.monotonic() + 60
         while time.monotonic() < until and not study_status(study)[2].done:
             time.sleep(0.05)

@@ -74,14 +74,17 @@ def home(tmp_path):
     return tmp_path
 
 
-def fleet(study: Path, *solver: str, workers: int = 2, wait: bool = True, **more):
+def start(study: Path, *solver: str, workers: int = 2, **more) -> subprocess.Popen[str]:
     """A process that coordinates solvers which only calculate."""
     command = [sys.executable, FLEET, "run", str(study), "--workers", str(workers), "--", *solver]
-    process = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, **more)
-    if not wait:
-        return process
+    return subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, **more)
+
+
+def fleet(study: Path, *solver: str, **more) -> tuple[int, dict, str]:
+    """Exit code, final status and errors of such a process."""
+    process = start(study, *solver, **more)
     out, err = process.communicate(timeout=120)
-    return process.returncode, json.loads(out.splitlines()[-1]) if out.strip() else None, err
+    return process.returncode, json.loads(out.splitlines()[-1]) if out.strip() else {}, err
 
 
 def table(folder: Path) -> list[dict]:
@@ -194,7 +197,7 @@ def test_ten_kills(home):
     study = write_study(home, "seeds = 60")
     rng, kills, known = random.Random(1), 0, set()
     while kills < 10:
-        process = fleet(study, "--sleep", "0.04", wait=False)
+        process = start(study, "--sleep", "0.04")
         until = time.monotonic() + rng.uniform(0.6, 2.0)
         while time.monotonic() < until and process.poll() is None:
             time.sleep(0.02)
@@ -228,7 +231,7 @@ def uninterrupted(home: Path, study: Path) -> list[dict]:
 def test_poison_and_random_deaths(home, together):
     """One task kills its process each time, and processes are killed at random: all others have a result."""
     study = write_study(home, "seeds = 100")
-    process = fleet(study, "--sleep", "0.01", "--poison", "37", *(["--together"] if together else []), wait=False)
+    process = start(study, "--sleep", "0.01", "--poison", "37", *(["--together"] if together else []))
     rng, killed = random.Random(2), 0
     while process.poll() is None and killed < 5:
         time.sleep(rng.uniform(0.1, 0.4))
@@ -272,7 +275,7 @@ def test_a_solver_that_never_starts_ends_the_study(home):
 def test_signals_save_and_leave(home, number):
     """Within 2 s even where a task takes minutes; what was finished is there, and the study goes on."""
     study = write_study(home, "seeds = 40")
-    process = fleet(study, "--sleep", "0.05", "--hang", "30", wait=False)
+    process = start(study, "--sleep", "0.05", "--hang", "30")
     until = time.monotonic() + 30
     while time.monotonic() < until and study_status(study)[2].done < 5:
         time.sleep(0.1)
@@ -297,7 +300,7 @@ def rows_of(n: int, size: int = 200) -> list[Row]:
 
 def test_two_coordinators(home, monkeypatch):
     study = write_study(home, "seeds = 40")
-    process = fleet(study, "--sleep", "0.05", wait=False)
+    process = start(study, "--sleep", "0.05")
     until = time.monotonic() + 30
     while time.monotonic() < until and study_status(study)[2].done < 2:
         time.sleep(0.05)
@@ -416,7 +419,7 @@ def test_a_study_on_a_full_disk(home):
     study = write_study(home, "seeds = 500")
     limit = lambda: resource.setrlimit(resource.RLIMIT_FSIZE, (100_000, 100_000))
     code, status, err = fleet(study, preexec_fn=limit)
-    assert code == 2 and status is None and "cannot be written" in err and "Traceback" not in err
+    assert code == 2 and not status and "cannot be written" in err and "Traceback" not in err
     saved = len(acknowledged(study))
     assert 0 < saved < 500
     code, status, _ = fleet(study)
@@ -466,7 +469,7 @@ def test_schema(tmp_path, monkeypatch):
 
 def test_nothing_listens_and_solvers_are_threads_of_one_core(home):
     study = write_study(home, "seeds = 100")
-    process = fleet(study, "--sleep", "0.05", wait=False)
+    process = start(study, "--sleep", "0.05")
     until, solvers, listening = time.monotonic() + 30, [], []
     while time.monotonic() < until and len(solvers) < 2:
         time.sleep(0.1)
@@ -485,7 +488,6 @@ def test_nothing_listens_and_solvers_are_threads_of_one_core(home):
 def running_scheduler(tmp_path):
     """A scheduler and two workers as processes of their own: (address, pids of the workers)."""
     file = tmp_path / "scheduler.json"
-    quiet = {"stdout": subprocess.DEVNULL, "stderr": subprocess.DEVNULL}
     part = lambda name, *more: subprocess.Popen(
         [sys.executable, "-m", f"distributed.cli.dask_{name}", "--no-dashboard", *more], **quiet
     )

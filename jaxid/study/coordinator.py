@@ -26,8 +26,11 @@ from jaxid.study.plan import Task
 from jaxid.study.store import Store, StoreError
 
 
-#: How long a batch should take, and its largest size.
-BATCH_S, BATCH_MOST = 1.0, 128
+#: How long a batch should take, the share of that for each thread of the cluster (the coordinator needs some 5 ms a batch, and
+#: should have half its time left), and its largest size.
+BATCH_S, BATCH_THREAD_S, BATCH_MOST = 1.0, 0.01, 128
+#: Below so many seconds a task, batches are filled up with tasks of other groups: sending them one by one would cost more.
+QUICK_S = 0.02
 #: A task that was at work when its process died so many times is `crashed`.
 DEATHS = 2
 #: Solvers that die before they are ready, in a row, until the study gives up.
@@ -36,7 +39,7 @@ RENEW_S, WORKERS_S = 5.0, 1.0
 #: How long a scheduler may take to answer.
 CONNECT_S = 10.0
 #: After the first Ctrl-C running batches may finish for so long; then their processes are ended.
-GRACE_S = 1.0
+GRACE_S = 0.7
 
 Heard = Callable[["Coordinator"], None]
 
@@ -94,6 +97,8 @@ class Coordinator:
         self.groups: dict[str, Group] = {}
         for task in tasks:
             self.groups.setdefault(task.group, Group()).waiting.append(task)
+        self.open = dict.fromkeys(self.groups)  # those with tasks waiting, in the study's order
+        self.seconds = 1.0  # of a task, over all groups, as seen lately
         self.suspects: collections.deque[Task] = collections.deque()  # to be tried alone
         self.deaths: collections.Counter[str] = collections.Counter()
         self.starts = 0
@@ -111,8 +116,13 @@ class Coordinator:
         return sum(len(b.tasks) for b in self.batches.values())
 
     @property
+    def pace(self) -> float:
+        """How long a batch should take."""
+        return max(BATCH_S, BATCH_THREAD_S * sum(self.workers.values()))
+
+    @property
     def waiting(self) -> int:
-        return len(self.suspects) + sum(len(g.waiting) for g in self.groups.values())
+        return len(self.suspects) + sum(len(self.groups[name].waiting) for name in self.open)
 
     def run(self, stop: Stop, heard: Heard = lambda coordinator: None) -> bool:
         """Works until every task has an outcome (True) or is told to stop (False); what was finished is saved either way."""
@@ -162,30 +172,42 @@ class Coordinator:
         if self.suspects:
             task = self.suspects.popleft()
             return Batch({task.key: task}, worker, task.group)
-        group = self.groups.get(self.last.get(worker, ""))
         name = self.last.get(worker, "")
-        if group is None or not group.waiting:
+        if name not in self.open:
             taken = collections.Counter(self.last.values())
-            open_ = [(taken[n], -len(g.waiting), k, n) for k, (n, g) in enumerate(self.groups.items()) if g.waiting]
-            if not open_:
+            name = next((n for n in self.open if not taken[n]), None) or next(iter(self.open), "")
+            if not name:
                 return None
-            name = min(open_)[-1]
-            group, self.last[worker] = self.groups[name], name
-        share = -(-len(group.waiting) // (2 * threads))  # towards the end all workers get something
-        size = max(1, min(group.size, share))
-        tasks = [group.waiting.popleft() for _ in range(min(size, len(group.waiting)))]
+            self.last[worker] = name
+        group = self.groups[name]
+        tasks = self._draw(name, max(1, min(group.size, self._share(len(group.waiting), threads))))
+        if self.seconds < QUICK_S:
+            most = min(BATCH_MOST, int(self.pace / self.seconds), self._share(self.waiting, threads))
+            while self.open and len(tasks) < most:
+                name = next(iter(self.open))
+                tasks += self._draw(name, most - len(tasks))
         return Batch({t.key: t for t in tasks}, worker, name)
+
+    def _share(self, waiting: int, threads: int) -> int:
+        """Towards the end all workers get something."""
+        return -(-waiting // (2 * threads))
+
+    def _draw(self, name: str, most: int) -> list[Task]:
+        """The next tasks of a group."""
+        waiting = self.groups[name].waiting
+        tasks = [waiting.popleft() for _ in range(min(most, len(waiting)))]
+        if not waiting:
+            self.open.pop(name, None)
+        return tasks
 
     def _submit(self, batch: Batch) -> None:
         tasks = list(batch.tasks.values())
-        limits = [t.timeout_s for t in tasks if t.timeout_s is not None]
-        content = json.dumps([t.settings | {"key": t.key} for t in tasks])
+        content = json.dumps([t.settings | {"key": t.key, "group": t.group} for t in tasks])
         future = self.client.submit(
             supervisor.run_batch,
             self.cluster.session,
             self.command,
             content,
-            max(limits) if limits else None,
             workers=[batch.worker],
             allow_other_workers=True,
             pure=False,
@@ -222,6 +244,7 @@ class Coordinator:
             task = batch.tasks[message["key"]]
             if message.get("left"):
                 self.groups[task.group].waiting.appendleft(task)
+                self.open[task.group] = None
             elif "died" in message:
                 self._died(task, message, answer["host"])
             else:
@@ -233,11 +256,12 @@ class Coordinator:
             self._resize(batch, (answer["seconds"] - compiling) / finished)
 
     def _resize(self, batch: Batch, seconds: float) -> None:
-        """The size of the group's next batches: as many as take BATCH_S, with some patience for one that was slow by chance."""
+        """The size of the group's next batches: as many as keep the pace, with some patience for one that was slow by chance."""
+        self.seconds = max(1e-6, (seconds + self.seconds) / 2)
         group = self.groups[batch.group]
         slower = group.seconds is not None and seconds > group.seconds
         group.seconds = (seconds + group.seconds) / 2 if slower and group.seconds is not None else max(seconds, 1e-6)
-        group.size = max(1, min(int(BATCH_S / group.seconds), 8 * max(len(batch.tasks), group.size // 4), BATCH_MOST))
+        group.size = max(1, min(int(self.pace / group.seconds), 8 * len(batch.tasks), BATCH_MOST))
 
     def _died(self, task: Task, message: dict[str, Any], host: str) -> None:
         """The process died while this task was at work, perhaps with others beside it."""
@@ -307,15 +331,15 @@ class Cluster:
 
 
 @contextlib.contextmanager
-def local_cluster(workers: int) -> Iterator[Cluster]:
-    """Workers in this process, each with a solver process of its own; nothing listens on any network."""
-    import dask
+def local_cluster(workers: int, threads: int = 1) -> Iterator[Cluster]:
+    """Workers in this process, each thread with a solver process of its own; nothing listens on any network."""
+    from dask import config
     from distributed import Client, LocalCluster
 
-    with dask.config.set({"distributed.scheduler.http.routes": [], "distributed.worker.http.routes": []}):
+    with config.set({"distributed.scheduler.http.routes": [], "distributed.worker.http.routes": []}):
         parts = LocalCluster(
             n_workers=workers,
-            threads_per_worker=1,
+            threads_per_worker=threads,
             processes=False,
             dashboard_address="127.0.0.1:0",
             worker_dashboard_address="127.0.0.1:0",

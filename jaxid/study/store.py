@@ -236,7 +236,7 @@ class Store:
         import numpy as np
 
         buffer = io.BytesIO()
-        np.savez_compressed(buffer, **arrays)
+        np.savez(buffer, **arrays)
         path = self.folder / "arrays" / f"{name}.npz"
         partial = path.with_suffix(f".{os.getpid()}.partial")
         try:

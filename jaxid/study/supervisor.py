@@ -106,11 +106,11 @@ class Solver:
         return "\n".join(self.log)[-4000:]
 
 
-def run_batch(session: str, command: Sequence[str], batch: str, limit_s: float | None) -> str:
+def run_batch(session: str, command: Sequence[str], batch: str) -> str:
     """Works on the tasks of a batch (a JSON list) and returns {"host", "seconds", "outcomes"} as JSON, with an outcome for each.
 
     An outcome is what the solver said of a task; or {"key", "died": how, "log", "alone": whether only this task can be to blame,
-    "late": whether it was stopped after `limit_s`}; or {"key", "left": true} for one that was not begun.
+    "late": whether it was stopped at its time limit}; or {"key", "left": true} for one that was not begun.
     Where the solver did not even start, "failed_to_start" says how.
     """
     began = time.monotonic()
@@ -118,14 +118,14 @@ def run_batch(session: str, command: Sequence[str], batch: str, limit_s: float |
     outcomes = {t["key"]: {"key": t["key"], "left": True} for t in tasks}
     answer: dict[str, Any] = {"host": socket.gethostname()}
     if session not in _CLOSED:
-        answer |= _watch(session, _solver(session, command), tasks, limit_s, outcomes)
+        answer |= _watch(session, _solver(session, command), tasks, outcomes)
     return json.dumps(answer | {"seconds": time.monotonic() - began, "outcomes": list(outcomes.values())})
 
 
-def _watch(
-    session: str, solver: Solver, tasks: Sequence[dict[str, Any]], limit_s: float | None, outcomes: dict[str, Any]
-) -> dict[str, Any]:
+def _watch(session: str, solver: Solver, tasks: Sequence[dict[str, Any]], outcomes: dict[str, Any]) -> dict[str, Any]:
     """Fills in the outcomes until all tasks are answered or the solver is gone."""
+    limits = {t["key"]: t["timeout_s"] for t in tasks if t.get("timeout_s") is not None}
+    limit_s = None
     solver.send(tasks)
     waiting, busy, deadline = set(outcomes), [], time.monotonic() + START_S
     while waiting:
@@ -147,6 +147,7 @@ def _watch(
         solver.ready |= "ready" in message
         if "begin" in message:
             busy = [k for k in message["begin"] if k in waiting]
+            limit_s = max((limits[k] for k in busy if k in limits), default=None)
             deadline = time.monotonic() + (YEAR_S if limit_s is None else limit_s)
         elif (key := message.pop("done", None)) in waiting:
             waiting.discard(key)

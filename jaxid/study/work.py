@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 import socket
 import warnings
 from collections import OrderedDict
@@ -31,15 +32,19 @@ class Workshop:
 
     def work(self, tasks: list[dict[str, Any]]) -> Iterator[dict[str, Any]]:
         """Seeds of one Levenberg-Marquardt fit together, everything else one by one."""
+        for _, group in itertools.groupby(tasks, key=lambda t: t["group"]):
+            yield from self._same(list(group))
+
+    def _same(self, tasks: list[dict[str, Any]]) -> Iterator[dict[str, Any]]:
         first = tasks[0]
         fitter = resolve_fitter(first["fitter"], first["loss"] or "sum_of_squares") if first["command"] == "fit" else None
-        groups = [tasks] if isinstance(fitter, LevenbergMarquardt) else [[t] for t in tasks]
-        for group in groups:
-            yield {"begin": [t["key"] for t in group]}
+        together = [tasks] if isinstance(fitter, LevenbergMarquardt) else [[t] for t in tasks]
+        for part in together:
+            yield {"begin": [t["key"] for t in part]}
             if fitter is None:
-                yield _diagnosed(group[0], self._diagnose(group[0]))
+                yield _diagnosed(part[0], self._diagnose(part[0]))
                 continue
-            for task, fit in zip(group, self._fits(fitter, group), strict=True):
+            for task, fit in zip(part, self._fits(fitter, part), strict=True):
                 yield _fitted(task, fit)
 
     def _fits(self, fitter: Any, tasks: list[dict[str, Any]]) -> list[Fit]:
