@@ -489,7 +489,7 @@ def running_scheduler(tmp_path):
     """A scheduler and two workers as processes of their own: (address, pids of the workers)."""
     file = tmp_path / "scheduler.json"
     part = lambda name, *more: subprocess.Popen(
-        [sys.executable, "-m", f"distributed.cli.dask_{name}", "--no-dashboard", *more], **quiet
+        [sys.executable, "-m", f"distributed.cli.dask_{name}", "--no-dashboard", *more], stderr=subprocess.DEVNULL
     )
     parts = [part("scheduler", "--host", "127.0.0.1", "--port", "0", "--scheduler-file", str(file))]
     own = ("--scheduler-file", str(file), "--nthreads", "1", "--no-nanny", "--local-directory", str(tmp_path))

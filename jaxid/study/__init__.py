@@ -7,19 +7,19 @@ them to a solver process of its own and watches it from outside. See docs/batch.
 from __future__ import annotations
 
 import importlib
-from typing import Any
+from typing import Any, TYPE_CHECKING
 
 
-_WHERE = {
-    "run_study": "jaxid.study.run",
-    "study_status": "jaxid.study.run",
-    "read_study": "jaxid.study.plan",
-    "check_study": "jaxid.study.check",
-}
+if TYPE_CHECKING:
+    from jaxid.study.check import check_study
+    from jaxid.study.plan import read_study
+    from jaxid.study.run import run_study, study_status
+
+_WHERE = {"run_study": "run", "study_status": "run", "read_study": "plan", "check_study": "check"}
 __all__ = ["check_study", "read_study", "run_study", "study_status"]
 
 
 def __getattr__(name: str) -> Any:
     if name in _WHERE:
-        return getattr(importlib.import_module(_WHERE[name]), name)
+        return getattr(importlib.import_module(f"{__name__}.{_WHERE[name]}"), name)
     raise AttributeError(f"module {__name__!r} has no attribute {name!r}")

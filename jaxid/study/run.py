@@ -100,7 +100,7 @@ def run_study(
 
     study = read_study(path)
     began, notes = time.monotonic(), []
-    with fleet.Stop() as stop, Store(study.store) as store:
+    with Store(study.store) as store:
         damaged = store.acquire()
         if store.salvaged is not None:
             notes.append(f"the store was damaged: {store.salvaged} results were saved from it, the old file lies beside it")
@@ -118,10 +118,10 @@ def run_study(
             check_study(path)
             store.remember("checked", study.digest)
         new, complete = 0, not left
-        if left and not stop.count:
+        if left:
             threads = workers or fleet.cores()
             place = fleet.running_cluster(scheduler) if scheduler else fleet.local_cluster(min(threads, len(left)))
-            with place as cluster:
+            with fleet.Stop() as stop, place as cluster:
                 coordinator = fleet.Coordinator(store, left, cluster, solver)
 
                 def tell(c: fleet.Coordinator) -> None:
