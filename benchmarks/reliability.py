@@ -31,6 +31,10 @@ from tests.test_batch_hostile import rich_study, survives
 
 
 SHARE = float(os.environ.get("JAXID_RELIABILITY", "1"))
+TEXT = (
+    "Each row is a promise of `jaxid batch` and what was counted. The rows with kill -9 end the coordinator at random moments, "
+    "start it again and compare the final table with that of a run without kills."
+)
 
 
 def main() -> dict:
@@ -44,8 +48,7 @@ def main() -> dict:
         print(rows[-1], flush=True)
     return {
         "title": "What a study survives",
-        "text": "Each row is a promise of `jaxid batch` and what was counted. The first rows kill the coordinator (kill -9) at "
-        "random moments, start it again and compare the final table with that of a run without kills.",
+        "text": TEXT,
         "rows": rows,
     }
 
