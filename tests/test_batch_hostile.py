@@ -143,7 +143,8 @@ def mutated(text: bytes, rng: random.Random) -> bytes:
             content = bytearray(b"\n".join(lines))
         else:
             digits = [k for k, c in enumerate(content) if 48 <= c < 58]
-            content[rng.choice(digits)] = rng.choice(b"0123456789")
+            if digits:
+                content[rng.choice(digits)] = rng.choice(b"0123456789")
     return bytes(content)
 
 

@@ -164,6 +164,8 @@ def _solver(session: str, command: Sequence[str]) -> Solver:
         solver = None
     if solver is None:
         solver = _SOLVERS[own] = Solver(command)
+        if session in _CLOSED:  # closed while it was being started: `close` may not have seen it
+            solver.kill()
     return solver
 
 
