@@ -276,7 +276,7 @@ def test_signals_save_and_leave(home, number):
     """Within 2 s even where a task takes minutes; what was finished is there, and the study goes on."""
     study = write_study(home, "seeds = 40")
     process = start(study, "--sleep", "0.05", "--hang", "30")
-    until = time.monotonic() + 30
+    until = time.monotonic() + 100
     while time.monotonic() < until and study_status(study)[2].done < 5:
         time.sleep(0.1)
     live = study_status(study)[2]
@@ -298,10 +298,17 @@ def rows_of(n: int, size: int = 200) -> list[Row]:
     return [Row(f"{k:032x}", "converged", json.dumps({"loss": k, "reason": "x" * size}).encode()) for k in range(n)]
 
 
+def test_status_while_the_store_is_being_made(home):
+    study = write_study(home)
+    (home / "out").mkdir()
+    (home / "out" / "study.sqlite").touch()
+    assert study_status(study)[2].to_dict() == {"total": 4, "done": 0, "failed": 0, "running": 0}
+
+
 def test_two_coordinators(home, monkeypatch):
     study = write_study(home, "seeds = 40")
     process = start(study, "--sleep", "0.05")
-    until = time.monotonic() + 30
+    until = time.monotonic() + 100
     while time.monotonic() < until and study_status(study)[2].done < 2:
         time.sleep(0.05)
     code, _, err = fleet(study)
@@ -470,7 +477,7 @@ def test_schema(tmp_path, monkeypatch):
 def test_nothing_listens_and_solvers_are_threads_of_one_core(home):
     study = write_study(home, "seeds = 100")
     process = start(study, "--sleep", "0.05")
-    until, solvers, listening = time.monotonic() + 30, [], []
+    until, solvers, listening = time.monotonic() + 100, [], []
     while time.monotonic() < until and len(solvers) < 2:
         time.sleep(0.1)
         solvers = psutil.Process(process.pid).children(recursive=True)

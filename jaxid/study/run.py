@@ -11,7 +11,7 @@ from typing import Any
 from jaxid.study import coordinator as fleet
 from jaxid.study.outcome import FAILURES, of_row, Outcome
 from jaxid.study.plan import read_study, Study
-from jaxid.study.store import Store
+from jaxid.study.store import NotBegun, Store
 from jaxid.study.supervisor import SOLVER
 
 
@@ -67,9 +67,12 @@ def study_status(path: str | Path) -> tuple[Study, dict[str, Outcome], Status]:
     study = read_study(path)
     if not (study.store / "study.sqlite").exists():
         return study, {}, status_of(study, {}, 0)
-    with Store(study.store, writable=False) as store:
-        outcomes = known(study, store)
-        return study, outcomes, status_of(study, outcomes, store.running())
+    try:
+        with Store(study.store, writable=False) as store:
+            outcomes = known(study, store)
+            return study, outcomes, status_of(study, outcomes, store.running())
+    except NotBegun:  # another process is just making it
+        return study, {}, status_of(study, {}, 0)
 
 
 def known(study: Study, store: Store) -> dict[str, Outcome]:

@@ -49,6 +49,10 @@ class StoreError(UsageError):
     """The store cannot be read or written; what is in it is unharmed, and the message says what to do."""
 
 
+class NotBegun(StoreError):
+    """The file is there, its tables are not yet."""
+
+
 class LeaseLost(StoreError):
     """Another process has taken the store over."""
 
@@ -135,7 +139,7 @@ class Store:
             if version < SCHEMA:
                 self._migrate()
         elif not tables:
-            raise StoreError(f"{self.path}: is empty")
+            raise NotBegun(f"{self.path}: is empty")
         elif version < SCHEMA:
             raise StoreError(f"{self.path}: is of an older schema; run the study once to bring it up to date")
 
