@@ -3,7 +3,7 @@ PYTHON ?= $(shell command -v python3.11 || command -v python3 || command -v pyth
 BIN := .venv/bin
 PYTEST := OPENBLAS_NUM_THREADS=1 $(BIN)/python -m pytest -q
 
-.PHONY: demo test test-all lint format benchmark clean
+.PHONY: demo test test-all lint format benchmark benchmark-reliability clean
 
 demo: .venv/installed
 	$(BIN)/jaxid diagnose examples/servo_pendulum --out out/demo
@@ -28,6 +28,9 @@ format: .venv/installed-dev
 
 benchmark: .venv/installed-dev
 	$(BIN)/python benchmarks/run_all.py $(ARGS)
+
+benchmark-reliability: .venv/installed-dev
+	$(BIN)/python benchmarks/run_all.py reliability study_throughput
 
 clean:
 	rm -rf .venv out build dist .pytest_cache .ruff_cache .hypothesis *.egg-info
