@@ -16,6 +16,7 @@ if _TYPE_CHECKING:
     from jaxid.comparison import Comparison as Comparison
     from jaxid.dataset_io import load_dataset as load_dataset, save_dataset as save_dataset
     from jaxid.errors import UsageError as UsageError
+    from jaxid.excitation import Excitation as Excitation, excite as excite
     from jaxid.experiment import (
         Channel as Channel,
         Dataset as Dataset,
@@ -35,6 +36,7 @@ _HOME = {
     "Dataset": "jaxid.experiment",
     "DatasetError": "jaxid.experiment",
     "Diagnosis": "jaxid.results",
+    "Excitation": "jaxid.excitation",
     "Experiment": "jaxid.experiment",
     "Fit": "jaxid.results",
     "Problem": "jaxid.problem",
@@ -42,6 +44,7 @@ _HOME = {
     "UsageError": "jaxid.errors",
     "compare": "jaxid.api",
     "diagnose": "jaxid.api",
+    "excite": "jaxid.excitation",
     "fit": "jaxid.api",
     "fitters": None,
     "identify": "jaxid.identification",

@@ -26,6 +26,7 @@ T = TypeVar("T")
 #: Commands that live in modules of their own, as light to import as this one: name -> module that has it under that name.
 MODULES = {
     "compare": "jaxid.cli_compare",
+    "excite": "jaxid.cli_excite",
     "identify": "jaxid.cli_identify",
     "record": "jaxid.cli_record",
     "emulate": "jaxid.cli_emulate",
