@@ -11,7 +11,6 @@ from typing import Any, NamedTuple
 
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Float
 
 from jaxid.kinematics import frames
 
@@ -48,9 +47,9 @@ def nodes(arm: Any, q: Any) -> Any:
     return xp.concatenate([xp.zeros_like(points[:, :1]), points], 1)
 
 
-def gaps(links: Links, node: Float[Array, "time nodes 3"]) -> Float[Array, "time pairs"]:
-    """Distance of the two lines of each pair, m, radii not taken off."""
-    xp = np if isinstance(node, np.ndarray) else jnp
+def gaps(links: Links, node: Any) -> Any:
+    """Distance [time pairs] m of the two lines of each pair, radii not taken off, for nodes [time nodes 3]."""
+    xp: Any = np if isinstance(node, np.ndarray) else jnp
     share = np.linspace(0.0, 1.0, POINTS)[:, None]
     out = []
     for i, j in links.pairs:

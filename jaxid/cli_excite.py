@@ -13,7 +13,7 @@ from jaxid.cli import OUT, output_options, SEED, SUCCESS
 
 
 if TYPE_CHECKING:
-    from jaxid.excitation import Excitation
+    from jaxid.excitation_result import Excitation
 
 
 def _numbers(_ctx, param, value: str | None) -> list[float] | None:

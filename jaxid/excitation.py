@@ -4,8 +4,6 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field
-from pathlib import Path
 from typing import Any
 
 import jax.numpy as jnp
@@ -15,7 +13,7 @@ from jaxid import catalogue
 from jaxid.chain import Chain
 from jaxid.clearance import gaps, heights, nodes
 from jaxid.errors import nearest, UsageError
-from jaxid.excitation_input import Bench, choose, Family, largest_inputs, settled
+from jaxid.excitation_input import Bench, choose, determined, Family, largest_inputs, settled
 from jaxid.excitation_limits import Bounds, bounds_of
 from jaxid.excitation_motion import (
     ArmTask,
@@ -28,12 +26,12 @@ from jaxid.excitation_motion import (
     required,
     Setting,
 )
+from jaxid.excitation_result import content, coverage, Excitation, reached, stds
 from jaxid.experiment import Channel, Dataset, Experiment, ModelSpec
 from jaxid.hardware.limits import Limits
 from jaxid.identification_rows import LAWS, names_of
 from jaxid.layout import Layout
 from jaxid.precision import float64
-from jaxid.results import SCHEMA, versions
 
 
 FRICTIONS = ("model", *LAWS)
@@ -41,38 +39,6 @@ FRICTIONS = ("model", *LAWS)
 NOISE_SHARE = 0.05
 #: Noise of outputs by unit, one standard deviation, where a design needs it.
 SENSOR = {"rad": 1e-3, "m": 1e-4, "m/s^2": 0.05}
-#: Speeds (share of the limit) whose coverage is reported.
-BANDS = (0.01, 0.03, 0.1, 0.3, 1.0)
-
-
-@dataclass(frozen=True)
-class Excitation:
-    """A designed experiment: `dataset` holds its one run as the model expects it, `commands` (channel -> [time]) what is to be
-    played; `content` is excitation.json."""
-
-    dataset: Dataset
-    commands: dict[str, np.ndarray]
-    rates: dict[str, np.ndarray] = field(repr=False)  # qd1 ..., qdd1 ... where a motion is designed
-    limits: tuple[dict[str, Any], ...]
-    content: dict[str, Any] = field(repr=False)
-    fourier: Fourier | None = None
-
-    @property
-    def t(self) -> np.ndarray:
-        return self.dataset.experiments[0].t
-
-    @property
-    def condition_number(self) -> float:
-        return float(self.content["condition_number"])
-
-    def to_dict(self) -> dict[str, Any]:
-        return self.content
-
-    def save(self, folder: str | Path) -> Path:
-        """Writes the dataset folder with excitation.json, trajectory.csv, plot, and for a UR what it plays."""
-        from jaxid.excitation_write import write
-
-        return write(self, Path(folder))
 
 
 def excite(
@@ -216,9 +182,9 @@ def _motion(chain, bounds, t, plan, criterion, friction, starts, iterations, flo
         tau = np.asarray(_torques(chain, q, qd, qdd))
     rows, weighted = W.reshape(-1, W.shape[2]), (W / noise[:, None]).reshape(-1, W.shape[2])
     size = np.linalg.norm(rows, axis=0)
-    std = _stds(weighted.T @ weighted)
+    std = stds(weighted.T @ weighted)
     joints = chain.signature.joints
-    reached = _reached(joints, chain.signature, bounds, q, qd, qdd, tau)
+    limits = reached(joints, chain.signature, bounds, q, qd, qdd, tau)
     inputs, outputs = chain.signature.inputs, chain.signature.outputs
     channels = tuple(
         [Channel(name, "input", unit) for name, unit in inputs]
@@ -227,7 +193,7 @@ def _motion(chain, bounds, t, plan, criterion, friction, starts, iterations, flo
     )
     commands = {f"{j}_cmd": q[:, k] for k, j in enumerate(joints)}
     experiment = Experiment("excitation", "fit", t, tau, q, dict(commands), at_rest=True, source="designed, not measured")
-    content = _content(chain, plan, criterion, bounds, reached) | {
+    about = content(chain, plan, criterion, bounds, limits) | {
         "kind_of_excitation": "motion",
         "friction": friction,
         "starts": starts,
@@ -240,7 +206,7 @@ def _motion(chain, bounds, t, plan, criterion, friction, starts, iterations, flo
         "torque_noise": {"std": noise.tolist(), "source": stated},
         "expected_std": {name: float(s) for name, s in zip(names, std, strict=True)},
         "clearance": None if geometry is None else {"links_m": clear["links"], "height_m": clear["height"], "radius_m": radius},
-        "speed_coverage": _coverage(joints, bounds, qd),
+        "speed_coverage": coverage(joints, bounds, qd),
         "fourier": {"a": fourier.a, "b": fourier.b, "middle": fourier.middle, "omega": fourier.omega},
         "notes": [
             "q_j = middle_j + sum_l a_lj / (omega l) sin(omega l t) - b_lj / (omega l) cos(omega l t)",
@@ -254,7 +220,7 @@ def _motion(chain, bounds, t, plan, criterion, friction, starts, iterations, flo
         f"{arm.name}_excitation", channels, (experiment,), model=ModelSpec(arm.name),
         description=f"Designed motion for {arm.name} ({units}); torques are the model's own: a plan, not a recording",
     )  # fmt: skip
-    return Excitation(dataset, commands, rates, tuple(reached), content, fourier)
+    return Excitation(dataset, commands, rates, tuple(limits), about, fourier)
 
 
 def _rate_units(chain: Chain) -> str:
@@ -294,72 +260,6 @@ def _checked(f: Fourier, t, arm, geometry, links, radius: float, floor: float) -
     return {"fits": apart >= 0 and height >= floor, "links": apart, "height": height}
 
 
-def _stds(information: np.ndarray) -> np.ndarray:
-    """Standard deviations from an information matrix; inf where it says nothing."""
-    d = np.sqrt(np.diag(information))
-    seen = d > 0
-    out = np.full(len(d), np.inf)
-    part = information[np.ix_(seen, seen)] / d[seen] / d[seen][:, None]
-    out[seen] = np.sqrt(np.maximum(np.diag(np.linalg.pinv(part, rcond=1e-12, hermitian=True)), 0.0)) / d[seen]
-    return out
-
-
-def _reached(joints, signature, bounds: Bounds, q, qd, qdd, tau=None) -> list[dict[str, Any]]:
-    """What is reached of every limit."""
-    out = []
-    for j, joint in enumerate(joints):
-        unit = dict(signature.outputs).get(joint, "rad")
-        rows = [
-            ("range", float(q[:, j].min()), float(q[:, j].max()), float(bounds.lower[j]), float(bounds.upper[j]), unit),
-            ("speed", 0.0, float(np.abs(qd[:, j]).max()), 0.0, float(bounds.speed[j]), f"{unit}/s"),
-        ]
-        if qdd is not None:
-            rows.append(("acceleration", 0.0, float(np.abs(qdd[:, j]).max()), 0.0, float(bounds.acceleration[j]), f"{unit}/s^2"))
-        for name, low, high, lower, upper, u in rows:
-            entry = {"joint": joint, "quantity": name, "unit": u}
-            share = max((high - lower) / (upper - lower), (upper - low) / (upper - lower)) if name == "range" else high / upper
-            entry |= (
-                {"lowest": low, "highest": high, "lower": lower, "upper": upper}
-                if name == "range"
-                else {"highest": high, "limit": upper}
-            )
-            out.append(entry | {"share": share})
-        if tau is not None:
-            out.append(
-                {
-                    "joint": joint,
-                    "quantity": "nominal torque",
-                    "unit": signature.unit("{F}", j),
-                    "highest": float(np.abs(tau[:, j]).max()),
-                }
-            )
-    return out
-
-
-def _coverage(joints, bounds: Bounds, qd: np.ndarray) -> dict[str, Any]:
-    """Share of the time that each joint spends in each band of speed."""
-    edges = np.array([0.0, *BANDS])
-    share = np.abs(qd) / bounds.speed
-    table = {
-        joint: [float(np.mean((share[:, j] >= a) & (share[:, j] < b))) for a, b in zip(edges[:-1], edges[1:], strict=True)]
-        for j, joint in enumerate(joints)
-    }
-    return {"bands_of_speed_limit": edges.tolist(), "share_of_time": table}
-
-
-def _content(chain: Chain, plan: dict[str, Any], criterion: str, bounds: Bounds, reached) -> dict[str, Any]:
-    return {
-        "schema": SCHEMA,
-        "kind": "excitation",
-        "model": chain.mechanism.name,
-        **plan,
-        "criterion": criterion,
-        "limits_from": bounds.source,
-        "limits": list(reached),
-        "versions": versions(),
-    }
-
-
 # ---- input of any other model
 
 
@@ -387,16 +287,22 @@ def _input(chain, bounds, t, plan, criterion, starts, amplitude, gain, limits, p
     bench = Bench(chain, start, family, bounds, noise)
     u, _ = choose(bench, criterion, starts, plan["seed"], progress)
     y, dy = bench.run(u[None])
+    moving = {name for k, (name, _) in enumerate(signature.outputs) if np.ptp(y[0, :, k]) > 0}
+    smaller = [s for s in plain if s.inputs == signature.inputs and {name for name, _ in s.outputs} <= moving]
+    if len(moving) < len(signature.outputs) and smaller:  # a sensor that shows nothing here, such as a base that stands still
+        chain = Chain(chain.mechanism, chain.effects, signature=smaller[0])
+        signature, noise = smaller[0], np.array([SENSOR.get(u, 1e-3) for _, u in smaller[0].outputs])
+        bench = Bench(chain, start, family, bounds, noise)
+        y, dy = bench.run(u[None])
     F = bench.fisher(dy)[0]
-    scale = np.sqrt(np.diag(F))
-    scale = np.where(scale > 0, scale, 1.0)
-    std = _stds(F) * bench.unit[bench.free]
+    condition, dark = determined(F)
+    std = stds(F) * bench.unit[bench.free]
     q = y[0][:, chain.joint_outputs]
     qd = np.gradient(q, float(t[1] - t[0]), axis=0)
-    reached = _reached(signature.joints, signature, bounds, q, qd, None)
+    used = reached(signature.joints, signature, bounds, q, qd, None)
     for k, (name, unit) in enumerate(signature.inputs):
         high = float(np.abs(u[:, k] - family.center[k]).max())
-        reached.append(
+        used.append(
             {
                 "joint": name,
                 "quantity": "input",
@@ -415,23 +321,25 @@ def _input(chain, bounds, t, plan, criterion, starts, amplitude, gain, limits, p
     channels = tuple([*bench.channels] + [Channel(name, "auxiliary", "A") for name in auxiliary])
     experiment = Experiment("excitation", "fit", t, u, y[0], auxiliary, at_rest=True, source="designed, not measured")
     values = [bench.layout.values[i] for i in bench.free]
-    content = _content(chain, plan, criterion, bounds, reached) | {
+    about = content(chain, plan, criterion, bounds, used) | {
         "kind_of_excitation": "input",
-        "condition_number": float(np.sqrt(np.linalg.cond(F))),
-        "condition_number_scaled": float(np.sqrt(np.linalg.cond(F / scale / scale[:, None]))),
+        "condition_number": condition,
+        "condition_number_scaled": condition,
+        "directions_not_shown": dark,
         "assumed_noise": {name: float(s) for (name, _), s in zip(signature.outputs, noise, strict=True)},
         "expected_std": {name: float(s) for name, s in zip(bench.names, std, strict=True)},
         "assumed_values": {name: float(v) for name, v in zip(bench.names, values, strict=True)},
-        "speed_coverage": _coverage(signature.joints, bounds, qd),
+        "speed_coverage": coverage(signature.joints, bounds, qd),
         "notes": [
             "outputs in run_1 are simulated at the assumed values, nothing here was measured; a drive played in open loop moves "
             "as the machine does, not as the simulation: begin with a small --amplitude",
+            *([f"{dark} combinations of the parameters show in no output: fix some under [model.constants]"] if dark else []),
         ],
     }  # fmt: skip
     spec = ModelSpec(chain.mechanism.name)
     text = f"Designed input for {chain.mechanism.name}; outputs are simulated: a plan, not a recording"
     dataset = Dataset(f"{chain.mechanism.name}_excitation", channels, (experiment,), model=spec, description=text)
-    return Excitation(dataset, commands | auxiliary, {}, tuple(reached), content)
+    return Excitation(dataset, commands | auxiliary, {}, tuple(used), about)
 
 
 def _widened(name: str, values: Sequence[float], count: int) -> np.ndarray:

@@ -10,8 +10,8 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Any
 
+import jax
 import jax.numpy as jnp
 import numpy as np
 
@@ -31,6 +31,7 @@ from jaxid.samples import build, Record
 SINES, STEPS, RAMPS = (0.03, 0.58), (0.61, 0.83), (0.84, 0.97)
 LEVELS = 4
 POPULATION, ROUNDS = 24, 10
+DARK = 1e-12  # share of the largest eigenvalue below which a direction counts as not shown
 EXCESS = 100.0  # what leaving a limit by its own size costs
 
 
@@ -102,16 +103,22 @@ def _followed(u: np.ndarray, t: np.ndarray, speed: np.ndarray, acceleration: np.
 
 def settled(chain: Chain, home: np.ndarray) -> np.ndarray:
     """The pose near `home` that the mechanism keeps without drive: downhill from there."""
-    with float64():
-        q, zero = jnp.asarray(home, float), jnp.zeros(chain.nq)
+    zero = jnp.zeros(chain.nq)
+
+    @jax.jit
+    def step(q):
         body = chain.body()
-        for _ in range(400):
-            pull = body.inverse(q, zero, zero)
-            if float(jnp.max(jnp.abs(pull))) < 1e-9:
+        pull = body.inverse(q, zero, zero)
+        own = jnp.stack([body.inverse(q, zero, e)[i] for i, e in enumerate(jnp.eye(chain.nq))]) - pull
+        return q - jnp.clip(0.02 * pull / jnp.maximum(jnp.abs(own), 1e-12), -0.2, 0.2), jnp.max(jnp.abs(pull))
+
+    with float64():
+        zero = jnp.zeros(chain.nq)
+        q = jnp.asarray(home, float)
+        for _ in range(1000):
+            q, pull = step(q)
+            if float(pull) < 1e-9:
                 break
-            stiff = jnp.diag(jnp.stack([body.inverse(q, zero, e)[i] for i, e in enumerate(jnp.eye(chain.nq))]) - pull)
-            size = jnp.maximum(jnp.abs(jnp.diag(stiff)), 1e-12)
-            q = q - jnp.clip(0.02 * pull / size, -0.2, 0.2)
         return np.asarray(q)
 
 
@@ -129,7 +136,8 @@ def largest_inputs(chain: Chain, bounds: Bounds) -> np.ndarray:
     q, qd = bounds.home + half * np.sin(phase), bounds.speed * np.cos(phase)
     qdd = -np.minimum(bounds.speed**2 / half, bounds.acceleration) * np.sin(phase)
     with float64():
-        tau = np.asarray([required(chain, *(jnp.asarray(x) for x in row)) for row in zip(q, qd, qdd, strict=True)])
+        run = jax.jit(jax.vmap(lambda *x: required(chain, *x)))
+        tau = np.asarray(run(*(jnp.asarray(x) for x in (q, qd, qdd))))
     return np.abs(tau).max(0)
 
 
@@ -208,9 +216,18 @@ class Bench:
         F = self.fisher(dy)
         bad = ~np.isfinite(F).all((1, 2))
         e = np.linalg.eigvalsh(np.where(bad[:, None, None], np.eye(F.shape[1]), F))
-        logs = 0.5 * np.log(np.maximum(e, 1e-12 * np.maximum(e[:, -1:], 1e-300)))
+        logs = 0.5 * np.log(np.maximum(e, DARK * np.maximum(e[:, -1:], 1e-300)))
         value = logs[:, -1] - logs[:, 0] if criterion == "condition" else -logs.mean(1)
         return np.where(bad, np.inf, value)
+
+
+def determined(F: np.ndarray) -> tuple[float, int]:
+    """Condition number of the directions that an information matrix with unit diagonal shows, and how many it does not."""
+    size = np.sqrt(np.diag(F))
+    size = np.where(size > 0, size, 1.0)
+    e = np.linalg.eigvalsh(F / size / size[:, None])
+    seen = np.flatnonzero(e > DARK * e[-1])
+    return float(np.sqrt(e[-1] / e[seen[0]])), len(e) - len(seen)
 
 
 def choose(
@@ -218,7 +235,6 @@ def choose(
 ) -> tuple[np.ndarray, float]:
     """The best signal [time nu] and what it reaches. Raises `UsageError` where no signal keeps the limits."""
     rng, family = np.random.default_rng(seed), bench.family
-    best: list[Any] = []
 
     def rated(x: np.ndarray) -> np.ndarray:
         y, dy = bench.run(family.inputs(x))
@@ -230,7 +246,6 @@ def choose(
     for k in range(ROUNDS):
         order = np.argsort(values)[: max(4, count // 4)]
         x, values = x[order], values[order]
-        best = [x[0], values[0]]
         if progress:
             progress("excite", k, ROUNDS, f"{values[0]:.3f}")
         parents = rng.integers(0, len(x), (count, 2))

@@ -100,20 +100,20 @@ class ArmTask(Task):
 class ChainTask(Task):
     """The free numbers of any rigid model, those that depend on others left out; the torque is linearised at its values."""
 
-    chain: Chain
     theta: np.ndarray
     scale: np.ndarray
+    layout: Layout = eqx.field(static=True)
     kept: tuple[int, ...] = eqx.field(static=True)
 
     def columns(self, q, qd, qdd):
         index = np.array(self.kept)
-        layout = Layout(self.chain)
+        theta = jnp.asarray(self.theta)
 
         def torque(part, q, qd, qdd):
-            return required(layout.model(jnp.asarray(self.theta).at[index].set(part)), q, qd, qdd)
+            return required(self.layout.model(theta.at[index].set(part)), q, qd, qdd)
 
-        J = jax.vmap(jax.jacfwd(torque), (None, 0, 0, 0))(jnp.asarray(self.theta)[index], q, qd, qdd)
-        return J * self.scale[index]
+        J = jax.vmap(jax.jacfwd(torque), (None, 0, 0, 0))(theta[index], q, qd, qdd)
+        return J * jnp.asarray(self.scale)[index]
 
 
 def required(chain: Chain, q: Array, qd: Array, qdd: Array) -> Array:
@@ -194,7 +194,7 @@ def tightness(q: Array, setting: Setting) -> Array:
 
 
 @eqx.filter_jit
-def _descend(shapes: Shape, moments: Any, task: Task, setting: Setting, first: Array, total: Array, count: int):
+def _descend(shapes: Shape, moments: Any, task: Task, setting: Setting, first: Any, total: Any, count: int):
     """`count` steps of Adam for all starts at once; also the best shape that each start has had."""
     slope = jax.vmap(jax.value_and_grad(lambda s: goodness(s, task, setting), has_aux=True))
 
@@ -241,11 +241,9 @@ def optimise(
     l = np.arange(1, harmonics + 1)[None, :, None]
     fall = rng.uniform(0.0, 1.0, (count, 1, n))  # how fast the lines fall off, from speeds alike to accelerations alike
     with float64():
-        shapes = Shape(
-            *(jnp.asarray(rng.normal(size=(count, harmonics, n)) / l**fall) for _ in range(2)),
-            jnp.asarray(np.log(place / (1 - place)) + 0.3 * rng.normal(size=(count, n))),
-            jnp.full((count, n), 3.0),
-        )
+        a, b = (jnp.asarray(rng.normal(size=(count, harmonics, n)) / l**fall) for _ in range(2))
+        middle = jnp.asarray(np.log(place / (1 - place)) + 0.3 * rng.normal(size=(count, n)))
+        shapes = Shape(a, b, middle, jnp.full((count, n), 3.0))
         values = np.asarray(_values(shapes, task, setting))
         order = np.argsort(np.where(np.isfinite(values), values, np.inf))[:starts]
         shapes = jax.tree.map(lambda x: x[order], shapes)
@@ -293,11 +291,11 @@ def chain_task(chain: Chain, seed: int = 0) -> ChainTask:
     layout = Layout(chain)
     free = [i for i, e in enumerate(layout.entries) if not e.spec.fixed and e.name not in chain.mechanism.held()]
     scale = np.array([abs(v) if v else 1.0 for v in layout.values])
-    task = ChainTask(chain, layout.values, scale, tuple(free))
+    task = ChainTask(layout.values, scale, layout, tuple(free))
     rng = np.random.default_rng(seed)
     with float64():
         W = np.asarray(task.columns(*(jnp.asarray(rng.uniform(-k, k, (200, chain.nq))) for k in (2.0, 2.0, 5.0))))
     kept = independent_columns(W.reshape(-1, W.shape[2]), range(W.shape[2]), 1e-6)
     if not kept:
         raise UsageError(f"{chain.mechanism.name}: the torque shows none of its numbers")
-    return ChainTask(chain, layout.values, scale, tuple(free[i] for i in kept))
+    return ChainTask(layout.values, scale, layout, tuple(free[i] for i in kept))

@@ -15,7 +15,7 @@ from jaxid.results import finite
 
 
 if TYPE_CHECKING:
-    from jaxid.excitation import Excitation
+    from jaxid.excitation_result import Excitation
 
 
 #: Rates at which a UR is commanded: CB3 and e-series.
