@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import json
 import os
-import re
 import time
 from pathlib import Path
 from typing import Any
@@ -444,7 +443,7 @@ def test_links_in_the_dataset(tmp_path):
     (folder / "arm.urdf").write_text(text)
     with pytest.raises(jaxid.DatasetError, match="tau3"):  # it has three joints, the recording two
         jaxid.load_dataset(folder)
-    tip = re.findall(r'<child link="([^"]+)"', text)[1]
+    tip = "slide"  # behind the second joint
     (folder / "dataset.toml").write_text(
         (folder / "dataset.toml").read_text().replace('urdf = "arm.urdf"', f'urdf = "arm.urdf"\ntip = "{tip}"')
     )
