@@ -321,6 +321,7 @@ def _input(chain, bounds, t, plan, criterion, starts, amplitude, gain, limits, p
     channels = tuple([*bench.channels] + [Channel(name, "auxiliary", "A") for name in auxiliary])
     experiment = Experiment("excitation", "fit", t, u, y[0], auxiliary, at_rest=True, source="designed, not measured")
     values = [bench.layout.values[i] for i in bench.free]
+    zero = [name for name, v in zip(bench.names, values, strict=True) if v == 0 and "offset" not in name]
     about = content(chain, plan, criterion, bounds, used) | {
         "kind_of_excitation": "input",
         "condition_number": condition,
@@ -333,6 +334,7 @@ def _input(chain, bounds, t, plan, criterion, starts, amplitude, gain, limits, p
         "notes": [
             "outputs in run_1 are simulated at the assumed values, nothing here was measured; a drive played in open loop moves "
             "as the machine does, not as the simulation: begin with a small --amplitude",
+            *([f"assumed to be 0: {', '.join(zero)}. State a guess with --parameters FIT.json"] if zero else []),
             *([f"{dark} combinations of the parameters show in no output: fix some under [model.constants]"] if dark else []),
         ],
     }  # fmt: skip

@@ -131,10 +131,9 @@ def test_any_numbers_become_a_feasible_motion(seed, harmonics):
     assert (np.abs(qd) <= bounds.speed).all() and (np.abs(qdd) <= bounds.acceleration).all()
 
 
+@pytest.mark.slow
 def test_a_friction_law_can_be_asked_for():
     """Columns of the Stribeck law count, and the joints spend time at low speed."""
-    plain = excite("planar_arm", starts=2, iterations=25)
-    assert plain.content["expected_std"].keys() >= {"m1", "coulomb1", "viscous2"}
     made = excite("ur10e", starts=2, iterations=25, friction="stribeck")
     assert made.content["columns"] == 70 and "F_s3" in made.content["expected_std"]
     slow = made.content["speed_coverage"]["share_of_time"]
@@ -162,6 +161,7 @@ def test_limits_of_a_file_count(tmp_path):
     assert done.exit_code == 0, done.output
     content = json.loads((out / "excitation.json").read_text())
     assert content == json.loads(done.stdout)
+    assert content["expected_std"].keys() >= {"m1", "coulomb1", "viscous2"}
     data = jaxid.load_dataset(out)
     q = data.experiments[0].y
     qd, _ = differences(q, data.experiments[0].t)
@@ -199,7 +199,10 @@ def test_files_of_a_ur(arm, tmp_path):
 
 def test_inputs_show_what_they_claim():
     """Least squares on noisy simulations scatter as the design says they will."""
-    made = excite("pendulum", duration_s=6.0, rate_hz=100.0, gain=[1.5], seed=3)
+    known = {"inertia": 0.06, "gravity_torque": 1.3, "viscous": 0.05, "coulomb": 0.1, "offset": 0.02}
+    parameters = {"parameters": {name: {"value": value} for name, value in known.items()}}
+    made = excite("pendulum", duration_s=6.0, rate_hz=100.0, gain=[1.5], parameters=parameters, seed=3)
+    assert made.content["assumed_values"] == known
     e = made.dataset.experiments[0]
     assert np.allclose(e.auxiliary["current_cmd"], e.u[:, 0] / 1.5)
     assert np.abs(e.y).max() <= 1.2 and made.content["directions_not_shown"] == 0
