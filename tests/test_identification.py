@@ -188,6 +188,29 @@ def test_references_of_another_arm_are_refused(quiet, tmp_path):
         identify(None, quiet, friction="linear", reference=other)
 
 
+def test_feed_forward_holds_the_loaded_arm(tmp_path):
+    """Gravity and torque of the loaded arm, elsewhere than where it was identified, against Pinocchio."""
+    from jaxid.feed_forward import FeedForward
+
+    loaded = identify(None, recording(LOAD, 0.02, 12), friction="power")
+    forward = FeedForward.load(FeedForward.of(loaded).save(tmp_path / "forward.json"))
+    motion = excitation(21)
+    expected = torque(motion, LOAD)
+    error = forward(*motion[1:]) - expected
+    moving = np.abs(motion[2]) > 0.05  # sign(qd) is smoothed
+    assert np.sqrt(np.mean(error[moving] ** 2)) < 0.02 * np.sqrt(np.mean(expected[moving] ** 2))
+    model = twin(table_of(UR10()).with_inertia(table_of(UR10()).inertia + np.vstack([np.zeros((5, 10)), LOAD])))
+    g = np.array([pin.computeGeneralizedGravity(model, model.createData(), q) for q in motion[1][::100]])
+    assert np.abs(forward.gravity(motion[1][::100]) - g).max() < 1.0
+    assert np.allclose(forward.gravity(motion[1][0]), forward.gravity(motion[1][:1])[0])
+    empty = identify(None, recording(None, 0.02, 11), friction="power")
+    bare = FeedForward.of(empty.to_dict()).gravity(motion[1][::100])
+    assert np.abs(bare - g).max() > 10.0  # without the load it would sag
+    (tmp_path / "other.json").write_text("{}")
+    with pytest.raises(jaxid.UsageError, match="feed-forward"):
+        FeedForward.load(tmp_path / "other.json")
+
+
 # ---- online
 
 
