@@ -27,6 +27,7 @@ T = TypeVar("T")
 MODULES = {
     "batch": "jaxid.cli_batch",
     "compare": "jaxid.cli_compare",
+    "excite": "jaxid.cli_excite",
     "identify": "jaxid.cli_identify",
     "record": "jaxid.cli_record",
     "emulate": "jaxid.cli_emulate",
