@@ -296,9 +296,9 @@ def main() -> dict[str, Any]:
     lines = RESULTS.read_text().splitlines() if RESULTS.exists() else []
     rows = [json.loads(line) for line in lines]
     return {"title": "Blind cases", "rows": summary(rows), "text": (
-        "Recordings of separately written twins (benchmarks/twins.py); the key was read afterwards. `right`: exactly the withheld "
-        "effects, or equals of them on that model, were named; `in set`: they are among those named or reported as not to be told "
-        "apart; `wrong`: a name outside the set. Effects that a model's parameters absorb count as `nothing missing`."
+        "Recordings of separately written twins (benchmarks/twins.py); the key was read afterwards. `right`: exactly the "
+        "withheld effects, or equals of them on that model, were named; `in set`: they are among those named or reported as not "
+        "to be told apart; `wrong`: a name outside the set. Effects that a model's parameters absorb count as `nothing missing`."
     )}  # fmt: skip
 
 
