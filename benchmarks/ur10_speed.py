@@ -36,7 +36,8 @@ def streamed(seconds: float, rate: float = 500.0) -> dict[str, Any]:
     online = OnlineIdentification(UR10())
     online.update(q[0], qd[0], qdd[0], tau[0])
     jax.block_until_ready(online.state)
-    programs, spent, late = online_module._update._cache_size(), [], 0  # pyright: ignore[reportFunctionMemberAccess]
+    compiled: Any = online_module._update
+    programs, spent, late = compiled._cache_size(), [], 0
     began = time.perf_counter()
     for k in range(1, len(t)):
         wait = began + k / rate - time.perf_counter()
@@ -52,7 +53,7 @@ def streamed(seconds: float, rate: float = 500.0) -> dict[str, Any]:
         "what": f"online update, 58 parameters, {seconds:g} s at {rate:g} Hz in real time",
         "jaxid": f"median {1e3 * np.median(spent):.3f} ms, 99 % {1e3 * np.percentile(spent, 99):.2f} ms",
         "beside it": f"{late} of {len(spent)} finished after the next sample was due",
-        "ratio": f"{online_module._update._cache_size() - programs} compilations while streaming",  # pyright: ignore
+        "ratio": f"{compiled._cache_size() - programs} compilations while streaming",
     }
 
 
@@ -70,7 +71,7 @@ def batches() -> list[dict[str, Any]]:
     import mujoco
     import pinocchio as pin
 
-    from test_serial_arm import table_of, twin
+    from tests.test_serial_arm import table_of, twin
 
     table, arm = table_of(UR10()), UR10()
     model: Any = twin(table)

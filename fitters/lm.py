@@ -110,9 +110,10 @@ def search(
     return best, tried
 
 
-#: Stages of a race, as of `STAGES`; how many go on to the end, and those whose cost is within this factor of the best.
-HEATS = ((0.1, 5, 2), (0.4, 4, 2), (1.0, 4, 1))
-FINALISTS, WITHIN = 5, 1.5
+#: Stages of a race, as of `STAGES`, with the number of groups that take the whole stage; those whose cost is within WITHIN of the
+#: best do so in any case.
+HEATS = ((0.1, 5, 2, None), (0.4, 5, 2, None), (1.0, 5, 1, 8), (1.0, None, 1, 4))
+WITHIN = 1.5
 
 
 def race(groups: Sequence[Sequence[tuple[AbstractProblem, np.ndarray]]], iterations: int, tolerance: float) -> list[Path]:
@@ -120,23 +121,27 @@ def race(groups: Sequence[Sequence[tuple[AbstractProblem, np.ndarray]]], iterati
     clearly behind after the first steps stay where they are, and only the front ones descend to the end."""
     current = [list(g) for g in groups]
     paths: list[Path] = []
-    for share, steps, keep in HEATS:
-        if share == 1.0:
-            for g, original in zip(current, groups, strict=True):
-                g += [original[0]] if not any(z is original[0][1] for _, z in g) else []
-        flat = [(k, job) for k, g in enumerate(current) for job in g]
-        found = descend([job for _, job in flat], steps, 1e-4, share)
-        paths = []
-        for k, g in enumerate(current):
+    for share, steps, keep, front in HEATS:
+        order = sorted(range(len(paths)), key=lambda k: paths[k].cost)
+        ahead = [k for n, k in enumerate(order) if front is None or n < front or paths[k].cost <= WITHIN * paths[order[0]].cost]
+        ahead = ahead or list(range(len(groups)))
+        if share == 1.0 and steps is not None:  # the whole for the first time: for all of them, for those behind one step
+            behind = [k for k in range(len(groups)) if k not in ahead]
+            for k in ahead:
+                current[k] += [groups[k][0]]
+            last = descend([current[k][0] for k in behind], 1, 1e-4) if behind else []
+            paths = [Path(g[0][0], g[0][1]) for g in current]
+            for k, path in zip(behind, last, strict=True):
+                paths[k] = path
+        flat = [(k, job) for k in ahead for job in current[k]]
+        found = descend([job for _, job in flat], steps or iterations, 1e-4 if steps else tolerance, share)
+        paths = paths or [Path(g[0][0], g[0][1]) for g in current]
+        for k in ahead:
             own = sorted((p for (n, _), p in zip(flat, found, strict=True) if n == k), key=lambda p: p.cost)
             points = distinct([p.z for p in own if np.isfinite(p.cost)] or [own[0].z])[:keep]
-            current[k] = [(g[0][0], z) for z in points]
-            paths.append(own[0])
-    order = sorted(range(len(paths)), key=lambda k: paths[k].cost)
-    front = [k for n, k in enumerate(order) if n < FINALISTS or paths[k].cost <= WITHIN * paths[order[0]].cost]
-    for k, path in zip(front, descend([current[k][0] for k in front], iterations, tolerance), strict=True):
-        if path.cost <= paths[k].cost:
-            paths[k] = path
+            current[k] = [(own[0].problem, z) for z in points]
+            if steps is not None or own[0].cost <= paths[k].cost:
+                paths[k] = own[0]
     return paths
 
 

@@ -346,7 +346,7 @@ class Engine:
             yield from done
         yield from ahead(jobs)
 
-    def _block(self, program: Callable, numbers, states, record: np.ndarray, lanes: np.ndarray, steps: np.int32):
+    def _block(self, program: Callable, numbers, states, record: np.ndarray, lanes: np.ndarray, steps: Any):
         padded = np.concatenate([lanes, np.repeat(lanes[-1:], LANES - lanes.size)])
         arrays = [a[padded] for pair in zip(numbers, states, strict=True) for a in pair]
         with float64():

@@ -9,6 +9,7 @@ import time
 import tty
 from pathlib import Path
 
+import jax.numpy as jnp
 import numpy as np
 import pyarrow.parquet as pq
 import pytest
@@ -504,7 +505,7 @@ def test_plants_are_models_in_real_time():
     arm.advance(1e-4, torque.tolist())
     with float64():
         body = type(table)()
-        qdd = np.asarray(body.vector_field(0.0, (np.zeros(6), np.zeros(6)), torque)[1])
+        qdd = np.asarray(body.vector_field(0.0, (np.zeros(6), np.zeros(6)), jnp.asarray(torque))[1])
     bare = Modelled("ur10", free, [])
     bare.advance(1e-4, torque.tolist())
     assert np.allclose(np.array(bare.qd) / 1e-4, qdd, rtol=1e-3, atol=1e-3)
