@@ -214,7 +214,7 @@ class Bench:
     def worth(self, dy: np.ndarray, criterion: str) -> np.ndarray:
         """What is minimised, [members]."""
         F = self.fisher(dy)
-        bad = ~np.isfinite(F).all((1, 2))
+        bad = np.asarray(~np.isfinite(F).all((1, 2)))
         e = np.linalg.eigvalsh(np.where(bad[:, None, None], np.eye(F.shape[1]), F))
         logs = 0.5 * np.log(np.maximum(e, DARK * np.maximum(e[:, -1:], 1e-300)))
         value = logs[:, -1] - logs[:, 0] if criterion == "condition" else -logs.mean(1)

@@ -60,7 +60,8 @@ def ridge_rls(
 @functools.partial(jax.jit, static_argnums=(6,))
 def _replayed(state, Y, tau, noise_var, forgetting, change, watched):
     def step(state, sample):
-        state = ridge_rls(state, *sample, noise_var, forgetting, np.array(watched, int), change)
+        Y, tau = sample
+        state = ridge_rls(state, Y, tau, noise_var, forgetting, np.array(watched, int), change)
         return state, state.still
 
     return jax.lax.scan(step, state, (Y, tau))
