@@ -5,13 +5,14 @@ from __future__ import annotations
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from jaxid.report import answer, background, compared, fitted, identified, missing_force, parameters, ranking, traces
+from jaxid.report import answer, background, compared, fitted, identified, missing_force, parameters, ranking, recorded, traces
 from jaxid.report.page import render, render_fragment
 from jaxid.terminal import one_line
 
 
 if TYPE_CHECKING:
     from jaxid.comparison import Comparison
+    from jaxid.experiment import Dataset
     from jaxid.identification import Identification
     from jaxid.results import Diagnosis, Fit
 
@@ -64,6 +65,16 @@ def identification_fragment(result: Identification) -> str:
 def diagnosis_fragment(diagnosis: Diagnosis) -> str:
     """The first section of the page as an HTML fragment, for a notebook."""
     return render_fragment([answer.section(diagnosis)])
+
+
+def fit_fragment(fit: Fit) -> str:
+    """Scores and parameters of a fit as an HTML fragment, for a notebook."""
+    return render_fragment([fitted.section(fit, history=False), parameters.section(fit)])
+
+
+def dataset_fragment(data: Dataset) -> str:
+    """Channels, runs and notes of a dataset as an HTML fragment, for a notebook."""
+    return render_fragment([recorded.section(data)])
 
 
 def _write(html: str, path: str | Path) -> Path:
