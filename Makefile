@@ -2,7 +2,7 @@
 PYTHON ?= $(shell command -v python3.11 || command -v python3 || command -v python)
 BIN := .venv/bin
 
-.PHONY: demo test lint format benchmark clean
+.PHONY: demo test lint format benchmark notebooks docs clean
 
 demo: .venv/installed
 	$(BIN)/jaxid diagnose examples/servo_pendulum --out out/demo
@@ -23,8 +23,17 @@ format: .venv/installed-dev
 benchmark: .venv/installed-dev
 	$(BIN)/python benchmarks/run_all.py $(ARGS)
 
+# Every notebook with the small budgets, those of the papers too, which make test leaves out.
+notebooks: .venv/installed-dev
+	JAXID_NOTEBOOKS=small $(BIN)/python -m pytest -q tests/test_notebooks.py $(ARGS)
+
+# The site with all notebooks executed in full; warnings are errors. Outputs are kept in out/docs_cache until code changes.
+docs: .venv/installed-dev
+	$(BIN)/python -m sphinx -W --keep-going -b html docs out/site
+	@echo "The site: out/site/index.html"
+
 clean:
-	rm -rf .venv out build dist .pytest_cache .ruff_cache .hypothesis *.egg-info
+	rm -rf .venv out build dist docs/notebooks docs/generated .pytest_cache .ruff_cache .hypothesis *.egg-info
 	find . -name __pycache__ -type d -prune -exec rm -rf {} +
 
 $(BIN)/python:
