@@ -101,8 +101,8 @@ def effects(pictures: Path, alike: dict) -> str:
         "",
         "The pictures are computed: the force that the model without the effect lacks, along a rich motion of the model with it,",
         "against velocity and position and over time; blue while moving forwards, red backwards. *Cannot be told from* quotes",
-        "`jaxid effects --model M` for an open loop with rich excitation; poorer recordings confuse more, and each diagnosis says",
-        "which in `confusable_with`.",
+        "`jaxid effects --model M`, an open loop with rich excitation; poorer recordings confuse more, and each diagnosis says",
+        "what in `confusable_with`.",
         "",
     ]
     for family, title in FAMILIES.items():

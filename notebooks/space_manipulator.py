@@ -52,7 +52,7 @@ def path(seed: int, seconds: float = 20.0, rate: float = 20.0, center=(0.0, 0.0)
 def mass_matrix(q: np.ndarray, base: tuple[float, float] | None, body: dict[str, float] = BODY) -> np.ndarray:
     """[time 2 2] from the Jacobians of the bodies [time 2 coordinates]; `base` (kg, kg m^2) floats freely, None stands still."""
     a, b = q[:, 0], q[:, 0] + q[:, 1]
-    n, zero = len(q), np.zeros(len(q))
+    n = len(q)
     spin = lambda x, y: np.stack([-y, x], 1)
     first = np.broadcast_to([0.6, 0.2], (n, 2))
     link = np.stack([np.cos(a), np.sin(a)], 1)
@@ -168,8 +168,7 @@ print(f"the floating base changes the torque by {100 * share:.0f} %; the mass fo
       f"{100 * (wrong.parameters['m2'].value / BODY['m2'] - 1):+.0f} %")  # fmt: skip
 
 # %% [markdown]
-# The free parameters absorb nearly all of the base's motion: a mass wrong by a seventh, hidden behind a residual of a few per
-# mille. What shows it is a second posture, a prior on the mass, or the attitude of the base, not the size of the residual.
+# The free parameters absorb nearly all of the base's motion: a mass wrong by a tenth, hidden behind a small residual. What shows it is a second posture, a prior on the mass, or the attitude of the base, not the size of the residual.
 #
 # ## The arm in motion
 #

@@ -82,7 +82,7 @@ _ = ax.legend(loc="lower left", bbox_to_anchor=(0, 1), ncols=3, frameon=False)
 
 # %% [markdown]
 # With a swarm that converges (inertia weight 0.73), the two populations end within each other's scatter: the paper's factor of two
-# is not reproduced. Neither does better than the gradient, which takes a hundredth of the evaluations.
+# is not reproduced. Neither does better than the gradient, which takes a fraction of the evaluations.
 #
 # ## What the experiment can tell
 #
@@ -169,7 +169,7 @@ for name in TRACKER:
     print(f"{name:8} {misled.parameters[name].value:.4f} ± {misled.parameters[name].std:.4f}   (truth {TRACKER[name]})")
 
 # %% [markdown]
-# The fit is at the noise, its standard deviations are small, and `J_theta` is wrong by a factor of eight: in the paper's tests
+# The fit is at the noise, its standard deviations are small, and `J_theta` is several times too small: in the paper's tests
 # the barrel stays near the horizontal while the base turns, so only the sum of both inertias is seen. No residual can tell. A
 # recording with both joints moving can:
 
@@ -194,6 +194,6 @@ print("rms error of θ:", error[:, 0].std().round(3), "degrees; the noise is 0.1
 # %% [markdown]
 # ## What holds
 #
-# - The paper's model and its four parameters come back, in 25 simulations instead of 1,220.
+# - The paper's model and its four parameters come back, by gradient in a fraction of the populations' simulations.
 # - *Genetic algorithm better than swarm* does not: with a swarm that converges they are equal within their scatter.
 # - From its own experiment nobody can tell where the rotor's inertia belongs. A small residual is not a right model.

@@ -164,6 +164,6 @@ _ = ax.legend(loc="lower left", bbox_to_anchor=(0, 1), ncols=3, frameon=False)
 #
 # - Payload by difference works, and the nonlinear friction law is chosen on held-out motion.
 # - The 22 base parameters that a payload changes, weighted by their covariance, scatter less than the three that the paper uses.
-# - 0.04 % is one draw from a distribution that is tens of times wider at the paper's own noise. Report an interval.
+# - 0.04 % is one draw from a distribution that is many times wider at the paper's own noise. Report an interval.
 # - The inertia of the load is not determined by these data; the paper's values belong to no body that can exist (negative moments).
 #   `loaded.payload.body` is the nearest that can.
