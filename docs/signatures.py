@@ -53,7 +53,7 @@ def _draw(folder: Path, model: str, names: list[str]) -> set[str]:
     effects = {e.name: e for e in binding.chain.effects}
     shown = list(pool)
     thetas = [theta, *(probes(binding, effects[n], pool[n].location, theta)[-1] for n in shown)]
-    problem = bench.problem(OutputError(), "fit", [], theta)
+    problem = bench.problem(OutputError(), "fit", binding.free, theta)
     runs = problem.runs
     z = problem.z(theta)
     (number,) = problem.records
@@ -83,7 +83,8 @@ def _force(path: Path, bench, e, theta, y: np.ndarray, nominal: np.ndarray, loca
     runs = problem.runs
     (record,) = (runs.record(r) for r in problem.records)
     keep = record.samples - record.first
-    motion = _differentiated(e, y, b.sigma, [y[:, i] for i in range(y.shape[1])])
+    columns = b.chain.joint_outputs
+    motion = _differentiated(e, y[:, columns], b.sigma[columns], [y[:, i] for i in columns])
     force = -_torque(problem, theta, [motion])[0][:, j]
     n = len(joints)
     t, q, qd = e.t[keep], motion[keep, j], motion[keep, n + j]

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import html
 import json
 import re
 import shutil
@@ -18,6 +19,7 @@ BROWSER = next((b for b in ("chromium", "chromium-browser", "google-chrome", "ch
 
 pytestmark = [
     pytest.mark.slow,
+    pytest.mark.timeout(600),
     pytest.mark.skipif(BROWSER is None, reason="no Chromium here: accessibility and print of the report were not checked"),
 ]
 
@@ -26,14 +28,14 @@ def chromium(*arguments: str, folder: Path) -> str:
     assert BROWSER is not None
     profile = folder / "profile"
     command = [BROWSER, "--headless", "--no-sandbox", "--disable-gpu", f"--user-data-dir={profile}", *arguments]
-    return subprocess.run(command, capture_output=True, text=True, timeout=250, check=True).stdout
+    return subprocess.run(command, capture_output=True, text=True, timeout=550, check=True).stdout
 
 
 @pytest.mark.parametrize("kind", ["diagnosis", "fit"])
 def test_pages_are_accessible(kind, tmp_path):
     pytest.importorskip("axe_core_python", reason="axe-core is not installed: accessibility was not checked")
     axe = (files("axe_core_python") / "axe.min.js").read_text(encoding="utf-8")
-    page = (sample_diagnosis() if kind == "diagnosis" else sample_fit()).report(tmp_path / "page.html")
+    page = (sample_diagnosis(800) if kind == "diagnosis" else sample_fit(samples=800)).report(tmp_path / "page.html")
     source = page.read_text(encoding="utf-8")
     assert "Content-Security-Policy" in source  # which would refuse the script below
     source = re.sub(r"<meta http-equiv=[^>]*>", "", source)
@@ -47,18 +49,16 @@ def test_pages_are_accessible(kind, tmp_path):
     });
     """
     page.write_text(source.replace("</body>", f"<script>{axe}</script><script>{run}</script></body>"), encoding="utf-8")
-    shown = chromium("--virtual-time-budget=120000", "--dump-dom", page.as_uri(), folder=tmp_path)
+    shown = chromium("--virtual-time-budget=60000", "--dump-dom", page.as_uri(), folder=tmp_path)
     match = re.search(r'<pre id="found">(.*?)</pre>', shown, re.S)
     assert match is not None, "axe did not finish"
-    import html
-
     found = json.loads(html.unescape(match[1]))
     assert found["rules"] > 10
     assert found["violations"] == []
 
 
 def test_prints_on_a4(tmp_path):
-    page = sample_diagnosis().report(tmp_path / "page.html")
+    page = sample_diagnosis(800).report(tmp_path / "page.html")
     pdf = tmp_path / "page.pdf"
     chromium(f"--print-to-pdf={pdf}", "--no-pdf-header-footer", page.as_uri(), folder=tmp_path)
     content = pdf.read_bytes()
