@@ -1,8 +1,8 @@
 """Blind cases: recordings with one withheld effect, several, one of no library, or none; diagnosed, then scored.
 
 The diagnosis sees recordings and the nominal model; the key (effect, location, strength) stays here and is compared afterwards.
-Recordings come from benchmarks/twins.py, which shares no code with the product; excitation, nominal parameters, joint and strength
-vary from case to case.
+Recordings come from benchmarks/twins.py, which shares no code with the product; excitation, nominal parameters, joint and
+strength vary from case to case.
 
     python benchmarks/blind.py [--models joint,pendulum] [--seed N] [--only effect,weak,control,outsider,pair] [--share 0.5]
 """
@@ -250,8 +250,13 @@ def score(case: dict[str, Any], diagnosis: Any, groups: list[set[str]], absorbed
     }
 
 
-def main(models: tuple[str, ...] = tuple(PLANTS), seed: int = 0, kinds: tuple[str, ...] = ("effect", "control"), share: float = 1.0,
-         store: Path | None = None) -> list[dict[str, Any]]:  # fmt: skip
+def run(
+    models: tuple[str, ...] = tuple(PLANTS),
+    seed: int = 0,
+    kinds: tuple[str, ...] = ("effect", "control"),
+    share: float = 1.0,
+    store: Path | None = None,
+) -> list[dict[str, Any]]:
     """Runs what is not yet in `store`, and returns the rows of these cases."""
     done = {}
     if store and store.exists():
@@ -279,10 +284,48 @@ def main(models: tuple[str, ...] = tuple(PLANTS), seed: int = 0, kinds: tuple[st
                     store.parent.mkdir(exist_ok=True)
                     with store.open("a") as f:
                         f.write(json.dumps(row, default=float) + "\n")
-                print(f"{'ok ' if row['right'] else 'set' if row['in_set'] else '---'} {model} {case['kind']} {label}: {row['verdict']} "
-                      f"{row['named']} ~ {row['mates']} gap {row['gap']:.3g} -> {row['after']:.3g} {row['cpu_s']:.0f} s", flush=True)  # fmt: skip
+                mark = "ok " if row["right"] else "set" if row["in_set"] else "---"
+                gap = f"gap {row['gap']:.3g} -> {row['after']:.3g} {row['cpu_s']:.0f} s"
+                print(mark, model, case["kind"], f"{label}:", row["verdict"], row["named"], "~", row["mates"], gap, flush=True)
             rows.append(done[key])
     return rows
+
+
+def main() -> dict[str, Any]:
+    """The table of what was run so far (`python benchmarks/blind.py` runs cases, hours of them)."""
+    lines = RESULTS.read_text().splitlines() if RESULTS.exists() else []
+    rows = [json.loads(line) for line in lines]
+    return {"title": "Blind cases", "rows": summary(rows), "text": (
+        "Recordings of separately written twins (benchmarks/twins.py); the key was read afterwards. `right`: exactly the "
+        "withheld effects, or equals of them on that model, were named; `in set`: they are among those named or reported as not "
+        "to be told apart; `wrong`: a name outside the set. Effects that a model's parameters absorb count as `nothing missing`."
+    )}  # fmt: skip
+
+
+def summary(rows: list[dict[str, Any]]) -> list[dict[str, Any]]:
+    out = []
+    words = {"effect": "one effect, medium", "weak": "one effect, a fifth of it", "control": "nothing missing",
+             "outsider": "an effect of no library", "pair": "two effects"}  # fmt: skip
+    for model in dict.fromkeys(r["model"] for r in rows):
+        for kind, label in words.items():
+            part = [r for r in rows if r["model"] == model and r["kind"] == kind]
+            if not part:
+                continue
+            count = lambda key, part=part: f"{sum(bool(r[key]) for r in part)} of {len(part)}"
+            shares = [r["shrinkage"] for r in part if r["shrinkage"] is not None]
+            missed = [f"{r['case']}: {r['verdict']} {' + '.join(r['named'])}" for r in part if not r["right"]]
+            if kind == "outsider":
+                named = f"{sum(r['verdict'] == 'named' for r in part)} of {len(part)} named"
+                row = {"right": named, "in set": "", "wrong": ""}
+            else:
+                row = {"right": count("right"), "in set": count("in_set"), "wrong": count("wrong")}
+            out.append(
+                {"model": model, "cases": label, **row,
+                 "shrinkage, median": round(float(np.median(shares)), 3) if shares else None,
+                 "CPU s a case, median": round(float(np.median([r["cpu_s"] for r in part])), 1),
+                 "not right": "; ".join(missed) if kind != "outsider" else ""}
+            )  # fmt: skip
+    return out
 
 
 if __name__ == "__main__":
@@ -293,4 +336,4 @@ if __name__ == "__main__":
     parser.add_argument("--share", type=float, default=1.0)
     parser.add_argument("--store", type=Path, default=RESULTS)
     o = parser.parse_args()
-    main(tuple(o.models.split(",")), o.seed, tuple(o.only.split(",")), o.share, o.store)
+    run(tuple(o.models.split(",")), o.seed, tuple(o.only.split(",")), o.share, o.store)

@@ -1,8 +1,8 @@
 """Twins for the blind cases: six plants with effects that a diagnosis is not told of, in separately written equations (NumPy).
 
-Nothing here imports the product. Many recordings are integrated side by side with steps of 0.1 ms: Heun's rule for what is smooth,
-then dry friction as the impulse that the joints can hold, then the position by the mean speed. A joint may have a motor of its own
-behind a spring with play.
+Nothing here imports the product. Many recordings are integrated side by side with steps of 0.1 ms: Heun's rule for what is
+smooth, then dry friction as the impulse that the joints can hold, then the position by the mean speed. A joint may have a motor
+of its own behind a spring with play.
 """
 
 from __future__ import annotations
@@ -240,13 +240,13 @@ def rigid(plant: Plant, u: np.ndarray, p: Lanes, parts: int, h: float) -> np.nda
 
     for k in range(steps):
         out[:, k] = q
-        lagged = table[:, k] + (lagged - table[:, k]) * follow
-        time = k * h
-        tau = torque_of(plant, p, driven(p, lagged), q, v)
+        before, lagged = lagged, table[:, k] + (lagged - table[:, k]) * follow
+        time, command = k * h, np.where(p["lag"] > 0, (before + lagged) / 2, lagged)
+        tau = torque_of(plant, p, driven(p, command), q, v)
         minus, plus = dry(p, q, v, tau)
         a1, b1, mobility = acceleration(q, v, link, dlink, tau, time)
         qa, va, la, da = q + h * v + h * h / 2 * a1, v + h * a1, link + h * dlink + h * h / 2 * b1, dlink + h * b1
-        tau2 = torque_of(plant, p, driven(p, lagged), qa, va) if plant.model == "servo" else tau
+        tau2 = torque_of(plant, p, driven(p, command), qa, va) if plant.model == "servo" else tau
         a2, b2, _ = acceleration(qa, va, la, da, tau2, time + h)
         vn = v + h / 2 * (a1 + a2)
         f = np.zeros((lanes, n))
@@ -329,8 +329,8 @@ def flexible(u: np.ndarray, p: Lanes, parts: int, h: float) -> np.ndarray:
     follow = np.where(p["lag"] > 0, np.exp(-h / np.maximum(p["lag"], 1e-12)), 0.0)
     out = np.empty((lanes, steps, 2))
     for k in range(steps):
-        lagged = table[:, k : k + 1] + (lagged - table[:, k : k + 1]) * follow
-        tau = driven(p, lagged)
+        before, lagged = lagged, table[:, k : k + 1] + (lagged - table[:, k : k + 1]) * follow
+        tau = driven(p, np.where(p["lag"] > 0, (before + lagged) / 2, lagged))
         q, v = x[:, :1], x[:, n : n + 1]
         minus, plus = dry(p, q, v, tau)
         net = tau - smooth(p, q, v, z, k * h)

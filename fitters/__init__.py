@@ -10,8 +10,8 @@ from .cmaes import CMAES
 from .de import DifferentialEvolution
 from .ga import GeneticAlgorithm
 from .hybrid import Hybrid
-from .linear import InstrumentalVariables, LeastSquares, WeightedLeastSquares
-from .lm import descend, LevenbergMarquardt, Path, search
+from .linear import InstrumentalVariables, LeastSquares, RecursiveLeastSquares, WeightedLeastSquares
+from .lm import descend, LevenbergMarquardt, Path, race, search
 from .pso import ParticleSwarm
 from .rde import RecursiveDE
 from .shade import Shade
@@ -19,7 +19,7 @@ from .shade import Shade
 
 FITTERS = (
     LevenbergMarquardt, Hybrid, BFGS, DifferentialEvolution, RandToBestDE, RecursiveDE, ParticleSwarm, GeneticAlgorithm,
-    CMAES, Shade, LeastSquares, WeightedLeastSquares, InstrumentalVariables,
+    CMAES, Shade, LeastSquares, WeightedLeastSquares, RecursiveLeastSquares, InstrumentalVariables,
 )  # fmt: skip
 
 __all__ = [
@@ -36,8 +36,10 @@ __all__ = [
     "Path",
     "RandToBestDE",
     "RecursiveDE",
+    "RecursiveLeastSquares",
     "Shade",
     "WeightedLeastSquares",
     "descend",
+    "race",
     "search",
 ]

@@ -2,10 +2,11 @@
 
 - `ls`: ordinary least squares. Biased in closed loop, where the disturbance is in the motion and hence in W.
 - `wls`: the same, each joint of each run weighted by its own residual (Gautier 1997).
+- `rls`: the same sample by sample, with a forgetting factor where the newest data are to count most.
 - `iv`: instrumental variables, Z'W theta = Z'b, with Z the W of the motion that the model makes under the recording's
   controller: no noise in it, so no bias (Janot, Vandanjon, Gautier 2014).
 
-All three are one bounded problem, min |Q'(W theta - b)| with Q a basis of the columns of Z (of W itself without instruments).
+All but `rls` are one bounded problem, min |Q'(W theta - b)| with Q a basis of the columns of Z (of W itself without instruments).
 """
 
 from __future__ import annotations
@@ -22,6 +23,7 @@ from jaxid.errors import UsageError
 from jaxid.fitter import AbstractFitter, Minimum
 from jaxid.noise import noise_floor
 from jaxid.objective import AbstractProblem, PENALTY, rows
+from jaxid.online import replay
 from jaxid.problem import Problem
 from jaxid.residual import InverseDynamics, Runs
 from jaxid.uncertainty import _long_run, _null_directions, _whiteness, Covariance
@@ -106,6 +108,42 @@ class WeightedLeastSquares(AbstractFitter):
             if change(old, theta) < self.tolerance:
                 stopped = "tolerance"
                 break
+        return finish(problem, at, blocks, blocks, theta, self.name, stopped, 1)
+
+
+class RecursiveLeastSquares(AbstractFitter):
+    """Recursive least squares in the order of the samples; `forgetting` below 1 lets old samples count less.
+
+    Without forgetting it ends where `ls` does. An estimate beyond its bounds is put on them.
+    """
+
+    name: ClassVar[str] = "rls"
+    source: ClassVar[str] = "textbook; paper 001, equations (8) to (11), from parameters of which nothing is known"
+    residual_name: ClassVar[str] = "inverse_dynamics"
+
+    forgetting: float = 1.0
+    prior_var: float = 1e10
+
+    def minimise(self, problem, starts, key, budget=None, progress=None, seconds=None):
+        problem = of_runs(problem, self.name)
+        at, blocks = linearised(problem, starts[0], self.name)
+        Y, b = np.concatenate(blocks.W), np.concatenate(blocks.b)
+        size = np.linalg.norm(Y.reshape(-1, Y.shape[2]), axis=0)
+        scale = np.where(size > 1e-10 * size.max(), size, np.inf)
+        rest = b - Y @ at
+        lower, upper = bounds(problem)
+        delta, _, _ = replay(
+            Y / scale, rest, np.zeros(at.size), noise_var=1.0, prior_var=self.prior_var, forgetting=self.forgetting
+        )
+        theta = np.clip(at + delta / scale, lower, upper)
+        stopped = "all samples seen"
+        if self.forgetting < 1:  # a sample counts by its age, also in the standard deviations
+            share = self.forgetting ** (0.5 * np.arange(len(Y) - 1, -1, -1.0))
+            parts = np.split(share, np.cumsum([len(W) for W in blocks.W])[:-1])
+            blocks = Blocks(
+                [W * s[:, None, None] for W, s in zip(blocks.W, parts, strict=True)],
+                [x * s[:, None] for x, s in zip(blocks.b, parts, strict=True)],
+            )
         return finish(problem, at, blocks, blocks, theta, self.name, stopped, 1)
 
 

@@ -16,6 +16,8 @@ if _TYPE_CHECKING:
     from jaxid.comparison import Comparison as Comparison
     from jaxid.dataset_io import load_dataset as load_dataset, save_dataset as save_dataset
     from jaxid.errors import UsageError as UsageError
+    from jaxid.excitation import excite as excite
+    from jaxid.excitation_result import Excitation as Excitation
     from jaxid.experiment import (
         Channel as Channel,
         Dataset as Dataset,
@@ -35,6 +37,7 @@ _HOME = {
     "Dataset": "jaxid.experiment",
     "DatasetError": "jaxid.experiment",
     "Diagnosis": "jaxid.results",
+    "Excitation": "jaxid.excitation_result",
     "Experiment": "jaxid.experiment",
     "Fit": "jaxid.results",
     "Problem": "jaxid.problem",
@@ -42,6 +45,7 @@ _HOME = {
     "UsageError": "jaxid.errors",
     "compare": "jaxid.api",
     "diagnose": "jaxid.api",
+    "excite": "jaxid.excitation",
     "fit": "jaxid.api",
     "fitters": None,
     "identify": "jaxid.identification",

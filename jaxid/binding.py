@@ -11,6 +11,7 @@ import numpy as np
 
 from jaxid import catalogue, samples
 from jaxid.chain import Chain, Effect, neutral
+from jaxid.dataset_geometry import arm_table
 from jaxid.errors import nearest, UsageError
 from jaxid.experiment import Dataset, Experiment
 from jaxid.layout import Layout
@@ -66,6 +67,8 @@ def resolve_model(model: object, dataset: Dataset, without: Iterable[str] = ()) 
     smoothing = spec.constants.get("smoothing_velocity", 0.0) if spec is not None else 0.0
     if isinstance(model, str) and model.endswith(".urdf"):
         model = catalogue.model_class("serial_arm").from_urdf(model)
+    elif isinstance(model, str) and spec is not None and spec.geometry is not None and model == spec.name:
+        model = catalogue.model_class(model)(arm_table(spec.geometry))
     elif isinstance(model, str):
         model = catalogue.model_class(model)()
     constants = spec.constants if spec is not None else {}

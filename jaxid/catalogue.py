@@ -111,8 +111,8 @@ def fitter_class(name: str) -> Any:
     return _pick("fitter", _fitters(), name)
 
 
-def describe(name: str) -> ModelInfo:
-    """What a user and the checks of a dataset need to know of a model."""
+def describe(name: str, model: Any = None) -> ModelInfo:
+    """What a user and the checks of a dataset need to know of a model; `model` one of it where they differ (a `serial_arm`)."""
     from jaxid.chain import Chain
     from jaxid.layout import Layout
     from jaxid.parameter import settings
@@ -120,8 +120,9 @@ def describe(name: str) -> ModelInfo:
     kind = model_class(name)
     parameters: dict[str, ParameterInfo] = {}
     constants: dict[str, ParameterInfo] = {}
-    for signature in kind.signatures:
-        for e in Layout(Chain(kind(), signature=signature)).entries:
+    one = kind() if model is None else model
+    for signature in one.signatures:
+        for e in Layout(Chain(one, signature=signature)).entries:
             info = ParameterInfo(e.name, e.unit, e.spec.value, str(e.spec.lower), str(e.spec.upper), e.spec.meaning)
             table = constants if e.spec.fixed else parameters
             if e.name in table and table[e.name].unit != e.unit:
@@ -133,7 +134,7 @@ def describe(name: str) -> ModelInfo:
         constants[setting] = ParameterInfo(setting, "1", float(spec.default), *bounds, f"{spec.meaning} (default {default})")
     constants[SMOOTHING.name] = SMOOTHING
     states: list[str] = []
-    for signature in kind.signatures:
+    for signature in one.signatures:
         for j, joint in enumerate(signature.joints):
             number = "" if len(signature.joints) == 1 else str(j + 1)
             states += [joint, "velocity" if signature.linear else f"qd{number}", f"q{number}", f"qd{number}"]
@@ -142,7 +143,7 @@ def describe(name: str) -> ModelInfo:
         _text(kind),
         kind.equations,
         kind.source,
-        tuple(SignatureInfo(s.inputs, s.outputs) for s in kind.signatures),
+        tuple(SignatureInfo(s.inputs, s.outputs) for s in one.signatures),
         tuple(parameters),
         tuple(constants),
         tuple(e.name for e, _ in kind.builtin),

@@ -25,7 +25,9 @@ T = TypeVar("T")
 
 #: Commands that live in modules of their own, as light to import as this one: name -> module that has it under that name.
 MODULES = {
+    "batch": "jaxid.cli_batch",
     "compare": "jaxid.cli_compare",
+    "excite": "jaxid.cli_excite",
     "identify": "jaxid.cli_identify",
     "record": "jaxid.cli_record",
     "emulate": "jaxid.cli_emulate",

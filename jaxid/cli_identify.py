@@ -21,8 +21,9 @@ if TYPE_CHECKING:
 @OUT
 @MODEL
 @click.option(
-    "--method", type=click.Choice(("ls", "wls", "iv", "tls", "constrained")), default="wls", show_default=True, metavar="M",
-    help="ls, wls, iv, tls or constrained (bodies that can exist, friction that brakes).",
+    "--method", type=click.Choice(("ls", "wls", "iv", "rls", "tls", "constrained")), default="wls", show_default=True,
+    metavar="M",
+    help="ls, wls, iv, rls (recursive), tls or constrained (bodies that can exist, friction that brakes).",
 )  # fmt: skip
 @click.option(
     "--friction", type=click.Choice(("auto", "linear", "power", "stribeck")), default="auto", show_default=True, metavar="LAW",

@@ -7,15 +7,17 @@ from collections.abc import Callable, Iterable
 from dataclasses import replace
 from typing import Any
 
+from jaxid.dataset_geometry import arm_table
 from jaxid.dataset_records import Harvest, read_record, read_response, Reading
 from jaxid.dataset_schema import Document, ExperimentEntry, Header, ModelEntry, Places
 from jaxid.dataset_table import Table
-from jaxid.errors import nearest
+from jaxid.errors import nearest, UsageError
 from jaxid.experiment import (
     Controller,
     Dataset,
     DatasetError,
     DatasetWarning,
+    Geometry,
     ModelSpec,
     ParameterPrior,
     Problem,
@@ -26,10 +28,19 @@ from jaxid.units import Conversion, conversion, si_unit, UnitError
 OpenTable = Callable[[int, ExperimentEntry], Table | Problem]
 
 
-def assemble(document: Document, places: Places, open_table: OpenTable, *, check_model: bool, sha256: Callable[[], str]):
+def assemble(
+    document: Document,
+    places: Places,
+    open_table: OpenTable,
+    *,
+    check_model: bool,
+    sha256: Callable[[], str],
+    open_text: Callable[[str, tuple[str | int, ...]], str | Problem] | None = None,
+):
     """The dataset, or `DatasetError` with every fault of the description, the model and the samples."""
     problems = list(document.problems)
-    info = _model_info(document, places, problems) if check_model else None
+    geometry = _geometry(document, places, open_text, problems)
+    info = _model_info(document, places, problems, geometry) if check_model else None
     readings = _readings(document, places, problems, info)
     problems += _roles(document, places, known_model=info is not None)
     problems += _references(document, places)
@@ -51,7 +62,7 @@ def assemble(document: Document, places: Places, open_table: OpenTable, *, check
         channels=tuple(r.channel for r in readings),
         experiments=tuple(e for h in harvests for e in h.experiments),
         responses=tuple(r for h in harvests for r in h.responses),
-        model=None if document.model is None else _model_spec(document.model),
+        model=None if document.model is None else replace(_model_spec(document.model), geometry=geometry),
         controller=None if document.controller is None else Controller(document.controller.kind, document.controller.settings),
         notes=tuple([note for h in harvests for note in h.notes] + alerts),
         sha256=sha256(),
@@ -89,6 +100,32 @@ def _model_spec(entry: ModelEntry) -> ModelSpec:
         constants={k: float(v) for k, v in entry.constants.items()},
         parameters={k: ParameterPrior(p.value, p.lower, p.upper) for k, p in entry.parameters.items()},
     )
+
+
+def _geometry(document: Document, places: Places, open_text: Any, problems: list[Problem]) -> Geometry | None:
+    """The links that `[model]` states; a URDF is read from the folder and kept as text."""
+    entry = document.model
+    if entry is None or (entry.urdf is None and entry.dh is None):
+        return None
+    if entry.dh is not None:
+        columns = entry.dh.model_dump(exclude={"convention"}, exclude_none=True)
+        return Geometry(convention=entry.dh.convention, columns=columns)
+    assert entry.urdf is not None
+    key = ("model", "urdf")
+    if open_text is None:
+        problems.append(places.problem(key, "a URDF needs a folder", "Give the model as SerialArm.from_urdf(...)"))
+        return None
+    text = open_text(entry.urdf, key)
+    if isinstance(text, Problem):
+        problems.append(text)
+        return None
+    geometry = Geometry(urdf=text, file=entry.urdf, tip=entry.tip)
+    try:
+        arm_table(geometry)
+    except UsageError as error:
+        problems.append(places.problem(key, str(error), "Correct the URDF"))
+        return None
+    return geometry
 
 
 def _readings(document: Document, places: Places, problems: list[Problem], info: Any) -> list[Reading]:
@@ -152,7 +189,7 @@ def _references(document: Document, places: Places) -> list[Problem]:
     return problems
 
 
-def _model_info(document: Document, places: Places, problems: list[Problem]) -> Any:
+def _model_info(document: Document, places: Places, problems: list[Problem], geometry: Geometry | None) -> Any:
     """What the catalogue knows of the model, with the names of the file checked against it."""
     entry = document.model
     if entry is None or entry.name is None:
@@ -164,7 +201,10 @@ def _model_info(document: Document, places: Places, problems: list[Problem]) -> 
         message = f"there is no model {entry.name!r}{nearest(entry.name, names)}"
         problems.append(places.problem(("model", "name"), message, "Name a model that `jaxid models` lists"))
         return None
-    info = catalogue.describe(entry.name)
+    if geometry is None and (entry.urdf or entry.dh):
+        return None  # its fault is reported
+    arm = None if geometry is None else catalogue.model_class(entry.name)(arm_table(geometry))
+    info = catalogue.describe(entry.name, arm)
     effects = catalogue.effect_names()
     known = (*info.constants, *info.parameters, "smoothing_velocity")
 

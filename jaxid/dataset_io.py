@@ -40,6 +40,7 @@ def load_dataset(path: str | os.PathLike[str], *, check_model: bool = True) -> D
         folder_tables.open,
         check_model=check_model,
         sha256=lambda: folder_tables.sha256(content),
+        open_text=folder_tables.text,
     )
 
 
@@ -84,21 +85,38 @@ class _Folder:
 
     def open(self, index: int, entry: ExperimentEntry) -> Table | Problem:
         file = entry.file
-        key = ("experiments", index, "file")
         if file in self.tables:
             return self.tables[file]
+        content = self._content(file, ("experiments", index, "file"), SUFFIXES)
+        if isinstance(content, Problem):
+            return content
+        self.tables[file] = read_table(self.folder / file, file, content)
+        return self.tables[file]
+
+    def text(self, file: str, key: tuple[str | int, ...]) -> str | Problem:
+        """A file of the folder as text."""
+        content = self._content(file, key, (".urdf", ".xml"))
+        if isinstance(content, Problem):
+            return content
+        try:
+            return content.decode("utf-8-sig")
+        except UnicodeDecodeError:
+            return self.places.problem(key, f"{file!r} holds a character that is not UTF-8", "Save the file as UTF-8")
+
+    def _content(self, file: str, key: tuple[str | int, ...], suffixes: tuple[str, ...]) -> bytes | Problem:
         parts = re.split(r"[/\\]", file)
+        kinds = " nor ".join(s for s in suffixes if s != ".pq")
         try:
             path = self.folder / file
             outside = ".." in parts or Path(file).is_absolute() or file[1:2] == ":" or file[:1] == "\\"
             if outside or not path.resolve().is_relative_to(self.folder.resolve()):
                 return self.places.problem(key, f"{file!r} lies outside the folder", "Move the file into the dataset's folder")
             if path.is_dir():
-                return self.places.problem(key, f"{file!r} is a folder", "Name a CSV or Parquet file")
-            if path.suffix.lower() not in SUFFIXES:
-                return self.places.problem(key, f"{file!r} is neither .csv nor .parquet", "Convert it to CSV or Parquet")
+                return self.places.problem(key, f"{file!r} is a folder", f"Name a {kinds.replace('nor', 'or')} file")
+            if path.suffix.lower() not in suffixes:
+                return self.places.problem(key, f"{file!r} is neither {kinds}", f"Name a {kinds.replace('nor', 'or')} file")
             if not path.is_file():
-                there = [p.name for p in sorted(self.folder.iterdir()) if p.suffix.lower() in SUFFIXES][:12]
+                there = [p.name for p in sorted(self.folder.iterdir()) if p.suffix.lower() in suffixes][:12]
                 hint = f" (there is: {', '.join(there)})" if there else ""
                 return self.places.problem(key, f"there is no file {file!r}{hint}", "Add the file or correct its name")
             content = path.read_bytes()
@@ -106,8 +124,7 @@ class _Folder:
             reason = error.strerror if isinstance(error, OSError) and error.strerror else str(error)
             return self.places.problem(key, f"{file!r} is not readable ({reason})", "Correct its name or permissions")
         self.digests[file] = hashlib.sha256(content).digest()
-        self.tables[file] = read_table(path, file, content)
-        return self.tables[file]
+        return content
 
     def sha256(self, description: bytes) -> str:
         digest = hashlib.sha256(description)

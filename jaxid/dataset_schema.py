@@ -133,20 +133,49 @@ class PriorEntry(_Strict):
         return self
 
 
+class LinksEntry(_Strict):
+    """`[model.dh]`: a Denavit-Hartenberg table of a `serial_arm`, one number a joint, m and rad."""
+
+    convention: Literal["modified", "standard"] = "modified"
+    a: list[FiniteFloat] = Field(min_length=1, max_length=64)
+    alpha: list[FiniteFloat]
+    d: list[FiniteFloat]
+    theta: list[FiniteFloat] | None = None
+    prismatic: list[bool] | None = None
+
+    @model_validator(mode="after")
+    def _even(self) -> LinksEntry:
+        for name in ("alpha", "d", "theta", "prismatic"):
+            column = getattr(self, name)
+            if column is not None and len(column) != len(self.a):
+                raise ValueError(f"{name} has {len(column)} entries and a has {len(self.a)}: one for each joint")
+        return self
+
+
 class ModelEntry(_Strict):
-    """`[model]`."""
+    """`[model]`. `urdf` (a file of the folder, with the `tip` of the chain where it has branches) or `dh` are the links of a
+    `serial_arm`."""
 
     name: str | None = None
     without: list[str] = []
     free: bool = False
     constants: dict[str, Number] = {}
     parameters: dict[str, PriorEntry] = {}
+    urdf: str | None = None
+    tip: str | None = None
+    dh: LinksEntry | None = None
 
     @model_validator(mode="after")
     def _apart(self) -> ModelEntry:
         both = sorted(set(self.constants) & set(self.parameters))
         if both:
             raise ValueError(f"{both[0]!r} is both known (constants) and to be fitted (parameters)")
+        if self.urdf is not None and self.dh is not None:
+            raise ValueError("the links stand in both urdf and dh: keep one of them")
+        if (self.urdf is not None or self.dh is not None) and self.name != "serial_arm":
+            raise ValueError('urdf and dh are the links of the model "serial_arm": write name = "serial_arm"')
+        if self.tip is not None and self.urdf is None:
+            raise ValueError("tip names the end of a chain in a URDF, and there is no urdf")
         return self
 
 

@@ -37,6 +37,9 @@ def write_files(dataset: Dataset, folder: Path, format: str) -> None:
         about = {"kind": "frequency_response", "input": response.input, "output": response.output}
         entries.append({"file": file, "name": response.name, "split": response.split, **about})
     description["experiments"] = entries
+    links = None if dataset.model is None else dataset.model.geometry
+    if links is not None and links.urdf:
+        (folder / "arm.urdf").write_text(links.urdf, encoding="utf-8")
     (folder / "dataset.toml").write_text(tomlkit.dumps(description), encoding="utf-8")
 
 
@@ -54,6 +57,10 @@ def _header(dataset: Dataset) -> dict[str, Any]:
         entry |= {"constants": dict(model.constants)} if model.constants else {}
         if model.parameters:
             entry["parameters"] = {name: _stated(prior.__dict__) for name, prior in model.parameters.items()}
+        if (links := model.geometry) is not None and links.urdf:
+            entry |= {"urdf": "arm.urdf"} | ({"tip": links.tip} if links.tip is not None else {})
+        elif links is not None:
+            entry["dh"] = {"convention": links.convention, **links.columns}
         top["model"] = entry
     if dataset.controller is not None:
         top["controller"] = {"kind": dataset.controller.kind, **dataset.controller.settings}

@@ -185,14 +185,27 @@ class ParameterPrior:
 
 
 @dataclass(frozen=True)
+class Geometry:
+    """The links of a `serial_arm`: the text of a URDF with its file's name and the tip of the chain, or the columns of a
+    Denavit-Hartenberg table of a `convention` (modified or standard)."""
+
+    urdf: str = ""
+    file: str = ""
+    tip: str | None = None
+    convention: str = "modified"
+    columns: dict[str, list[float] | list[bool]] = field(default_factory=dict)
+
+
+@dataclass(frozen=True)
 class ModelSpec:
-    """The model a dataset is meant for; `free` is motion without any input."""
+    """The model a dataset is meant for; `free` is motion without any input, `geometry` that of a `serial_arm`."""
 
     name: str | None = None
     without: tuple[str, ...] = ()
     free: bool = False
     constants: dict[str, float] = field(default_factory=dict)
     parameters: dict[str, ParameterPrior] = field(default_factory=dict)
+    geometry: Geometry | None = None
 
 
 @dataclass(frozen=True)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
@@ -35,7 +35,11 @@ from jaxid.results import SCHEMA, versions
 from jaxid.torque import drive_gains
 
 
-METHODS = ("ls", "wls", "iv", "tls", "constrained")
+METHODS = ("ls", "wls", "iv", "rls", "tls", "constrained")
+#: Variance of a parameter that nothing is known of, in units of the square of what one unit of noise in every row makes of it.
+UNKNOWN = 1e10
+#: Sampling rate for which paper 001 states its stopping rule.
+PAPER_HZ = 125.0
 #: A richer friction law is taken only if it is better by this share on every held-out run.
 BETTER = 0.01
 
@@ -197,11 +201,12 @@ def identify(
 ) -> Identification:
     """Base parameters and friction of a serial arm from recorded motion and torque.
 
-    `method` is ls, wls, iv, tls or constrained; `friction` linear, power, stribeck, or auto: the simplest that no richer law
-    beats on every held-out run. Torque and columns are low-passed at `cutoff_hz`, positions at `motion_hz` (twice that) before
-    they are differentiated. `reference`, the identification of the unloaded arm (or its JSON), gives the payload; `gain_std` is
-    the relative standard deviation of the drive gains, which moves payload and torque alike. Raises `UsageError` for a model
-    that is no serial arm and data that lack its channels.
+    `method` is ls, wls, iv, rls (wls sample by sample; with a reference it also says after which time the payload has
+    converged), tls or constrained; `friction` linear, power, stribeck, or auto: the simplest that no richer law beats on every
+    held-out run. Torque and columns are low-passed at `cutoff_hz`, positions at `motion_hz` (twice that) before they are
+    differentiated. `reference`, the identification of the unloaded arm (or its JSON), gives the payload; `gain_std` is the
+    relative standard deviation of the drive gains, which moves payload and torque alike. Raises `UsageError` for a model that is
+    no serial arm and data that lack its channels.
     """
     began = time.perf_counter()
     if method not in METHODS:
@@ -221,6 +226,7 @@ def identify(
     if method == "iv":
         by = [instruments(data, e, chain, base, r) for e, r in zip(data.experiments, runs, strict=True) if r.split == "fit"]
 
+    before = None if reference is None else read_reference(reference)
     tried = [friction] if friction != "auto" else list(LAWS)
     solved = {name: _solve(LAWS[name], runs, by, method, chain, base) for name in tried}
     trials = [_trial(LAWS[name], runs, *solved[name][:2]) for name in tried]
@@ -243,9 +249,12 @@ def identify(
         notes=tuple([*data.notes, *_notes(found, names, method, law)]), wall_time_s=time.perf_counter() - began,
         traces=tuple((r.name, r.split, r.t, r.tau, full_rows(r, law, exponent) @ theta) for r in runs),
     )  # fmt: skip
-    if reference is None:
+    if before is None:
         return result
-    payload = payload_by_difference(result, read_reference(reference), base, np.asarray(arm.prismatic), gain_std)
+    payload = payload_by_difference(result, before, base, np.asarray(arm.prismatic), gain_std)
+    if method == "rls":
+        after = converged_after(runs, law, exponent, result, before, base, weights)
+        payload = replace(payload, converged_after_s=after)
     return Identification(**{**result.__dict__, "payload": payload})
 
 
@@ -290,6 +299,8 @@ def _solve(law: Law, runs: Sequence[Run], by: Sequence[Run] | None, method: str,
         theta = solve.least_squares(W, b, prior)
     elif method == "tls":
         theta = solve.total(W, b, _column_noise(fit, weights, W.shape[1]), prior)
+    elif method == "rls":
+        theta = recursive(fit, law, exponent, weights, prior)
     elif method == "iv" and by is not None:
         instrument = blocks_of(by, exponent)
         theta = solve.instrumental(W, b, solve.stacked(instrument, weights)[0], prior)
@@ -300,6 +311,48 @@ def _solve(law: Law, runs: Sequence[Run], by: Sequence[Run] | None, method: str,
     if law.nonlinear:
         slopes = [exponent_slopes(r, law, theta, exponent)[:: spacing(r)] for r in fit]
     return theta, exponent, weights, phi, solve.estimate(blocks, weights, theta, instrument, slopes)
+
+
+def recursive(fit: Sequence[Run], law: Law, exponent: np.ndarray, weights: Sequence[np.ndarray], prior: np.ndarray) -> np.ndarray:
+    """Weighted least squares sample by sample: the recursion over all rows of the fit runs, one run after the other, from the
+    model's own values, of which next to nothing is trusted."""
+    from jaxid.online import replay
+
+    Y = np.concatenate([full_rows(r, law, exponent) * w[:, None] for r, w in zip(fit, weights, strict=True)])
+    tau = np.concatenate([r.tau * w for r, w in zip(fit, weights, strict=True)])
+    size = np.linalg.norm(Y.reshape(-1, Y.shape[2]), axis=0)
+    seen = size > solve.SEEN * size.max()
+    scale = np.where(seen, size, np.inf)  # a column that shows nothing leaves its parameter where it is
+    found = replay(Y / scale, tau - Y @ prior, np.zeros_like(prior), noise_var=1.0, prior_var=UNKNOWN)[0]
+    return prior + found / scale
+
+
+def converged_after(
+    runs: Sequence[Run],
+    law: Law,
+    exponent: np.ndarray,
+    loaded: Identification,
+    before: Mapping[str, Any],
+    base: BaseParameters,
+    weights: Sequence[np.ndarray],
+) -> float | None:
+    """Seconds of the first fit run after which the paper's stopping rule holds for the last link's parameters, from the unloaded
+    arm's parameters with the paper's P0 = 10; None: never within the run."""
+    from jaxid.online import replay, Rule, watched_of
+
+    first = next(r for r in runs if r.split == "fit")
+    friction = {f"{k}{entry['joint'][1:]}": v["value"] for entry in before["friction"] for k, v in entry.items() if k != "joint"}
+    known = {e["name"]: e["value"] for e in before["base_parameters"]} | friction
+    prior = np.array([known.get(name, value) for name, value in zip(loaded.names, loaded.theta, strict=True)], float)
+    step = float(np.median(np.diff(first.t)))
+    # Rows between those that say something new hold the same noise: each counts with that much more variance.
+    noise = np.asarray(weights[0]) ** -2.0 * spacing(first)
+    rule = Rule(samples=round(Rule().samples / PAPER_HZ / step))
+    _, _, met = replay(
+        full_rows(first, law, exponent), first.tau, prior, noise_var=noise, prior_var=10.0,
+        watched=watched_of(base, loaded.joints), rule=rule,
+    )  # fmt: skip
+    return None if met is None else met * step
 
 
 def _exponents(fit: Sequence[Run], law: Law, blocks, weights, p: int, n: int, start: np.ndarray, positive: bool) -> np.ndarray:

@@ -10,6 +10,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any, NamedTuple
 
+import jax.numpy as jnp
 import numpy as np
 
 from jaxid.base_parameters import BaseParameters, torque_columns
@@ -41,20 +42,21 @@ LAWS: dict[str, Law] = {
 }
 
 
-def power(qd: np.ndarray, exponent: np.ndarray) -> np.ndarray:
+def power(qd: Any, exponent: np.ndarray) -> Any:
     """|qd|^exponent sign(qd), the law of `power_law_friction`."""
     return qd * (qd * qd + 1e-6) ** ((exponent - 1) / 2)
 
 
-def friction_columns(law: Law, qd: np.ndarray, exponent: np.ndarray) -> np.ndarray:
-    """Values [samples k n] of the k columns of a law at each joint's velocity [samples n]."""
-    dry = np.tanh(qd / REST)
+def friction_columns(law: Law, qd: Any, exponent: np.ndarray) -> Any:
+    """Values [samples k n] of the k columns of a law at each joint's velocity [samples n], NumPy's or JAX."""
+    xp: Any = np if isinstance(qd, np.ndarray) else jnp
+    dry = xp.tanh(qd / REST)
     if law.name == "power":
-        return np.stack([dry, power(qd, exponent), np.ones_like(qd)], 1)
-    parts = [dry, qd, np.ones_like(qd)]
+        return xp.stack([dry, power(qd, exponent), xp.ones_like(qd)], 1)
+    parts = [dry, qd, xp.ones_like(qd)]
     if law.name == "stribeck":
-        parts += [dry * np.exp(-((qd / 0.1) ** 2)), qd**3]
-    return np.stack(parts, 1)
+        parts += [dry * xp.exp(-((qd / 0.1) ** 2)), qd**3]
+    return xp.stack(parts, 1)
 
 
 @dataclass(frozen=True)

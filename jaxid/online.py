@@ -57,6 +57,53 @@ def ridge_rls(
     return Recursion(state.theta + step, (P + P.T) / 2, still, state.seen + 1)
 
 
+@functools.partial(jax.jit, static_argnums=(6,))
+def _replayed(state, Y, tau, noise_var, forgetting, change, watched):
+    def step(state, sample):
+        Y, tau = sample
+        state = ridge_rls(state, Y, tau, noise_var, forgetting, np.array(watched, int), change)
+        return state, state.still
+
+    return jax.lax.scan(step, state, (Y, tau))
+
+
+def replay(
+    Y: np.ndarray,
+    tau: np.ndarray,
+    prior: np.ndarray,
+    *,
+    noise_var: np.ndarray | float = 100.0,
+    prior_var: np.ndarray | float = 10.0,
+    forgetting: float = 1.0,
+    watched: tuple[int, ...] = (),
+    rule: Rule = Rule(),
+) -> tuple[np.ndarray, np.ndarray, int | None]:
+    """The recursion over recorded rows Y [time n p] and torque [time n], in their order: estimate [p], P [p p], and the number of
+    samples after which the rule was first met for the `watched` parameters (None: never, or none watched)."""
+    _refuse_forgetting(forgetting)
+    full = lambda v, k: jnp.asarray(np.broadcast_to(np.asarray(v, np.float64), k))
+    with float64():
+        zero = jnp.zeros((), jnp.int32)
+        state = Recursion(jnp.asarray(prior, float), jnp.diag(full(prior_var, prior.size)), zero, zero)
+        arrays = jnp.asarray(Y), jnp.asarray(tau), full(noise_var, tau.shape[1]), np.float64(forgetting), np.float64(rule.change)
+        state, still = _replayed(state, *arrays, watched or (0,))
+        met = np.flatnonzero(np.asarray(still) > rule.samples)
+        return np.asarray(state.theta), np.asarray(state.P), int(met[0]) + 1 if watched and met.size else None
+
+
+def _refuse_forgetting(forgetting: float) -> None:
+    if not 0 < forgetting <= 1:
+        raise UsageError(f"forgetting is {forgetting:g}; it lies above 0 and at most at 1 (1 forgets nothing)")
+
+
+def watched_of(base: Any, n: int) -> tuple[int, ...]:
+    """Positions of the last link's base parameters; those that stand alone, where an arm has such (the paper's rule)."""
+    names = base.names
+    found = [i for i in range(len(names)) if names[i].endswith(str(n)) and not names[i].startswith("Ia")]
+    alone = [i for i in found if np.count_nonzero(base.K[i]) == 1] if n >= 3 else []
+    return tuple(alone or found)
+
+
 def regressor_row(arm: Any, kept: np.ndarray, q: Array, qd: Array, qdd: Array, exponent: Array) -> Float[Array, "n p"]:
     """Columns of base parameters, then F_c, F_v, offset of each joint, at one sample."""
     n = q.shape[0]
@@ -101,8 +148,7 @@ class OnlineIdentification:
         forgetting: float = 1.0,
         rule: Rule = Rule(),
     ):
-        if not 0 < forgetting <= 1:
-            raise UsageError(f"forgetting is {forgetting:g}; it lies above 0 and at most at 1 (1 forgets nothing)")
+        _refuse_forgetting(forgetting)
         self.arm, self.base, self.rule = arm, arm.base(), rule
         n, p = len(arm.prismatic), len(self.base.kept) + 3 * len(arm.prismatic)
         self.names = [*self.base.names, *(f"{k}{j + 1}" for k in ("F_c", "F_v", "offset") for j in range(n))]
@@ -111,17 +157,13 @@ class OnlineIdentification:
             raise UsageError(
                 f"the prior has shape {self.prior.shape}; this arm has {p} parameters ({self.names[0]} … {self.names[-1]})"
             )
-        last = str(n)
-        watched = [i for i in range(len(self.base.kept)) if self.names[i].endswith(last) and not self.names[i].startswith("Ia")]
-        if n >= 3:  # the paper watches the last link's parameters that stand alone
-            watched = [i for i in watched if np.count_nonzero(self.base.K[i]) == 1] or watched
         with float64():
             full = lambda v, k: jnp.asarray(np.broadcast_to(np.asarray(v, np.float64), k))
             leaves, structure = jax.tree.flatten(arm)
             shapes = tuple(np.shape(a) for a in leaves)
             settings = [np.broadcast_to(exponent, n), np.broadcast_to(noise_var, n), [forgetting, rule.change]]
             numbers = np.concatenate([np.ravel(np.asarray(a, np.float64)) for a in (*leaves, *settings)])
-            self.watched = tuple(watched)
+            self.watched = watched_of(self.base, n)
             self._static = structure, shapes, tuple(int(i) for i in self.base.kept), self.watched
             self._numbers = jnp.asarray(numbers)
             zero = jnp.zeros((), jnp.int32)

@@ -43,13 +43,13 @@ class _Robot:
         return [j for j in self.joints.values() if j.parent == link]
 
 
-def read_urdf(path: str | Path, tip: str | None = None, root: str | None = None) -> ArmTable:
+def read_urdf(path: str | Path, tip: str | None = None, root: str | None = None, text: str | None = None) -> ArmTable:
     """The chain from `root` (default: the link without a parent) to `tip` (default: the end of the only branch that moves).
 
-    Moving joints off the chain are locked at zero, their links added to the chain's. Raises `UsageError` for what is not a
-    chain of such joints, naming the joint or link.
+    With `text` that is read, and the path only named in messages. Moving joints off the chain are locked at zero, their links
+    added to the chain's. Raises `UsageError` for what is not a chain of such joints, naming the joint or link.
     """
-    robot = _read(Path(path))
+    robot = _read(Path(path), text)
     root = _root(robot, root, path)
     tip = _tip(robot, root, tip, path)
     chain = _chain_to(robot, root, tip, path)
@@ -83,14 +83,15 @@ def read_urdf(path: str | Path, tip: str | None = None, root: str | None = None)
     )  # fmt: skip
 
 
-def _read(path: Path) -> _Robot:
+def _read(path: Path, text: str | None = None) -> _Robot:
+    import io
     from xml.etree.ElementTree import ParseError
 
     from defusedxml import ElementTree
     from defusedxml.common import DefusedXmlException
 
     try:
-        tree = ElementTree.parse(path).getroot()
+        tree = ElementTree.parse(path if text is None else io.StringIO(text)).getroot()
     except OSError as error:
         raise UsageError(f"{path}: cannot be read ({error.strerror})") from error
     except ParseError as error:

@@ -14,8 +14,9 @@
 # # Recording a servo and an arm, without hardware
 #
 # An emulator stands in for the machine: it speaks the device's own protocol, and behind it a model moves with parameters and
-# an effect that the recording does not know. Everything else is what a real run does: ROBOTIS' SDK, ur_rtde, limits, dry run,
-# `live=True`. At the end the diagnosis has to name what was hidden.
+# an effect that the recording does not know. Everything else is what a real run does: an experiment designed by `jaxid.excite`,
+# ROBOTIS' SDK, ur_rtde, limits, dry run, `live=True`. At the end the diagnosis has to name what was hidden. The same works with
+# the commands `jaxid excite`, `jaxid record --live` and `jaxid diagnose`.
 
 # %%
 import subprocess
@@ -74,7 +75,20 @@ parameters = { width = 0.12 }
 """)
 emulator, port = emulate("dynamixel", "--plant", str(folder / "servo.toml"), "--return-delay", "0", "--latency", "0.0005")
 
-excitation = Trajectory.multisine(0.5, 10.0, frequencies=(0.15, 2.5), lines=9, kind="current")
+# %% [markdown]
+# The experiment: `excite` chooses the torque over time that shows most of a pendulum's parameters, for what is known of this
+# one beforehand (a guess from its mass and length) and within the speed that the servo allows. The torque constant turns it
+# into a current.
+
+# %%
+guess = {"parameters": {"inertia": 0.03, "gravity_torque": 0.8, "viscous": 0.06, "coulomb": 0.08}}
+reach = Limits(lower=(-1.3,), upper=(1.3,), speed=(4.5,))
+design = jaxid.excite("pendulum", duration_s=12.0, rate_hz=100.0, parameters=guess, limits=reach, gain=[1.77])
+design.save(folder / "servo_excitation")
+excitation = Trajectory.read(folder / "servo_excitation", kind="current")
+print(f"condition number {design.condition_number:.3g}")
+
+# %%
 servo = {"rate": 100.0, "mode": "current"}
 print(record(Dynamixel(port, **servo), folder / "servo", play=excitation).text)
 
@@ -105,7 +119,9 @@ servo_diagnosis
 # %% [markdown]
 # ## A joint of an arm
 #
-# Joint 3 has a drag that the model `pendulum` does not know. The robot is moved by servoJ and recorded packet by packet.
+# Joint 3 has a drag that the model `pendulum` does not know. `excite` makes a motion of all six joints that starts and ends at
+# rest and keeps the arm's limits; the robot is moved along it by servoJ and recorded packet by packet. (Few starts and steps
+# here: leave them out for the best motion that can be found.)
 
 # %%
 (folder / "arm.toml").write_text("""
@@ -125,7 +141,10 @@ parameters = { coefficient = 5.0 }
 """)
 emulator, host = emulate("ur10", "--host", "127.0.0.40", "--plant", str(folder / "arm.toml"))
 
-path = Trajectory.multisine([0, 0, 0.5, 0, 0, 0], 9.0, center=[0, 0, 0.3, 0, 0, 0], frequencies=(0.1, 0.7), lines=7)
+motion = jaxid.excite("ur10", starts=4, iterations=50)
+motion.save(folder / "arm_excitation")
+path = Trajectory.read(folder / "arm_excitation", joints=6)
+print(f"condition number {motion.condition_number:.3g}")
 recording = record(UR(host), folder / "arm", play=path, live=True, limits=limits, model="pendulum", joint=3, gain=8.5)
 leave(emulator)
 print(recording.text)

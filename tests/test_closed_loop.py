@@ -81,6 +81,19 @@ def test_linear_estimators_refuse_what_they_cannot_do(quiet):
         jaxid.fit("joint", replace(quiet, controller=None), residual="closed_loop")
 
 
+def test_recursion_ends_where_least_squares_does(quiet):
+    """Without forgetting; with it the later samples count more, and the estimate of a clean twin stays."""
+    batch = jaxid.fit("joint", quiet, fitter="ls")
+    stream = jaxid.fit("joint", quiet, fitter="rls")
+    forgets = jaxid.fit("joint", quiet, fitter=jaxid.fitters.RecursiveLeastSquares(forgetting=0.999))
+    assert stream.residual == "inverse_dynamics" and stream.fitter == "rls"
+    for name, p in batch.parameters.items():
+        assert stream.parameters[name].value == pytest.approx(p.value, rel=1e-5, abs=1e-7), name
+        assert stream.parameters[name].std == pytest.approx(p.std, rel=1e-3), name
+        assert forgets.parameters[name].value == pytest.approx(p.value, rel=0.05, abs=2e-3), name
+    assert forgets.parameters["inertia"].value != batch.parameters["inertia"].value
+
+
 def test_least_squares_is_the_minimum_that_lm_finds_and_keeps_bounds(quiet):
     linear = jaxid.fit("joint", quiet, fitter="ls")
     general = jaxid.fit("joint", quiet, fitter="lm", residual="inverse_dynamics")

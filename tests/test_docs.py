@@ -120,7 +120,6 @@ def test_every_effect_has_a_place_in_the_atlas(monkeypatch, tmp_path):
         assert f"## {fitter}\n" in generate.fitters()
 
 
-@pytest.mark.slow
 def test_the_site_builds_without_warnings(tmp_path):
     """Notebooks without their outputs, which `make docs` computes; in a copy, for the build writes pages beside its sources."""
     for module in ("furo", "myst_nb", "jupytext", "sphinx"):

@@ -9,6 +9,7 @@ import time
 import tty
 from pathlib import Path
 
+import jax.numpy as jnp
 import numpy as np
 import pyarrow.parquet as pq
 import pytest
@@ -25,6 +26,7 @@ from jaxid.hardware.recorder import Column, read_events, read_rows, Recorder, St
 from jaxid.hardware.rtde import DATA, RTDEReader
 from jaxid.hardware.sensor import SerialSensor
 from jaxid.hardware.tick import TickClock
+from jaxid.precision import float64
 
 
 # ---- limits
@@ -478,3 +480,35 @@ def test_a_wrong_plant_is_refused(tmp_path, capsys, text, words):
     (tmp_path / "plant.toml").write_text(text)
     assert main(["emulate", "dynamixel", "--plant", str(tmp_path / "plant.toml")]) == 2
     assert words in capsys.readouterr().err
+
+
+def test_plants_are_models_in_real_time():
+    """A joint alone against its equation in plain Python; a whole arm against its own acceleration."""
+    from jaxid.hardware.plant import Ideal, Modelled
+
+    numbers = {"inertia": 0.03, "viscous": 0.06, "gravity_torque": 0.8}
+    plain = Ideal([0.03], [0.06], [0.8])
+    model = Modelled("pendulum", [numbers | {"coulomb": 0.0, "offset": 0.0}], [])
+    reached = 0.0
+    for k in range(200):
+        for plant in (plain, model):
+            plant.advance(0.005, [0.3 * np.sin(0.03 * k)])
+        assert model.q == pytest.approx(plain.q, abs=2e-3)
+        reached = max(reached, abs(model.q[0]))
+    assert reached > 0.1
+
+    from jaxid.models import UR10
+
+    table, torque = UR10(), np.array([5.0, -60.0, -30.0, -4.0, 2.0, 1.0])
+    free = [{"F_c": 0.0, "F_v": 0.0, "offset": 0.0}] * 6
+    arm = Modelled("ur10", free, [{"effect": "payload", "joint": 6, "parameters": {"mass": 2.0}}])
+    arm.advance(1e-4, torque.tolist())
+    with float64():
+        body = type(table)()
+        qdd = np.asarray(body.vector_field(0.0, (np.zeros(6), np.zeros(6)), jnp.asarray(torque))[1])
+    bare = Modelled("ur10", free, [])
+    bare.advance(1e-4, torque.tolist())
+    assert np.allclose(np.array(bare.qd) / 1e-4, qdd, rtol=1e-3, atol=1e-3)
+    assert np.abs(np.array(arm.qd) - bare.qd).max() > 1e-5  # the load slows it
+    with pytest.raises(UsageError, match="3"):
+        Modelled("ur10", free[:3], [])

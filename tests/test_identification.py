@@ -90,7 +90,7 @@ def quiet():
     return recording(None, 0.02, 1)
 
 
-@pytest.mark.parametrize("method", ["ls", "wls", "tls", "constrained"])
+@pytest.mark.parametrize("method", ["ls", "wls", "rls", "tls", "constrained"])
 def test_base_parameters_and_friction_come_back(quiet, method):
     r = identify(None, quiet, method=method, friction="power")
     base = UR10().base()
@@ -186,6 +186,29 @@ def test_references_of_another_arm_are_refused(quiet, tmp_path):
     other["names"] = other["names"][1:]
     with pytest.raises(jaxid.UsageError, match="same model"):
         identify(None, quiet, friction="linear", reference=other)
+
+
+def test_feed_forward_holds_the_loaded_arm(tmp_path):
+    """Gravity and torque of the loaded arm, elsewhere than where it was identified, against Pinocchio."""
+    from jaxid.feed_forward import FeedForward
+
+    loaded = identify(None, recording(LOAD, 0.02, 12), friction="power")
+    forward = FeedForward.load(FeedForward.of(loaded).save(tmp_path / "forward.json"))
+    motion = excitation(21)
+    expected = torque(motion, LOAD)
+    error = forward(*motion[1:]) - expected
+    moving = np.abs(motion[2]) > 0.05  # sign(qd) is smoothed
+    assert np.sqrt(np.mean(error[moving] ** 2)) < 0.02 * np.sqrt(np.mean(expected[moving] ** 2))
+    model = twin(table_of(UR10()).with_inertia(table_of(UR10()).inertia + np.vstack([np.zeros((5, 10)), LOAD])))
+    g = np.array([pin.computeGeneralizedGravity(model, model.createData(), q) for q in motion[1][::100]])
+    assert np.abs(forward.gravity(motion[1][::100]) - g).max() < 1.0
+    assert np.allclose(forward.gravity(motion[1][0]), forward.gravity(motion[1][:1])[0])
+    empty = identify(None, recording(None, 0.02, 11), friction="power")
+    bare = FeedForward.of(empty.to_dict()).gravity(motion[1][::100])
+    assert np.abs(bare - g).max() > 10.0  # without the load it would sag
+    (tmp_path / "other.json").write_text("{}")
+    with pytest.raises(jaxid.UsageError, match="feed-forward"):
+        FeedForward.load(tmp_path / "other.json")
 
 
 # ---- online
@@ -288,6 +311,43 @@ def test_recursion_is_a_pure_function():
     assert int(end.seen) == 50
 
 
+def test_recursion_ends_at_weighted_least_squares(quiet):
+    """`rls` sees the same rows with the same weights as `wls`, but all of them and one after the other."""
+    a, b = (identify(None, quiet, method=m, friction="linear") for m in ("wls", "rls"))
+    assert np.abs(a.theta - b.theta).max() < 0.3 * np.max(a.std()) + 1e-3
+    assert b.experiments[1].relative_error == pytest.approx(a.experiments[1].relative_error, rel=0.05)
+
+
+def test_recursion_says_when_the_payload_has_converged():
+    empty = identify(None, recording(None, 0.05, 11), friction="linear", method="rls")
+    loaded = identify(None, recording(LOAD, 0.05, 12), friction="linear", method="rls", reference=empty)
+    assert loaded.payload is not None
+    content = loaded.to_dict()["payload"]
+    assert content["converged_after_s"] is None or 2.4 < content["converged_after_s"] <= 10.0
+
+
+def test_replay_is_the_stream(stream):
+    """The recursion over recorded rows ends where the stream ends, and its rule fires at the same sample."""
+    from jaxid.base_parameters import torque_columns
+    from jaxid.identification_rows import friction_columns, LAWS
+    from jaxid.online import replay
+
+    (t, q, qd, qdd), _ = stream
+    tau = torque((t, q, qd, qdd), LOAD)
+    online = OnlineIdentification(UR10(), prior(), exponent=EXPONENT)
+    for k in range(len(t)):
+        online.update(q[k], qd[k], qdd[k], tau[k])
+        online.check()
+    F = friction_columns(LAWS["power"], qd, EXPONENT)
+    W = np.zeros((len(t), 6, 58))
+    W[:, :, :40] = torque_columns(UR10(), q, qd, qdd)[:, :, list(online.base.kept)]
+    for i in range(3):
+        W[:, np.arange(6), 40 + 6 * i + np.arange(6)] = F[:, i]
+    theta, P, met = replay(W, tau, prior(), watched=online.watched)
+    assert np.abs(theta - online.theta).max() < 1e-8 and np.abs(P - online.covariance).max() < 1e-8
+    assert met == online.converged_at
+
+
 # ---- instruments
 
 
@@ -368,6 +428,80 @@ def test_an_arm_from_a_urdf(tmp_path):
     assert r.torque_units == ("N m", "N", "N m")
     assert all(e.relative_error < 0.01 for e in r.experiments)
     assert np.allclose(r.theta[-6:-3], 0.5, atol=0.05)  # F_v
+
+
+def arm_folder(folder: Path, model: str) -> Path:
+    """A dataset of two joints in a folder; `model` is its [model] table."""
+    t = np.arange(0, 4, 0.02)
+    q = np.stack([0.5 * np.sin(2 * t) + 0.2 * np.sin(5 * t), 0.4 * np.cos(3 * t)], 1)
+    columns = np.column_stack([t, q, 3 * np.sin(q)])
+    folder.mkdir()
+    np.savetxt(folder / "run.csv", columns, delimiter=",", header="t,q1,q2,tau1,tau2", comments="")
+    channels = "".join(
+        f'[channels.{n}{j}]\nrole = "{role}"\nunit = "{unit}"\n'
+        for n, role, unit in (("q", "output", "rad"), ("tau", "input", "N m"))
+        for j in (1, 2)
+    )
+    (folder / "dataset.toml").write_text(f'name = "two"\n{model}\n{channels}[[experiments]]\nfile = "run.csv"\n')
+    return folder
+
+
+TABLE = 'name = "serial_arm"\n[model.dh]\na = [0.0, 0.4]\nalpha = [1.5707963, 0.0]\nd = [0.3, 0.0]'
+
+
+def test_links_in_the_dataset(tmp_path):
+    """A table under [model.dh], and a URDF of the folder: read, fitted, saved and read again."""
+    from jaxid.binding import resolve_model
+    from test_serial_arm import URDF
+
+    data = jaxid.load_dataset(arm_folder(tmp_path / "dh", f"[model]\n{TABLE}"))
+    arm: Any = resolve_model(None, data).mechanism
+    assert arm.prismatic == (False, False) and np.allclose(arm.a, [0, 0.4]) and np.allclose(arm.d, [0.3, 0])
+    assert len(identify(None, data, friction="linear", cutoff_hz=4.0).weights) == 2
+    again = jaxid.load_dataset(jaxid.save_dataset(data, tmp_path / "copy"))
+    assert again == data and again.model == data.model
+
+    text = URDF.replace('type="prismatic"', 'type="revolute"')
+    folder = arm_folder(tmp_path / "urdf", '[model]\nname = "serial_arm"\nurdf = "arm.urdf"')
+    (folder / "arm.urdf").write_text(text)
+    with pytest.raises(jaxid.DatasetError, match="tau3"):  # it has three joints, the recording two
+        jaxid.load_dataset(folder)
+    tip = "slide"  # behind the second joint
+    (folder / "dataset.toml").write_text(
+        (folder / "dataset.toml").read_text().replace('urdf = "arm.urdf"', f'urdf = "arm.urdf"\ntip = "{tip}"')
+    )
+    data = jaxid.load_dataset(folder)
+    assert resolve_model(None, data).nq == 2
+    assert jaxid.load_dataset(jaxid.save_dataset(data, tmp_path / "copy_2")).model == replace_file(data.model)
+
+
+def replace_file(spec: Any) -> Any:
+    """The same model as a saved dataset names it."""
+    from dataclasses import replace
+
+    return replace(spec, geometry=replace(spec.geometry, file="arm.urdf"))
+
+
+@pytest.mark.parametrize(
+    ("model", "words"),
+    [
+        (TABLE.replace("alpha = [1.5707963, 0.0]", "alpha = [0.0]"), "alpha has 1 entries and a has 2"),
+        (TABLE.replace("serial_arm", "ur10"), "serial_arm"),
+        ('name = "serial_arm"\nurdf = "../arm.urdf"', "outside the folder"),
+        ('name = "serial_arm"\nurdf = "arm.urdf"', "there is no file"),
+        ('name = "serial_arm"\nurdf = "run.csv"', "neither .urdf nor .xml"),
+    ],
+)
+def test_links_that_cannot_be_read_are_refused(model, words, tmp_path):
+    with pytest.raises(jaxid.DatasetError, match=words):
+        jaxid.load_dataset(arm_folder(tmp_path / "data", f"[model]\n{model}"))
+
+
+def test_entities_in_a_urdf_are_refused(tmp_path):
+    folder = arm_folder(tmp_path / "data", '[model]\nname = "serial_arm"\nurdf = "arm.urdf"')
+    (folder / "arm.urdf").write_text('<!DOCTYPE r [<!ENTITY x SYSTEM "file:///etc/passwd">]><robot name="r">&x;</robot>')
+    with pytest.raises(jaxid.DatasetError, match="entities"):
+        jaxid.load_dataset(folder)
 
 
 def test_models_that_are_no_arm_are_refused():

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import ast
-import os
 import sys
 from pathlib import Path
 
@@ -16,7 +15,7 @@ NAMES = sorted(
     p.stem for p in FOLDER.glob("*.py") if p.stem not in ("budget", "recording")
 )  # recording: test_hardware_end_to_end
 
-#: Run by `make test`; the others take minutes of compiling and are run by `make notebooks` and `make docs`.
+#: Run by `make test`; the others take minutes of compiling and are run by `make test-all`, `make notebooks` and `make docs`.
 QUICK = ("00_tour", "diagnose_your_robot", "extend")
 
 jupytext = pytest.importorskip("jupytext")
@@ -31,12 +30,8 @@ def test_notebooks_are_text_in_the_percent_format():
         assert [c for c in book.cells if c.cell_type == "code"], name
 
 
-later = pytest.mark.skipif("JAXID_NOTEBOOKS" not in os.environ, reason="run by `make notebooks` and `make docs`")
-
-
-@pytest.mark.slow
 @pytest.mark.timeout(900)
-@pytest.mark.parametrize("name", [n if n in QUICK else pytest.param(n, marks=later) for n in NAMES])
+@pytest.mark.parametrize("name", [n if n in QUICK else pytest.param(n, marks=pytest.mark.slow) for n in NAMES])
 def test_notebook(name, monkeypatch):
     """Cell by cell as Jupyter does it: the last expression of a cell is shown."""
     pytest.importorskip("IPython")

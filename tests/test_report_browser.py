@@ -18,7 +18,6 @@ from report_sample import sample_diagnosis, sample_fit
 BROWSER = next((b for b in ("chromium", "chromium-browser", "google-chrome", "chrome") if shutil.which(b)), None)
 
 pytestmark = [
-    pytest.mark.slow,
     pytest.mark.timeout(600),
     pytest.mark.skipif(BROWSER is None, reason="no Chromium here: accessibility and print of the report were not checked"),
 ]

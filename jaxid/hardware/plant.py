@@ -15,12 +15,13 @@ from jaxid.errors import nearest, UsageError
 
 #: Longest step of a simulation (s).
 STEP = 5e-4
+COUPLED_STEP = 2e-3  # of a whole arm, which has to keep up with real time
 #: Effects that need the history of the command, which an emulator that lives in the present does not have.
 NEEDS_HISTORY = ("input_delay", "input_hold", "sensor_delay", "timestamp_jitter")
 
 
 class Plant(Protocol):
-    """Joints that do not know of each other. `q`, `qd`: rad, rad/s, one number a joint."""
+    """Joints and what they move. `q`, `qd`: rad, rad/s, one number a joint."""
 
     q: list[float]
     qd: list[float]
@@ -50,12 +51,14 @@ class Ideal:
 
 
 class Modelled:
-    """One model with one joint for each joint, stepped by `jaxid.chain`; numbers differ by joint, the structure does not."""
+    """Joints stepped by `jaxid.chain`: one model of one joint for each of them, or one model for all (such as `ur10`), whose
+    joints then know of each other."""
 
     def __init__(self, model: str, parameters: Sequence[Mapping[str, float]], effects: Sequence[Mapping[str, Any]]):
-        """`parameters` of each joint; an effect is `{"effect", "parameters", "joint"}`, joint 1 … or None for all.
+        """`parameters` of each joint (of a model for all: `F_v` of joint 3 is its `F_v3`); an effect is `{"effect", "parameters",
+        "joint"}`, joint 1 … or None for all.
 
-        Raises `UsageError` for unknown names and for models with several joints.
+        Raises `UsageError` for unknown names and for models with another number of joints.
         """
         import jax
         import jax.numpy as jnp
@@ -66,61 +69,70 @@ class Modelled:
         from jaxid.layout import Layout
         from jaxid.precision import float64
 
-        mechanism = catalogue.model_class(model)()
-        chain = Chain(mechanism)
-        if chain.nq != 1 or len(chain.signature.inputs) != 1 or chain.signature.linear:
-            raise UsageError(f"an emulator takes models with one driven revolute joint; {model} is none")
+        count = len(parameters)
+        chain = Chain(catalogue.model_class(model)())
+        coupled = chain.nq == count > 1
+        if not chain.direct or chain.signature.linear or not (coupled or chain.nq == 1):
+            raise UsageError(
+                f"an emulator of {count} joints takes models with one driven revolute joint, or with {count}; {model} is none"
+            )
         for e in effects:
             if e["effect"] in NEEDS_HISTORY:
                 raise UsageError(f"{e['effect']} cannot be emulated: it needs the history of the command")
         kinds = dict.fromkeys(catalogue.effect_class(e["effect"]) for e in effects)
         chain = chain.with_effects(*(k() for k in kinds if k.name not in {e.name for e in chain.effects}))
         layout = Layout(chain)
-        theta = np.tile(layout.values, (len(parameters), 1))
+        theta = np.tile(layout.values, (1 if coupled else count, 1))
         for j, values in enumerate(parameters):
             for name, value in values.items():
-                theta[j, layout.index(name)] = value
+                own = f"{name}{j + 1}"
+                if coupled and own in layout.names:
+                    theta[0, layout.index(own)] = value
+                else:
+                    theta[0 if coupled else j, layout.index(name)] = value
         for e in effects:
-            rows = range(len(parameters)) if e.get("joint") is None else [e["joint"] - 1]
+            places = range(count) if e.get("joint") is None else [e["joint"] - 1]
             for field, value in e["parameters"].items():
                 own = [i for i in layout.of_effect(e["effect"]) if layout.entries[i].field == field]
                 if not own:
                     fields = [layout.entries[i].field for i in layout.of_effect(e["effect"])]
                     raise UsageError(f"effect {e['effect']} has no parameter {field!r}{nearest(field, fields)}")
-                for j in rows:
-                    theta[j, own] = value
+                for j in places:
+                    here = [i for i in own if layout.entries[i].place == j] if coupled else own
+                    theta[0 if coupled else j, here] = value
+
+        nq = chain.nq
 
         def start(theta):
-            return layout.model(theta).start(jnp.zeros(1), jnp.zeros(1), jnp.zeros(1))
+            return layout.model(theta).start(jnp.zeros(nq), jnp.zeros(nq), jnp.zeros(nq))
 
         def move(theta, carry, u, h, count):
             chain = layout.model(theta)
             body = chain.body()
-            command = lambda k: Command(k * h, h, u[None], u[None], lambda d: u[None])
-            carry = jax.lax.fori_loop(0, count, lambda k, c: chain.advance(body, c, command(k)), carry)
-            q, qd = body.port(carry.x)
-            return carry, q[0], qd[0]
+            command = lambda k: Command(k * h, h, u, u, lambda d: u)
+            carry = jax.lax.fori_loop(0, count, lambda k, c: chain.advance(body, c, command(k))[0], carry)
+            return carry, *body.port(carry.x)
 
-        self._context = float64
+        self._context, self._shape, self._step = float64, (len(theta), nq), COUPLED_STEP if coupled else STEP
         with float64():
             self._theta = jnp.asarray(theta)
             self._carry = jax.jit(jax.vmap(start))(self._theta)
             self._move = jax.jit(jax.vmap(move, (0, 0, 0, None, None)))
-        self.q, self.qd = [0.0] * len(parameters), [0.0] * len(parameters)
+        self.q, self.qd = [0.0] * count, [0.0] * count
         start_state = self._carry
-        self.advance(STEP, [0.0] * len(parameters))  # compiles
-        self._carry, self.q, self.qd = start_state, [0.0] * len(parameters), [0.0] * len(parameters)
+        self.advance(self._step, [0.0] * count)  # compiles
+        self._carry, self.q, self.qd = start_state, [0.0] * count, [0.0] * count
 
     def advance(self, duration: float, torque: Sequence[float]) -> None:
         import numpy as np
 
         if duration <= 0:
             return
-        count = max(1, math.ceil(duration / STEP))
+        count = max(1, math.ceil(duration / self._step - 1e-9))
         with self._context():
-            h = np.float64(duration / count)
-            self._carry, q, qd = self._move(self._theta, self._carry, np.asarray(torque, np.float64), h, np.int64(count))
-            self.q, self.qd = np.asarray(q).tolist(), np.asarray(qd).tolist()
+            h, u = np.float64(duration / count), np.asarray(torque, np.float64).reshape(self._shape)
+            self._carry, q, qd = self._move(self._theta, self._carry, u, h, np.int64(count))
+            self.q, self.qd = np.asarray(q).ravel().tolist(), np.asarray(qd).ravel().tolist()
 
 
 def read_plant(

@@ -5,7 +5,19 @@ from __future__ import annotations
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from jaxid.report import answer, background, compared, fitted, identified, missing_force, parameters, ranking, recorded, traces
+from jaxid.report import (
+    answer,
+    background,
+    compared,
+    fitted,
+    identified,
+    missing_force,
+    parameters,
+    ranking,
+    recorded,
+    studied,
+    traces,
+)
 from jaxid.report.page import render, render_fragment
 from jaxid.terminal import one_line
 
@@ -15,6 +27,7 @@ if TYPE_CHECKING:
     from jaxid.experiment import Dataset
     from jaxid.identification import Identification
     from jaxid.results import Diagnosis, Fit
+    from jaxid.study.run import StudyResult
 
 
 def write_diagnosis(diagnosis: Diagnosis, path: str | Path) -> Path:
@@ -55,6 +68,11 @@ def comparison_fragment(comparison: Comparison) -> str:
 def write_identification(result: Identification, path: str | Path) -> Path:
     """Writes the page of an identification (whole or not at all) and returns its path."""
     return _write(render(f"{one_line(result.dataset)}: identification", [identified.section(result)]), path)
+
+
+def write_study(result: StudyResult, path: str | Path) -> Path:
+    """Writes the page of a study (whole or not at all) and returns its path."""
+    return _write(render(f"{one_line(result.study.name)}: study", [studied.section(result)]), path)
 
 
 def identification_fragment(result: Identification) -> str:
