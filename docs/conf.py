@@ -37,3 +37,12 @@ nb_merge_streams = True
 shutil.rmtree(HERE / "notebooks", ignore_errors=True)
 shutil.copytree(ROOT / "notebooks", HERE / "notebooks", ignore=shutil.ignore_patterns("__pycache__", ".ipynb_checkpoints"))
 generate.write(HERE / "generated", ROOT)
+
+
+def setup(app):
+    """Links to files of the repository that are pages here under another name."""
+
+    def rename(app, page, source):
+        source[0] = source[0].replace("](../benchmarks/RESULTS.md)", "](/generated/benchmarks.md)")
+
+    app.connect("source-read", rename)
