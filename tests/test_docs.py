@@ -11,6 +11,7 @@ import shutil
 import subprocess
 import sys
 from pathlib import Path
+from typing import Any
 
 import pytest
 
@@ -79,13 +80,14 @@ def test_commands_of_the_pages_parse(page, line):
 
     words = shlex.split(line)[1:]
     context = cli.make_context("jaxid", [], resilient_parsing=True)
-    group, arguments = cli, words
+    group: Any = cli
+    arguments = words
     while True:
         name, command, arguments = group.resolve_command(context, arguments)
         assert command is not None, name
         if not hasattr(command, "resolve_command"):
             break
-        group = command  # type: ignore[assignment]
+        group = command
     command.make_context(name, list(arguments))
 
 
