@@ -289,7 +289,7 @@ def test_a_solver_that_never_starts_ends_the_study(home):
 
 @pytest.mark.parametrize("number, ignored", [(signal.SIGINT, False), (signal.SIGINT, True), (signal.SIGTERM, False)])
 def test_signals_save_and_leave(home, number, ignored):
-    """Within 2 s even where a task takes minutes, also as a background job of a shell, which has SIGINT ignored; what was finished
+    """Within 2 s even where a task takes minutes, also as a background job of a shell, with SIGINT ignored; what was finished
     is there, and the study goes on."""
     study = write_study(home, "seeds = 40")
     handler = signal.SIG_IGN if ignored else signal.SIG_DFL
