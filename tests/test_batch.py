@@ -77,7 +77,23 @@ def home(tmp_path):
 def start(study: Path, *solver: str, workers: int = 2, **more) -> subprocess.Popen[str]:
     """A process that coordinates solvers which only calculate."""
     command = [sys.executable, FLEET, "run", str(study), "--workers", str(workers), "--", *solver]
-    return subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, **more)
+    process = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, **more)
+    STARTED.append(process)
+    return process
+
+
+STARTED: list[subprocess.Popen[str]] = []
+
+
+@pytest.fixture(autouse=True)
+def nothing_left():
+    """Ends what a test that failed has left running; its solvers end with it."""
+    yield
+    while STARTED:
+        process = STARTED.pop()
+        if process.poll() is None:
+            process.kill()
+            process.communicate()
 
 
 def fleet(study: Path, *solver: str, **more) -> tuple[int, dict, str]:
@@ -271,11 +287,13 @@ def test_a_solver_that_never_starts_ends_the_study(home):
     assert run_study(study, workers=2, solver=SOLVE, check=False).status.done == 20
 
 
-@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
-def test_signals_save_and_leave(home, number):
-    """Within 2 s even where a task takes minutes; what was finished is there, and the study goes on."""
+@pytest.mark.parametrize("number, ignored", [(signal.SIGINT, False), (signal.SIGINT, True), (signal.SIGTERM, False)])
+def test_signals_save_and_leave(home, number, ignored):
+    """Within 2 s even where a task takes minutes, also as a background job of a shell, with SIGINT ignored; what was finished
+    is there, and the study goes on."""
     study = write_study(home, "seeds = 40")
-    process = start(study, "--sleep", "0.05", "--hang", "30")
+    handler = signal.SIG_IGN if ignored else signal.SIG_DFL
+    process = start(study, "--sleep", "0.05", "--hang", "30", preexec_fn=lambda: signal.signal(signal.SIGINT, handler))
     until = time.monotonic() + 100
     while time.monotonic() < until and study_status(study)[2].done < 5:
         time.sleep(0.1)

@@ -67,7 +67,7 @@ class Batch:
 
 
 class Stop:
-    """Ctrl-C or SIGTERM: `count` of them."""
+    """Ctrl-C or SIGTERM: `count` of them. Also where a shell had a background job ignore Ctrl-C: what is sent to it is meant."""
 
     def __init__(self):
         self.count = 0
@@ -76,9 +76,7 @@ class Stop:
     def __enter__(self) -> Stop:
         if threading.current_thread() is threading.main_thread():
             for number in (signal.SIGINT, signal.SIGTERM):
-                before = signal.getsignal(number)
-                if before is not signal.SIG_IGN:  # a job in the background is not the terminal's to interrupt
-                    self._before[number] = signal.signal(number, self._heard)
+                self._before[number] = signal.signal(number, self._heard)
         return self
 
     def _heard(self, number: int, frame: Any) -> None:
