@@ -111,7 +111,7 @@ def test_links_lead_somewhere():
         for target in re.findall(r"\]\((?!https?:|#|mailto:)([^)#]+)", page.read_text(encoding="utf-8")):
             if target.startswith("generated/"):
                 assert target.removeprefix("generated/") in ("effects", "models", "fitters", "benchmarks", "notebooks"), target
-            elif target.startswith("notebooks/") and page.parent.name == "docs":
+            elif target.startswith("notebooks/") and page.parent == ROOT / "docs":
                 assert (ROOT / f"{target}.py").is_file(), target
             else:
                 near = page.parent / target
