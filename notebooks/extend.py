@@ -114,7 +114,7 @@ class CubicSpring(JointEffect):
     signature: ClassVar[str] = "missing torque at the ends of travel, against the displacement"
     source: ClassVar[str] = "Duffing, 1918"
     excitation: ClassVar[str] = "slow motion over the whole travel, both ways"
-    coefficient: Array = param(0.0, -5 * TORQUE / ANGLE / ANGLE / ANGLE, 5 * TORQUE / ANGLE / ANGLE / ANGLE,
+    coefficient: Array = param(0.0, -50 * TORQUE / ANGLE / ANGLE / ANGLE, 50 * TORQUE / ANGLE / ANGLE / ANGLE,
                                scale=0.05 * TORQUE / ANGLE / ANGLE / ANGLE, unit="{F}/{X}^3")  # fmt: skip
     probes: ClassVar = ({"coefficient": 0.1 * TORQUE / ANGLE / ANGLE / ANGLE},)
 
