@@ -111,8 +111,8 @@ def _record(device, out, play, limits, sensors, as_json, quiet, gain, constants,
         play = Trajectory.read(play, device.joints, device.kinds[0])
     limits = None if limits is None else Limits.read(limits)
     specs = [SensorSpec.read(s) for s in sensors]
-    # A batch system ends a job with SIGTERM; the device must be let go then as with Ctrl-C.
-    before = signal.signal(signal.SIGTERM, signal.default_int_handler)
+    # A batch system ends a job with SIGTERM, and a shell has background jobs ignore SIGINT: the device is let go in any case.
+    before = {n: signal.signal(n, signal.default_int_handler) for n in (signal.SIGINT, signal.SIGTERM)}
     try:
         with terminal.Progress(quiet) as progress:
             result = record(
@@ -130,7 +130,8 @@ def _record(device, out, play, limits, sensors, as_json, quiet, gain, constants,
         terminal.complain("; ".join([str(error), *getattr(error, "__notes__", [])]))
         return FAILED
     finally:
-        signal.signal(signal.SIGTERM, before)
+        for number, handler in before.items():
+            signal.signal(number, handler)
     _show(result, as_json, quiet, getattr(device, "advice", []))
     return SUCCESS
 

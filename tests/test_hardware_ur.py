@@ -169,7 +169,8 @@ def run_cli(robot: Emulator, out: Path, *more: str) -> subprocess.Popen:
     command = [sys.executable, "-m", "jaxid.cli", "record", "ur10", "--host", robot.address, "--out", str(out)]
     command += ["--play", str(file), "--live", "--limits", str(limits), *more]
     before = servoing(robot.log())
-    process = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
+    background = lambda: signal.signal(signal.SIGINT, signal.SIG_IGN)  # as a shell starts a background job
+    process = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, preexec_fn=background)
     robot.wait_for(lambda log: servoing(log) > before + 60)
     return process
 
