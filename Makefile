@@ -3,7 +3,7 @@ PYTHON ?= $(shell command -v python3.11 || command -v python3 || command -v pyth
 BIN := .venv/bin
 PYTEST := OPENBLAS_NUM_THREADS=1 $(BIN)/python -m pytest -q
 
-.PHONY: demo test test-all lint format benchmark benchmark-reliability clean
+.PHONY: demo test test-all lint format notebooks docs benchmark benchmark-reliability clean
 
 demo: .venv/installed
 	$(BIN)/jaxid diagnose examples/servo_pendulum --out out/demo
@@ -32,8 +32,17 @@ benchmark: .venv/installed-dev
 benchmark-reliability: .venv/installed-dev
 	$(BIN)/python benchmarks/run_all.py reliability study_throughput
 
+# Every notebook with the small budgets, those of the papers too.
+notebooks: .venv/installed-dev
+	$(PYTEST) tests/test_notebooks.py $(ARGS)
+
+# The site with all notebooks executed in full; warnings are errors. Outputs are kept in out/docs_cache until code changes.
+docs: .venv/installed-dev
+	$(BIN)/python -m sphinx -W --keep-going -b html docs out/site
+	@echo "The site: out/site/index.html"
+
 clean:
-	rm -rf .venv out build dist .pytest_cache .ruff_cache .hypothesis *.egg-info
+	rm -rf .venv out build dist docs/notebooks docs/generated .pytest_cache .ruff_cache .hypothesis *.egg-info
 	find . -name __pycache__ -type d -prune -exec rm -rf {} +
 
 $(BIN)/python:

@@ -17,7 +17,7 @@ from jaxid import terminal
 
 SUCCESS, FAILED, BAD_INPUT, INTERRUPTED = 0, 1, 2, 130
 
-RESIDUALS = ("output_error", "multiple_shooting", "inverse_dynamics", "closed_loop")
+RESIDUALS = ("output_error", "multiple_shooting", "inverse_dynamics", "frequency_response", "closed_loop")
 LOSSES = ("sum_of_squares", "sum_of_norms", "sum_of_abs")
 
 T = TypeVar("T")

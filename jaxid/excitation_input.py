@@ -214,7 +214,7 @@ class Bench:
     def worth(self, dy: np.ndarray, criterion: str) -> np.ndarray:
         """What is minimised, [members]."""
         F = self.fisher(dy)
-        bad = np.logical_not(np.isfinite(F).all((1, 2)))
+        bad = np.asarray(~np.isfinite(F).all((1, 2)))
         e = np.linalg.eigvalsh(np.where(bad[:, None, None], np.eye(F.shape[1]), F))
         logs = 0.5 * np.log(np.maximum(e, DARK * np.maximum(e[:, -1:], 1e-300)))
         value = logs[:, -1] - logs[:, 0] if criterion == "condition" else -logs.mean(1)
@@ -225,8 +225,8 @@ def determined(F: np.ndarray) -> tuple[float, int]:
     """Condition number of the directions that an information matrix with unit diagonal shows, and how many it does not."""
     size = np.sqrt(np.diag(F))
     size = np.where(size > 0, size, 1.0)
-    e: np.ndarray = np.asarray(np.linalg.eigvalsh(F / size / size[:, None]))
-    shown = [v for v in e.tolist() if v > DARK * e[-1]]
+    e = np.linalg.eigvalsh(F / size / size[:, None]).tolist()
+    shown = [v for v in e if v > DARK * e[-1]]
     return float(np.sqrt(shown[-1] / shown[0])), len(e) - len(shown)
 
 

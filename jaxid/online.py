@@ -85,8 +85,9 @@ def replay(
     with float64():
         zero = jnp.zeros((), jnp.int32)
         state = Recursion(jnp.asarray(prior, float), jnp.diag(full(prior_var, prior.size)), zero, zero)
-        arrays = jnp.asarray(Y), jnp.asarray(tau), full(noise_var, tau.shape[1]), np.float64(forgetting), np.float64(rule.change)
-        state, still = _replayed(state, *arrays, watched or (0,))
+        numbers = full(noise_var, tau.shape[1]), np.float64(forgetting), np.float64(rule.change)
+        run: Any = _replayed
+        state, still = run(state, jnp.asarray(Y), jnp.asarray(tau), *numbers, watched or (0,))
         met = np.flatnonzero(np.asarray(still) > rule.samples)
         return np.asarray(state.theta), np.asarray(state.P), int(met[0]) + 1 if watched and met.size else None
 

@@ -77,12 +77,12 @@ emulator, port = emulate("dynamixel", "--plant", str(folder / "servo.toml"), "--
 
 # %% [markdown]
 # The experiment: `excite` chooses the torque over time that shows most of a pendulum's parameters, for what is known of this
-# one beforehand (a guess from its mass and length) and within the speed that the servo allows. The torque constant turns it
-# into a current.
+# one beforehand (a guess from its mass and length) and within gentle speeds: the servo's clock ticks in milliseconds, and at
+# 5 rad/s one of them is more than a step of its encoder. The torque constant turns it into a current.
 
 # %%
 guess = {"parameters": {"inertia": 0.03, "gravity_torque": 0.8, "viscous": 0.06, "coulomb": 0.08}}
-reach = Limits(lower=(-1.3,), upper=(1.3,), speed=(4.5,))
+reach = Limits(lower=(-1.0,), upper=(1.0,), speed=(2.5,))
 design = jaxid.excite("pendulum", duration_s=12.0, rate_hz=100.0, parameters=guess, limits=reach, gain=[1.77])
 design.save(folder / "servo_excitation")
 excitation = Trajectory.read(folder / "servo_excitation", kind="current")

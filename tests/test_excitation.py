@@ -119,9 +119,8 @@ def test_default_boxes_are_clear_of_self_collision(kind):
 def test_any_numbers_become_a_feasible_motion(seed, harmonics):
     rng = np.random.default_rng(seed)
     bounds = bounds_of("panda", Panda.signatures[0], None)
-    size = lambda: 10 ** rng.uniform(-3, 3)
-    numbers: Any = [*(size() * rng.normal(size=(harmonics, 7)) for _ in range(2)), *rng.normal(size=(2, 7))]
-    shape = Shape(*numbers)
+    numbers: list[Any] = [10 ** rng.uniform(-3, 3) * rng.normal(size=(harmonics, 7)) for _ in range(2)]
+    shape = Shape(*numbers, *rng.normal(size=(2, 7)))
     with float64():
         setting = Setting(bounds, np.ones(7), None, 0.06, 0.0, 1.0, links_of(Panda()), "condition", 10)
         t = np.linspace(0, 2 * np.pi, 64 * harmonics)

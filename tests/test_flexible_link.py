@@ -271,6 +271,7 @@ def test_the_nonlinear_step_against_an_integration(stiffening):
     assert np.abs(np.diff(truth)).max() * 1e3 > 8  # rad/s: the terms count
 
 
+@pytest.mark.slow
 def test_the_step_against_an_implicit_solver_on_the_vector_field():
     """diffrax's Kvaerno5 on the model's own ODE, with smoothed friction in both."""
     t = np.arange(301) * 1e-3

@@ -499,16 +499,21 @@ def test_plants_are_models_in_real_time():
 
     from jaxid.models import UR10
 
-    table, torque = UR10(), np.array([5.0, -60.0, -30.0, -4.0, 2.0, 1.0])
+    torque = np.array([5.0, -60.0, -30.0, -4.0, 2.0, 1.0])
     free = [{"F_c": 0.0, "F_v": 0.0, "offset": 0.0}] * 6
-    arm = Modelled("ur10", free, [{"effect": "payload", "joint": 6, "parameters": {"mass": 2.0}}])
-    arm.advance(1e-4, torque.tolist())
     with float64():
-        body = type(table)()
-        qdd = np.asarray(body.vector_field(0.0, (np.zeros(6), np.zeros(6)), jnp.asarray(torque))[1])
-    bare = Modelled("ur10", free, [])
-    bare.advance(1e-4, torque.tolist())
-    assert np.allclose(np.array(bare.qd) / 1e-4, qdd, rtol=1e-3, atol=1e-3)
-    assert np.abs(np.array(arm.qd) - bare.qd).max() > 1e-5  # the load slows it
+        rest = jnp.zeros(6)
+        qdd = np.asarray(UR10().vector_field(0.0, (rest, rest), jnp.asarray(torque))[1])
+    plants = {
+        "bare": Modelled("ur10", free, []),
+        "loaded": Modelled("ur10", [{**free[0], "payload": 2.0}, *free[1:]], []),
+        "stuck": Modelled("ur10", [*free[:5], {**free[5], "F_c": 100.0}], []),
+    }
+    for plant in plants.values():
+        plant.advance(1e-4, torque.tolist())
+    speed = {name: np.array(plant.qd) for name, plant in plants.items()}
+    assert np.allclose(speed["bare"] / 1e-4, qdd, rtol=1e-3, atol=1e-3)
+    assert np.abs(speed["loaded"] - speed["bare"]).max() > 1e-5  # all joints feel the load
+    assert speed["stuck"][5] == 0 != speed["stuck"][4]  # F_c of joint 6 alone
     with pytest.raises(UsageError, match="3"):
         Modelled("ur10", free[:3], [])

@@ -253,7 +253,15 @@ def draw(layout: Layout, rng: np.random.Generator) -> np.ndarray:
     return out
 
 
-@pytest.mark.parametrize("chain", chains(), ids=label)
+#: The others are the same code with more joints, or take the compiler half a minute and more: `make test-all`.
+QUICK = ("joint", "pendulum", "servo", "tracker", "flexible_link")
+
+
+@pytest.mark.parametrize(
+    "chain",
+    [c if c.mechanism.name in QUICK else pytest.param(c, marks=pytest.mark.slow) for c in chains()],
+    ids=label,
+)
 def test_no_gradient_is_nan(chain):
     """Of a step, the sensors and the frequency response, by every number and state, in 1,000 draws, a quarter of them at rest."""
     layout, nq, nu = Layout(chain), chain.nq, len(chain.signature.inputs)

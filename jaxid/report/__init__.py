@@ -5,13 +5,26 @@ from __future__ import annotations
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from jaxid.report import answer, background, compared, fitted, identified, missing_force, parameters, ranking, studied, traces
+from jaxid.report import (
+    answer,
+    background,
+    compared,
+    fitted,
+    identified,
+    missing_force,
+    parameters,
+    ranking,
+    recorded,
+    studied,
+    traces,
+)
 from jaxid.report.page import render, render_fragment
 from jaxid.terminal import one_line
 
 
 if TYPE_CHECKING:
     from jaxid.comparison import Comparison
+    from jaxid.experiment import Dataset
     from jaxid.identification import Identification
     from jaxid.results import Diagnosis, Fit
     from jaxid.study.run import StudyResult
@@ -70,6 +83,16 @@ def identification_fragment(result: Identification) -> str:
 def diagnosis_fragment(diagnosis: Diagnosis) -> str:
     """The first section of the page as an HTML fragment, for a notebook."""
     return render_fragment([answer.section(diagnosis)])
+
+
+def fit_fragment(fit: Fit) -> str:
+    """Scores and parameters of a fit as an HTML fragment, for a notebook."""
+    return render_fragment([fitted.section(fit, history=False), parameters.section(fit)])
+
+
+def dataset_fragment(data: Dataset) -> str:
+    """Channels, runs and notes of a dataset as an HTML fragment, for a notebook."""
+    return render_fragment([recorded.section(data)])
 
 
 def _write(html: str, path: str | Path) -> Path:
