@@ -352,11 +352,18 @@ def local_cluster(workers: int, threads: int = 1) -> Iterator[Cluster]:
             yield cluster
         finally:
             cluster.close()
-            with contextlib.suppress(TimeoutError):  # on a crowded computer; the process ends anyway
-                client.close(timeout=1)
+            _close(client, 1)
     finally:
         with contextlib.suppress(TimeoutError):
             parts.close(timeout=2)
+        parts.shutdown_on_close = False  # what is not closed by now would hold up the end of Python
+
+
+def _close(client: Any, seconds: float) -> None:
+    """Closes a client; where a crowded computer is too slow for that, its destructor would try again for a minute."""
+    with contextlib.suppress(TimeoutError):
+        client.close(timeout=seconds)
+    client.status = "closed"
 
 
 async def _stop_listening(parts: Any) -> None:
@@ -382,8 +389,7 @@ def running_cluster(address: str) -> Iterator[Cluster]:
     finally:
         with contextlib.suppress(Exception):
             cluster.close()
-        with contextlib.suppress(TimeoutError):
-            client.close(timeout=2)
+        _close(client, 2)
 
 
 def cores() -> int:
