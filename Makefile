@@ -1,15 +1,21 @@
 # Everything runs in .venv, which each target makes itself; only Python >= 3.11 and make are needed.
 PYTHON ?= $(shell command -v python3.11 || command -v python3 || command -v python)
 BIN := .venv/bin
+PYTEST := OPENBLAS_NUM_THREADS=1 $(BIN)/python -m pytest -q
 
-.PHONY: demo test lint format benchmark clean
+.PHONY: demo test test-all lint format notebooks docs benchmark benchmark-reliability clean
 
 demo: .venv/installed
 	$(BIN)/jaxid diagnose examples/servo_pendulum --out out/demo
 	@echo "The report with pictures: out/demo/report.html"
 
+# Tests that talk to emulators in real time run alone afterwards; a part without tests (exit code 5) is no failure.
 test: .venv/installed-dev
-	OPENBLAS_NUM_THREADS=1 $(BIN)/python -m pytest -q -n auto --maxprocesses 2 --dist worksteal $(ARGS)
+	$(PYTEST) -n auto --maxprocesses 2 --dist worksteal -m "not slow and not realtime" $(ARGS) || test $$? -eq 5
+	$(PYTEST) -m "realtime and not slow" $(ARGS) || test $$? -eq 5
+
+test-all: test
+	$(PYTEST) -m slow $(ARGS) || test $$? -eq 5
 
 lint: .venv/installed-dev
 	$(BIN)/ruff check .
@@ -23,8 +29,20 @@ format: .venv/installed-dev
 benchmark: .venv/installed-dev
 	$(BIN)/python benchmarks/run_all.py $(ARGS)
 
+benchmark-reliability: .venv/installed-dev
+	$(BIN)/python benchmarks/run_all.py reliability study_throughput
+
+# Every notebook with the small budgets, those of the papers too.
+notebooks: .venv/installed-dev
+	$(PYTEST) tests/test_notebooks.py $(ARGS)
+
+# The site with all notebooks executed in full; warnings are errors. Outputs are kept in out/docs_cache until code changes.
+docs: .venv/installed-dev
+	$(BIN)/python -m sphinx -W --keep-going -b html docs out/site
+	@echo "The site: out/site/index.html"
+
 clean:
-	rm -rf .venv out build dist .pytest_cache .ruff_cache .hypothesis *.egg-info
+	rm -rf .venv out build dist docs/notebooks docs/generated .pytest_cache .ruff_cache .hypothesis *.egg-info
 	find . -name __pycache__ -type d -prune -exec rm -rf {} +
 
 $(BIN)/python:

@@ -53,7 +53,7 @@ def arm_of(load: np.ndarray | None = None) -> Any:
     """The UR10 as Pinocchio's model, with a load in its last link."""
     import pinocchio as pin
 
-    from test_serial_arm import table_of, twin
+    from tests.test_serial_arm import table_of, twin
 
     table = table_of(UR10())
     if load is not None:

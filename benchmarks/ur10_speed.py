@@ -72,7 +72,7 @@ def batches() -> list[dict[str, Any]]:
     import mujoco
     import pinocchio as pin
 
-    from test_serial_arm import table_of, twin
+    from tests.test_serial_arm import table_of, twin
 
     table, arm = table_of(UR10()), UR10()
     model: Any = twin(table)

@@ -11,7 +11,7 @@ from .de import DifferentialEvolution
 from .ga import GeneticAlgorithm
 from .hybrid import Hybrid
 from .linear import InstrumentalVariables, LeastSquares, RecursiveLeastSquares, WeightedLeastSquares
-from .lm import descend, LevenbergMarquardt, Path, search
+from .lm import descend, LevenbergMarquardt, Path, race, search
 from .pso import ParticleSwarm
 from .rde import RecursiveDE
 from .shade import Shade
@@ -40,5 +40,6 @@ __all__ = [
     "Shade",
     "WeightedLeastSquares",
     "descend",
+    "race",
     "search",
 ]

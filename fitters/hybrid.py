@@ -43,7 +43,7 @@ class Hybrid(AbstractFitter):
             ends = [(course.best[0], False, why)]
             if not log.exhausted:
                 points = basins(problem, course, self.descents) + given
-                (path,), _ = search([[(problem, z) for z in points]], self.iterations, self.tolerance, log)
+                (path,), _ = search([[(problem, z) for z in points]], self.iterations, self.tolerance, [log])
                 ends.append((path.z, path.converged, path.stopped))
             losses = problem.losses(np.array([z for z, _, _ in ends]))
             k = int(np.argmin(losses))

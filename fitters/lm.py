@@ -16,7 +16,7 @@ from typing import Any, ClassVar
 import jax
 import numpy as np
 
-from jaxid.fitter import AbstractFitter, Log, sampling_box
+from jaxid.fitter import AbstractFitter, Log, Minimum, sampling_box
 from jaxid.objective import AbstractProblem, expand, Linear, linearise
 
 
@@ -39,10 +39,19 @@ class LevenbergMarquardt(AbstractFitter):
 
     def minimise(self, problem, starts, key, budget=None, progress=None, seconds=None):
         log = Log(problem, self.name, budget, seconds, progress)
-        best, _ = search(
-            [[(problem, z) for z in guesses(problem, starts, self.restarts, key)]], self.iterations, self.tolerance, log
-        )
-        return log.minimum(best[0].z, best[0].converged, log.exhausted or best[0].stopped)
+        return self._search([(problem, starts, key)], [log])[0]
+
+    def minimise_each(
+        self, jobs: Sequence[tuple[AbstractProblem, Sequence[np.ndarray], Any]], budget: int | None
+    ) -> list[Minimum]:
+        """`minimise` of several (problem, starts, key) on the same runs, each with the budget: the same bits as one by one, with
+        all linearisations in the same batches."""
+        return self._search(jobs, [Log(problem, self.name, budget) for problem, _, _ in jobs])
+
+    def _search(self, jobs: Sequence[tuple[AbstractProblem, Sequence[np.ndarray], Any]], logs: Sequence[Log]) -> list[Minimum]:
+        groups = [[(problem, z) for z in guesses(problem, starts, self.restarts, key)] for problem, starts, key in jobs]
+        best, _ = search(groups, self.iterations, self.tolerance, logs)
+        return [log.minimum(p.z, p.converged, log.exhausted or p.stopped) for p, log in zip(best, logs, strict=True)]
 
 
 def guesses(problem: AbstractProblem, starts: Sequence[np.ndarray], restarts: int, key) -> list[np.ndarray]:
@@ -62,38 +71,78 @@ STAGES = ((0.1, 6, 4), (0.4, 6, 3), (1.0, 6, 2))
 
 
 def search(
-    groups: Sequence[Sequence[tuple[AbstractProblem, np.ndarray]]], iterations: int, tolerance: float, log: Log | None = None
+    groups: Sequence[Sequence[tuple[AbstractProblem, np.ndarray]]],
+    iterations: int,
+    tolerance: float,
+    logs: Sequence[Log] | None = None,
 ) -> tuple[list[Path], int]:
     """The best path of each group of (problem, start), all groups in one batch, and the number of linearisations.
 
     Starts first descend on growing shares of the records: a long oscillation has one basin per cycle that is gained or lost,
     and a short look finds the right one. The first start of a group also goes straight to the whole, and alone if the budget
-    does not cover more.
+    does not cover more. `logs` has the log of each group.
     """
     current = [list(g) for g in groups]
     tried = 0
     stages = STAGES if max(len(g) for g in groups) > 1 else ()
-    cost = sum(share * (steps + 1) * sum(min(len(g), keep + 1) for g in groups) for share, steps, keep in STAGES)
-    if log is not None and log.left < (cost + 10) * (1 + groups[0][0][0].size):
-        current, stages = [[g[0]] for g in groups], ()
+    if logs is not None:
+        cost = sum(share * (steps + 1) * min(len(groups[0]), keep + 1) for share, steps, keep in STAGES)
+        if logs[0].left < (cost + 10) * (1 + groups[0][0][0].size):
+            current, stages = [[g[0]] for g in groups], ()
+    of = lambda flat: None if logs is None else [logs[k] for k, _ in flat]
     for share, steps, keep in stages:
         if share == 1.0:
             for g, original in zip(current, groups, strict=True):
                 g += [original[0]]
         flat = [(k, job) for k, g in enumerate(current) for job in g]
-        paths = descend([job for _, job in flat], steps, 1e-4, share, log)
+        paths = descend([job for _, job in flat], steps, 1e-4, share, of(flat))
         tried += sum(p.linearisations for p in paths)
         for k in range(len(groups)):
             own = sorted((p for (n, _), p in zip(flat, paths, strict=True) if n == k), key=lambda p: p.cost)
             points = distinct([p.z for p in own if np.isfinite(p.cost)] or [own[0].z])[:keep]
             current[k] = [(own[0].problem if len(own) else groups[k][0][0], z) for z in points]
     flat = [(k, job) for k, g in enumerate(current) for job in g]
-    paths = descend([job for _, job in flat], iterations, tolerance, 1.0, log)
+    paths = descend([job for _, job in flat], iterations, tolerance, 1.0, of(flat))
     tried += sum(p.linearisations for p in paths)
     best = []
     for k in range(len(groups)):
         best.append(min((p for (n, _), p in zip(flat, paths, strict=True) if n == k), key=lambda p: p.cost))
     return best, tried
+
+
+#: Stages of a race, as of `STAGES`, with the number of groups that take the whole stage; those whose cost is within WITHIN of the
+#: best do so in any case.
+HEATS = ((0.1, 5, 2, None), (0.4, 5, 2, None), (1.0, 5, 1, 8), (1.0, None, 1, 4))
+WITHIN = 1.5
+
+
+def race(groups: Sequence[Sequence[tuple[AbstractProblem, np.ndarray]]], iterations: int, tolerance: float) -> list[Path]:
+    """A path of each group of (problem, start) on the same data, as by `search` but for a choice among the groups: those that are
+    clearly behind after the first steps stay where they are, and only the front ones descend to the end."""
+    current = [list(g) for g in groups]
+    paths: list[Path] = []
+    for share, steps, keep, front in HEATS:
+        order = sorted(range(len(paths)), key=lambda k: paths[k].cost)
+        ahead = [k for n, k in enumerate(order) if front is None or n < front or paths[k].cost <= WITHIN * paths[order[0]].cost]
+        ahead = ahead or list(range(len(groups)))
+        if share == 1.0 and steps is not None:  # the whole for the first time: for all of them, for those behind one step
+            behind = [k for k in range(len(groups)) if k not in ahead]
+            for k in ahead:
+                current[k] += [groups[k][0]]
+            last = descend([current[k][0] for k in behind], 1, 1e-4) if behind else []
+            paths = [Path(g[0][0], g[0][1]) for g in current]
+            for k, path in zip(behind, last, strict=True):
+                paths[k] = path
+        flat = [(k, job) for k in ahead for job in current[k]]
+        found = descend([job for _, job in flat], steps or iterations, 1e-4 if steps else tolerance, share)
+        paths = paths or [Path(g[0][0], g[0][1]) for g in current]
+        for k in ahead:
+            own = sorted((p for (n, _), p in zip(flat, found, strict=True) if n == k), key=lambda p: p.cost)
+            points = distinct([p.z for p in own if np.isfinite(p.cost)] or [own[0].z])[:keep]
+            current[k] = [(own[0].problem, z) for z in points]
+            if steps is not None or own[0].cost <= paths[k].cost:
+                paths[k] = own[0]
+    return paths
 
 
 Curvature = Callable[["Path", np.ndarray, Linear], np.ndarray]
@@ -122,15 +171,15 @@ def descend(
     iterations: int,
     tolerance: float,
     share: float = 1.0,
-    log: Log | None = None,
+    log: Log | Sequence[Log] | None = None,
     expansion: Expansion | None = None,
     curvature: Curvature = lambda path, trial, new: new.hessian,
 ) -> list[Path]:
     """Levenberg-Marquardt on many (problem, start) on the same runs at once; each linearisation of all is one batch.
 
     `expansion` gives twice the loss with gradient and curvature, by default `linearise` for sums of squares and `expand` for
-    other losses; `curvature` may put another matrix in the place of that of an accepted trial. A `log` counts evaluations (a
-    share of the records as that share of one) and ends the descent when the budget is used up.
+    other losses; `curvature` may put another matrix in the place of that of an accepted trial. A `log`, of all jobs or of each,
+    counts evaluations (a share of the records as that share of one) and ends the descent when the budget is used up.
     """
     if expansion is None:
         expansion = linearise if all(p.loss_name == "sum_of_squares" for p, _ in jobs) else expand
@@ -138,25 +187,34 @@ def descend(
     trials = [p.z for p in paths]
     active = list(range(len(paths)))
     each = share * (1 + paths[0].problem.size)
+    own: dict[int, tuple[Log, list[int]]] = {}  # each log and its paths
+    for i, one in enumerate([] if log is None else [log] * len(paths) if isinstance(log, Log) else log):
+        own.setdefault(id(one), (one, []))[1].append(i)
     for iteration in range(iterations + 1):
-        if log is not None:
-            active = [] if log.exhausted else active[: int(min(log.left / each, len(active)))]
+        if own:
+            active = [i for one, members in own.values() for i in _affordable(one, sorted(set(members) & set(active)), each)]
             if not active:
                 break
         results = expansion([(paths[i].problem, trials[i]) for i in active], share)
         for i, new in zip(active, results, strict=True):
             _accept(paths[i], trials[i], new, tolerance, curvature)
-        if log is not None:
-            best = min(paths, key=lambda p: p.cost)
-            scale = 2 / max(1, best.count) if expansion is linearise else 1.0
-            log.add(math.ceil(each * len(active)), scale * best.cost if share == 1.0 else np.inf)
-            log.show(iteration, iterations)
+        for one, members in own.values():
+            if count := len(set(members) & set(active)):
+                best = min((paths[i] for i in members), key=lambda p: p.cost)
+                scale = 2 / max(1, best.count) if expansion is linearise else 1.0
+                one.add(math.ceil(each * count), scale * best.cost if share == 1.0 else np.inf)
+                one.show(iteration, iterations)
         active = [i for i in active if not paths[i].converged]
         if not active or iteration == iterations:
             break
         for i in active:
             trials[i] = _step(paths[i])
     return paths
+
+
+def _affordable(log: Log, active: list[int], each: float) -> list[int]:
+    """The first of the paths, as many as the budget covers."""
+    return [] if log.exhausted else active[: int(min(log.left / each, len(active)))]
 
 
 def _accept(path: Path, trial: np.ndarray, new: Linear, tolerance: float, curvature: Curvature) -> None:

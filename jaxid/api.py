@@ -40,7 +40,7 @@ def fit(
 
 
 def _fit(binding: Binding, fitter, residual, loss, seed: int, budget: int | None, progress) -> Fit:
-    from jaxid.estimation import fit_binding
+    from jaxid.fitting import fit_binding
 
     loss = loss or "sum_of_squares"
     if loss not in LOSSES:

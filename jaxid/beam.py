@@ -9,10 +9,11 @@ from __future__ import annotations
 
 from typing import Any, NamedTuple
 
-import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
+
+from jaxid.small_matrices import eigh, whitening
 
 
 class Beam(NamedTuple):
@@ -126,10 +127,9 @@ def matrices(beam: Beam, n_elements: int) -> Matrices:
 def modes(m: Matrices, count: int) -> Modes:
     """The `count` lowest clamped modes."""
     size = jnp.sqrt(jnp.diagonal(m.M))  # equal units, hence a well-conditioned factor
-    lower = jnp.linalg.cholesky(m.M / (size[:, None] * size))
-    half = jax.scipy.linalg.solve_triangular(lower, m.K / (size[:, None] * size), lower=True)
-    squares, V = jnp.linalg.eigh(jax.scipy.linalg.solve_triangular(lower, half.T, lower=True))
-    V = jax.scipy.linalg.solve_triangular(lower.T, V, lower=False) / size[:, None]
+    white = whitening(m.M / (size[:, None] * size)) / size
+    squares, V = eigh(white @ m.K @ white.T)
+    V = white.T @ V
     V = (V * jnp.sign(V[-2]))[:, :count]
     return Modes(V, squares[:count], V.T @ m.coupling, V[-2], V.T @ m.geometric @ V)
 

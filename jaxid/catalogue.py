@@ -42,6 +42,7 @@ class EffectInfo(NamedTuple):
     port: str
     equation: str
     signature: str
+    what_to_record: str
     source: str
     locations: str
     parameters: tuple[ParameterInfo, ...]
@@ -179,7 +180,9 @@ def describe_effect(name: str) -> EffectInfo:
         for token, text in units.items():
             unit = unit.replace(token, f"({text})" if unit != token else text)
         parameters.append(ParameterInfo(field, unit, spec.value, str(spec.lower), str(spec.upper), spec.meaning))
-    return EffectInfo(name, _text(kind), family, port, kind.equation, kind.signature, kind.source, locations, tuple(parameters))
+    return EffectInfo(
+        name, _text(kind), family, port, kind.equation, kind.signature, kind.excitation, kind.source, locations, tuple(parameters)
+    )
 
 
 def describe_fitter(name: str) -> FitterInfo:

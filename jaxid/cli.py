@@ -17,7 +17,7 @@ from jaxid import terminal
 
 SUCCESS, FAILED, BAD_INPUT, INTERRUPTED = 0, 1, 2, 130
 
-RESIDUALS = ("output_error", "multiple_shooting", "inverse_dynamics", "closed_loop")
+RESIDUALS = ("output_error", "multiple_shooting", "inverse_dynamics", "frequency_response", "closed_loop")
 LOSSES = ("sum_of_squares", "sum_of_norms", "sum_of_abs")
 
 T = TypeVar("T")
@@ -25,6 +25,7 @@ T = TypeVar("T")
 
 #: Commands that live in modules of their own, as light to import as this one: name -> module that has it under that name.
 MODULES = {
+    "batch": "jaxid.cli_batch",
     "compare": "jaxid.cli_compare",
     "excite": "jaxid.cli_excite",
     "identify": "jaxid.cli_identify",

@@ -46,10 +46,10 @@ def compare(
     as_json,
     quiet,
 ) -> int:
-    """Compare fitters on the same loss: success rate, evaluations and time to the best known loss.
+    """Compare fitters on the same loss.
 
-    Every fitter runs with every seed, from the same starts. Writes comparison.json, runs.parquet and report.html into DIR; on
-    Ctrl-C those of the runs that were finished.
+    Success rate, evaluations and time to the best known loss; every fitter runs with every seed, from the same starts.
+    Writes comparison.json, runs.parquet and report.html into DIR; on Ctrl-C those of the runs that were finished.
     """
     jaxid, data = start(dataset, out)
     from jaxid import text

@@ -215,17 +215,16 @@ class Comparison:
 
         return write_comparison(self, Path(path))
 
-    def plot(self, axes: Axes | None = None, by: str = "evaluations") -> Axes:
+    def plot(self, by: str = "evaluations", ax: Axes | None = None) -> Axes:
         """Draws the convergence of every fitter (median and band from the 10th to the 90th percentile of its seeds) over
         `evaluations` or `seconds`, on new axes or the given ones."""
         from jaxid.report.compared import draw_convergence
+        from jaxid.report.figures import legend, new_axes
 
-        if axes is None:
-            from matplotlib import pyplot
-
-            axes = pyplot.subplots()[1]
-        draw_convergence(self, axes, by)
-        return axes
+        ax = new_axes() if ax is None else ax
+        draw_convergence(self, ax, by)
+        legend(ax, len(self.fitters))
+        return ax
 
     def _repr_html_(self) -> str:
         from jaxid.report import comparison_fragment

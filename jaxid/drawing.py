@@ -61,12 +61,14 @@ class Motion:
         ax.set_title(f"{self.name}: poses over time (grey: the one before)", fontsize=10, loc="left")
         return ax
 
-    def animate(self, seconds: float | None = None) -> Any:
-        """An animation in real time (or over `seconds`), as matplotlib's FuncAnimation: `.to_jshtml()` shows it in a notebook."""
+    def animate(self, seconds: float | None = None, frames: int = 80) -> Any:
+        """An animation in real time (or over `seconds`), as matplotlib's FuncAnimation: `.to_jshtml()` shows it in a notebook,
+        with a picture for each of the `frames`."""
         from matplotlib import pyplot
         from matplotlib.animation import FuncAnimation
 
-        flat = plane(self.outline)
+        picks = np.linspace(0, len(self.t) - 1, max(2, min(frames, len(self.t)))).round().astype(int)
+        flat, t = plane(self.outline), self.t - self.t[0]
         low, high = flat.min((0, 1)), flat.max((0, 1))
         margin = 0.1 * max(*(high - low), 1e-9)
         figure, ax = pyplot.subplots(figsize=(4, 4))
@@ -77,12 +79,12 @@ class Motion:
         label = ax.text(0.02, 0.97, "", transform=ax.transAxes, va="top")
 
         def frame(i: int):
-            line.set_data(*flat[i].T)
-            label.set_text(f"{self.t[i] - self.t[0]:.2f} s")
+            line.set_data(*flat[picks[i]].T)
+            label.set_text(f"{t[picks[i]]:.2f} s")
             return line, label
 
-        span = float(self.t[-1] - self.t[0]) if seconds is None else seconds
-        return FuncAnimation(figure, frame, frames=len(self.t), interval=1e3 * span / len(self.t), blit=True)
+        span = float(t[-1]) if seconds is None else seconds
+        return FuncAnimation(figure, frame, frames=len(picks), interval=1e3 * span / len(picks), blit=True)
 
 
 def plane(outline: Float[np.ndarray, "frames points d"]) -> Float[np.ndarray, "frames points 2"]:

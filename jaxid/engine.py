@@ -9,8 +9,10 @@ from __future__ import annotations
 
 import os
 import time
-from collections.abc import Callable, Sequence
-from concurrent.futures import ThreadPoolExecutor
+from collections import deque
+from collections.abc import Callable, Iterator, Sequence
+from concurrent.futures import Future, ThreadPoolExecutor
+from functools import partial
 from typing import Any, NamedTuple
 
 import jax
@@ -25,7 +27,7 @@ from jaxid.samples import BLOCK, bucket, Record, Samples
 
 
 #: Lanes of one block: enough for vector code, few enough to stay in the cache.
-LANES = 16
+LANES = 32
 #: Upper bound of every delay parameter of the library.
 LONGEST_DELAY_S = 0.1
 #: `reach` of a run with equal steps: what depends on the step's length is worked out once.
@@ -148,6 +150,9 @@ def reach_of(samples: Samples, record: Record) -> int:
 #: Blocks of lanes run side by side, one per core; which thread runs a block changes nothing in its result.
 _POOL = ThreadPoolExecutor(max_workers=os.cpu_count() or 1, thread_name_prefix="jaxid-lanes")
 
+#: Programs that several groups of lanes need for the first time are compiled side by side.
+_COMPILERS = ThreadPoolExecutor(max_workers=os.cpu_count() or 1, thread_name_prefix="jaxid-compile")
+
 
 class Programs(NamedTuple):
     """The compiled functions of one kind of model: pure batch prediction, and jitted outputs and tangents."""
@@ -258,6 +263,22 @@ class Engine:
         y, dy = self._call("tangents", (self.theta_of(theta, record), dtheta), (start, dstart), record, share)
         return y, dy
 
+    def tangent_blocks(
+        self,
+        theta: np.ndarray,
+        start: np.ndarray,
+        dtheta: np.ndarray,
+        dstart: np.ndarray,
+        record: np.ndarray,
+        share: float = 1.0,
+    ) -> Iterator[tuple[np.ndarray, np.ndarray, np.ndarray]]:
+        """(lanes, predictions, derivatives) of some lanes at a time, lanes of one record and candidate one after the other:
+        thousands of lanes need not be in memory at once. The arrays may be longer than `lanes`."""
+        dtheta = np.where(np.isnan(self.overrides[record]), dtheta, 0.0)
+        numbers = self.theta_of(theta, record), dtheta
+        for lanes, (y, dy) in self._blocks("tangents", numbers, (start, dstart), record, share):
+            yield lanes, y, dy
+
     def _at_work(self, numbers: tuple[np.ndarray, ...], record: np.ndarray) -> dict[frozenset[str], np.ndarray]:
         """Families at work -> lanes. All lanes of one record and one candidate meet in one program, so that their predictions are
         the same bits."""
@@ -294,41 +315,54 @@ class Engine:
 
     def _call(self, name: str, numbers, states, record: np.ndarray, share: float) -> list[np.ndarray]:
         results: list[np.ndarray] = []
-        for kept, lanes in self._at_work(numbers, record).items():
-            programs, index = self._programs_of(kept)
-            own, other = [a[np.ix_(lanes, index)] for a in numbers], [a[lanes] for a in states]
-            arrays = [x for pair in zip(own, other, strict=True) for x in pair]
-            out = self._run(name, programs, arrays, record[lanes], share)
+        for lanes, out in self._blocks(name, numbers, states, record, share):
             if not results:
                 results = [np.empty((record.size, *o.shape[1:])) for o in out]
             for r, o in zip(results, out, strict=True):
-                r[lanes] = o
+                r[lanes] = o[: lanes.size]
         return results
 
-    def _run(self, name: str, programs: Programs, arrays, record: np.ndarray, share: float) -> list[np.ndarray]:
-        program = getattr(programs, name)
+    def _blocks(self, name: str, numbers, states, record: np.ndarray, share: float) -> Iterator[tuple[np.ndarray, tuple]]:
+        """(lanes, their outputs and padding) block by block, a few blocks ahead of who takes them."""
         steps = np.ceil(self.steps[record] * share).astype(np.int32)
-        order = np.argsort(-steps, kind="stable")  # longest first, so that a block holds lanes of like length
-        results: list[np.ndarray] = []
-
-        def block(part: np.ndarray) -> tuple[np.ndarray, tuple]:
-            padded = np.concatenate([part, np.repeat(part[-1:], LANES - part.size)])
-            with float64():
-                out = program(*(a[padded] for a in arrays), self.where[record[padded]], self.samples, steps[part[0]])
-            return part, tuple(np.asarray(o) for o in (out if isinstance(out, tuple) else (out,)))
-
-        def store(part: np.ndarray, out: tuple) -> None:
-            if not results:
-                results.extend(np.empty((record.size, *o.shape[1:])) for o in out)
-            for r, o in zip(results, out, strict=True):
-                r[part] = o[: part.size]
-
-        parts = [order[k : k + LANES] for k in range(0, order.size, LANES)]
-        if name not in programs.known:  # the first call compiles
+        jobs: list[Callable[[], tuple[np.ndarray, tuple]]] = []
+        first: list[Callable[[], tuple[np.ndarray, tuple]]] = []
+        for kept, lanes in self._at_work(numbers, record).items():
+            programs, index = self._programs_of(kept)
+            program, own = getattr(programs, name), [a[:, index] for a in numbers]
+            lanes = lanes[np.argsort(-steps[lanes], kind="stable")]  # longest first, so that a block holds lanes of like length
+            blocks = [
+                partial(self._block, program, own, states, record, lanes[k : k + LANES], steps[lanes[k]])
+                for k in range(0, lanes.size, LANES)
+            ]
+            if name not in programs.known:
+                first.append(blocks.pop(0))
+                programs.known.add(name)
+            jobs += blocks
+        if first:  # the first call of a program compiles it
             began = time.perf_counter()
-            store(*block(parts.pop(0)))
+            done = list(_COMPILERS.map(lambda job: job(), first))
             self.compile_time_s += time.perf_counter() - began
-            programs.known.add(name)
-        for part, out in _POOL.map(block, parts) if len(parts) > 1 else map(block, parts):
-            store(part, out)
-        return results
+            yield from done
+        yield from ahead(jobs)
+
+    def _block(self, program: Callable, numbers, states, record: np.ndarray, lanes: np.ndarray, steps: Any):
+        padded = np.concatenate([lanes, np.repeat(lanes[-1:], LANES - lanes.size)])
+        arrays = [a[padded] for pair in zip(numbers, states, strict=True) for a in pair]
+        with float64():
+            out = program(*arrays, self.where[record[padded]], self.samples, steps)
+        return lanes, tuple(np.asarray(o) for o in (out if isinstance(out, tuple) else (out,)))
+
+
+def ahead(jobs: Sequence[Callable[[], Any]]) -> Iterator[Any]:
+    """Results of jobs in their order, computed side by side no more than a few ahead: what is taken need not be kept."""
+    if len(jobs) < 2:
+        yield from (job() for job in jobs)
+        return
+    waiting: deque[Future] = deque()
+    for job in jobs:
+        waiting.append(_POOL.submit(job))
+        if len(waiting) > 2 * (os.cpu_count() or 1):
+            yield waiting.popleft().result()
+    while waiting:
+        yield waiting.popleft().result()

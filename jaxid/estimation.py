@@ -1,22 +1,19 @@
-"""From data to a `Fit`: start values, the fitter, uncertainty, scores on data that were and were not fitted."""
+"""From data to a `Fit`: start values, uncertainty, scores on data that were and were not fitted."""
 
 from __future__ import annotations
 
-import time
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
-import jax
 import numpy as np
 
 from jaxid import samples
 from jaxid.binding import Binding
 from jaxid.chain import Effect
 from jaxid.engine import Engine
-from jaxid.errors import UsageError
 from jaxid.experiment import Experiment
-from jaxid.fitter import AbstractFitter, Minimum, Progress
-from jaxid.fitters import descend, LevenbergMarquardt
+from jaxid.fitter import Minimum
+from jaxid.fitters import descend
 from jaxid.frequency import FrequencyResponseError
 from jaxid.parameter import resolve
 from jaxid.problem import Problem
@@ -39,9 +36,11 @@ class Bench:
 
     def __post_init__(self):
         self._runs: dict[tuple[str, str], Runs] = {}
-        steps = {e.name: samples.step_count(e, self.step) for e in self.binding.dataset.experiments}
+        # One shape for all splits, and for the half step that a search may go over to: one program.
+        room = min(self.step, samples.STEP / 2)
+        steps = {e.name: samples.step_count(e, room) for e in self.binding.dataset.experiments}
         totals = [sum(steps[e.name] for e in self.binding.experiments(s)) for s in ("fit", "validation", "report")]
-        self._shape = max(totals), max(steps.values(), default=0)  # one shape for all splits, hence one program
+        self._shape = max(totals), max(steps.values(), default=0)
 
     def runs(self, residual: Residual, split: str) -> Runs:
         key = (repr(residual), split)
@@ -298,45 +297,9 @@ def is_candidate(binding: Binding, effect: str) -> bool:
     return not any(i in binding.nominal for i in entries)
 
 
-def fit_binding(
-    binding: Binding,
-    fitter: AbstractFitter,
-    residual: Residual | None,
-    loss: str,
-    seed: int,
-    budget: int | None,
-    progress: Progress | None,
-) -> Fit:
-    """The whole of `jaxid.fit` once model and data are bound."""
-    began = time.perf_counter()
-    residual = residual or default_residual(binding)
-    if isinstance(residual, InverseDynamics) and binding.dataset.inputs and not binding.chain.direct:
-        raise UsageError(f"inverse_dynamics needs measured torques; the inputs of {binding.chain.mechanism.name} are none")
-    step, compile_time, notes, found = samples.STEP, 0.0, [], []
-    while True:
-        bench = Bench(binding, step)
-        guesses = found or start_values(bench, binding.free, seed)
-        problem = bench.problem(residual, "fit", binding.free, guesses[0], loss=loss)
-        key = jax.random.key(seed)
-        starts = guesses if found else [*guesses, *probe_starts(bench, problem, guesses[0])]
-        result = fitter.minimise(problem, [problem.z(g) for g in starts], key, budget, progress)
-        compile_time += bench.compile_time()
-        simulated = not isinstance(residual, InverseDynamics) and bool(binding.dataset.split("fit"))
-        if result.failed or not simulated or step <= samples.STEP / 8:
-            break
-        moved = step_error(bench, problem, result.z, residual)
-        if moved <= STEP_SHARE:
-            break
-        step, found = step / 2, [problem.theta(result.z)]
-        if isinstance(fitter, LevenbergMarquardt):
-            fitter = replace(fitter, restarts=0)
-        notes.append(f"halving the step moved the simulation by {moved:.2g} of the noise or gap: refitted at {step:.3g} s")
-    return assemble(bench, problem, result, residual, fitter.name, seed, compile_time, time.perf_counter() - began, notes)
-
-
-def step_error(bench: Bench, problem: Problem, z: np.ndarray, residual: Residual) -> float:
+def step_error(bench: Bench, problem: Problem, z: np.ndarray, residual: Residual, finer: Bench | None = None) -> float:
     """How much the simulation at z moves when the step is halved, over the larger of noise and gap (rms, worst column)."""
-    finer = Bench(bench.binding, bench.step / 2)
+    finer = finer or Bench(bench.binding, bench.step / 2)
     runs = finer.runs(residual, "fit")
     lanes = np.array(problem.records)
     theta = np.tile(problem.theta(z), (lanes.size, 1))

@@ -8,9 +8,13 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from typing import Any
+from typing import Any, TYPE_CHECKING
 
 import numpy as np
+
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
 
 
 @dataclass(frozen=True)
@@ -307,3 +311,14 @@ class Dataset:
         from jaxid.dataset_arrays import from_frame
 
         return from_frame(frame, inputs, outputs, auxiliary, time, **settings)
+
+    def plot(self, channel: str | None = None, ax: Axes | None = None) -> Axes:
+        """Draws a channel (default: the first output) of every run over time, on new axes or the given ones."""
+        from jaxid.report import figures
+
+        return figures.dataset(self, channel, ax)
+
+    def _repr_html_(self) -> str:
+        from jaxid.report import dataset_fragment
+
+        return dataset_fragment(self)

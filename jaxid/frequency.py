@@ -27,6 +27,7 @@ from jaxid.experiment import Dataset, Experiment, FrequencyResponse as Measured
 from jaxid.layout import Layout
 from jaxid.residual import _record, overrides, Residual, RESIDUALS, Runs
 from jaxid.samples import Record, Samples
+from jaxid.small_matrices import solve
 
 
 Complex = tuple[Array, Array]
@@ -66,7 +67,7 @@ def transfer(
         sensors = lambda x, u: body.output(unravel(x), torque(x, u), moving)[:ny]
         A, B = jax.jacfwd(field, (0, 1))(x0, u0)
         C, D = jax.jacfwd(sensors, (0, 1))(x0, u0)
-        X = jnp.linalg.solve(1j * omega[:, None, None] * jnp.eye(x0.size) - A, B[None].astype(complex))
+        X = jax.vmap(lambda w: solve(1j * w * jnp.eye(x0.size) - A, B))(omega)
         response = C @ X + D
         re, im = response.real, response.imag
     for e in chain.effects:

@@ -256,23 +256,28 @@ def _lanes(jobs: Sequence[tuple[Problem, np.ndarray]], share: float) -> Iterator
             dtheta[k, p.free[c]] = slopes[j][c]
         elif c >= 0:
             dstart[k, p.start_columns[c - p.free.size]] = 1.0
-    y, dy = runs.engine.tangents(theta, start, dtheta, dstart, record, share)
-
-    k = 0
-    while k < n:
-        j, row, _ = lanes[k]
-        until = k
-        while until < n and lanes[until][:2] == (j, row):
-            until += 1
-        number = jobs[j][0].records[row]
-        r = runs.record(number)
-        at = r.samples if share == 1 else r.samples[r.samples < r.offset + share * r.count]
-        inside, w = at - r.offset + r.lead, jobs[j][0].weights[at]
-        residual = w * (y[k][inside] - jobs[j][0].targets[at])
-        columns = [c for _, _, c in lanes[k:until] if c >= 0]
-        J = np.stack([w * dy[k + i][inside] for i in range(len(columns))], -1) if columns else np.zeros((*w.shape, 0))
-        yield Rows(j, number, residual, J, columns, w)
-        k = until
+    rest: dict[tuple[int, int], int] = {}
+    for j, row, _ in lanes:
+        rest[j, row] = rest.get((j, row), 0) + 1
+    found: dict[tuple[int, int], Any] = {}  # of a job and record: residual, weights, and the columns of its Jacobian
+    order = list(rest)  # the rows of a job come in the order of its records
+    for part, y, dy in runs.engine.tangent_blocks(theta, start, dtheta, dstart, record, share):
+        for n, k in enumerate(part):
+            j, row, c = lanes[k]
+            p = jobs[j][0]
+            r = runs.record(p.records[row])
+            at = r.samples if share == 1 else r.samples[r.samples < r.offset + share * r.count]
+            inside, w = at - r.offset + r.lead, p.weights[at]
+            if (j, row) not in found:
+                found[j, row] = w * (y[n][inside] - p.targets[at]), w, {}
+            if c >= 0:
+                found[j, row][2][c] = w * dy[n][inside]
+            rest[j, row] -= 1
+        while order and not rest[order[0]]:
+            j, row = order.pop(0)
+            residual, w, columns = found.pop((j, row))
+            J = np.stack([columns[c] for c in sorted(columns)], -1) if columns else np.zeros((*w.shape, 0))
+            yield Rows(j, jobs[j][0].records[row], residual, J, sorted(columns), w)
 
 
 __all__ = ["LOSSES", "PENALTY", "Data", "Linear", "Problem", "Rows", "expand", "linearise", "rows", "sums"]

@@ -8,12 +8,17 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
 import numpy as np
 
 from jaxid.fitters import descend
 from jaxid.problem import Problem, rows
 from jaxid.uncertainty import _whiteness, covariance
+
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
 
 
 #: Steps of a profile to either side, in standard deviations.
@@ -34,6 +39,12 @@ class Profile:
     threshold: float
     interval: tuple[float | None, float | None]
     at_bound: tuple[bool, bool]
+
+    def plot(self, ax: Axes | None = None) -> Axes:
+        """Draws the profile with its threshold and the ends of the interval, on new axes or the given ones."""
+        from jaxid.report import figures
+
+        return figures.profile(self, ax)
 
 
 def profile_likelihood(

@@ -6,9 +6,13 @@ import json
 from collections.abc import Callable
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any
+from typing import Any, TYPE_CHECKING
 
 import numpy as np
+
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
 
 
 SCHEMA = 1
@@ -83,6 +87,12 @@ class Trace:
     simulated: dict[str, np.ndarray]  # label -> series, for instance "nominal", "with dead_zone at tau"
     noise: float
 
+    def plot(self, ax: Axes | None = None) -> Axes:
+        """Draws measured minus simulated over time, with the band of the noise, on new axes or the given ones."""
+        from jaxid.report import figures
+
+        return figures.trace(self, ax)
+
 
 @dataclass(frozen=True)
 class Fit:
@@ -144,6 +154,17 @@ class Fit:
 
         return write_fit(self, Path(path))
 
+    def plot(self, channel: str | None = None, ax: Axes | None = None) -> Axes:
+        """Draws a channel (default: the first) as measured and as simulated, on data that were not fitted where there are any."""
+        from jaxid.report import figures
+
+        return figures.fit(self, channel, ax)
+
+    def _repr_html_(self) -> str:
+        from jaxid.report import fit_fragment
+
+        return fit_fragment(self)
+
 
 @dataclass(frozen=True)
 class Finding:
@@ -196,6 +217,13 @@ class MissingForce:
     before: np.ndarray
     after: np.ndarray
     floor: float  # one standard deviation of what noise alone would show
+
+    def plot(self, after: bool = False, ax: Axes | None = None) -> Axes:
+        """Draws the motion in the phase plane, coloured by the missing force: a band along an axis is a law of velocity or
+        position. `after`: what is still missing with the effect, in the same colours."""
+        from jaxid.report import figures
+
+        return figures.missing_force(self, after, ax)
 
 
 @dataclass(frozen=True)
@@ -331,6 +359,12 @@ class Diagnosis:
         from jaxid.report import write_diagnosis
 
         return write_diagnosis(self, Path(path))
+
+    def plot(self, ax: Axes | None = None) -> Axes:
+        """Draws the gap before, after retuning and with the missing effect, on new axes or the given ones."""
+        from jaxid.report import figures
+
+        return figures.diagnosis(self, ax)
 
     def _repr_html_(self) -> str:
         from jaxid.report import diagnosis_fragment

@@ -45,6 +45,8 @@ def percent(fraction: float | None) -> str:
     if fraction is None or not math.isfinite(fraction):
         return "–"
     rest = min(abs(fraction), abs(1 - abs(fraction)))
+    if 0 < rest < 5e-5 and fraction > 0.5:
+        return "over 99.99 %" if fraction < 1 else "100 %"
     decimals = 0 if rest > 0.05 or rest == 0 else 1 if rest >= 1e-3 else 2
     return f"{100 * fraction:.{decimals}f} %"
 

@@ -10,7 +10,7 @@ from jaxtyping import Array
 from jaxid.arithmetic import sincos
 from jaxid.mechanism import Lagrangian, Signature
 from jaxid.models.effects import ViscousFriction
-from jaxid.parameter import constant, param, setting
+from jaxid.parameter import constant, param, setting, with_fields
 
 
 #: Measured torque of the gear motors (paper 003, Table 1): (V, N m), odd in V, and continued beyond along its last secant.
@@ -52,6 +52,13 @@ class Tracker(Lagrangian):
     gain: Array = constant(0.1, unit="N m/V", meaning="torque of the motors per volt")
     v0: Array = constant(1.68, unit="V", meaning="dead zone of the motors")
     motor_table: bool = setting(False, meaning="the measured torques of Table 1 instead of equation (6)")
+
+    def loaded(self, mass: Array) -> Tracker:
+        """The same with mass [2] more: at the tilt joint, and at the end of the barrel."""
+        total = self.m_c + mass[1]
+        centre = self.u + mass[1] * (self.l - self.u) / jnp.where(total > 0, total, 1.0)
+        more = {"J_theta": self.J_theta + mass[0] * self.R**2, "J_alpha": self.J_alpha + mass[1] * self.l**2}
+        return with_fields(self, {**more, "m_c": total, "u": centre})
 
     def outline(self, x, signature):
         theta, alpha = x[0]

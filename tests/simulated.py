@@ -2,8 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
+from typing import Any
 
+import diffrax
+import jax
 import numpy as np
 
 from jaxid import samples
@@ -62,6 +65,16 @@ class Simulator:
             np.tile(theta, (size, 1)), np.tile(x, (size, 1)), np.eye(size), np.zeros((size, nx)), np.zeros(size, int)
         )
         return y[0][self.positions], dy[:, self.positions]
+
+
+def flow(field: Callable[[Any], Any], x0: Any, seconds: float) -> Any:
+    """State after so long, at 1e-11."""
+    tight = diffrax.PIDController(rtol=1e-11, atol=1e-13)
+    term, forward = diffrax.ODETerm(lambda t, x, args: field(x)), diffrax.ForwardMode()
+    found = diffrax.diffeqsolve(
+        term, diffrax.Dopri8(), 0.0, seconds, 1e-4, x0, stepsize_controller=tight, max_steps=10**6, adjoint=forward
+    )
+    return jax.tree.map(lambda x: x[-1], found.ys)
 
 
 def relative(a: np.ndarray, b: np.ndarray) -> float:

@@ -129,10 +129,10 @@ def test_plot_and_notebook(small):
 
     for by in ("evaluations", "seconds"):
         axes = Figure().add_subplot()
-        assert small.plot(axes, by) is axes
+        assert small.plot(by, axes) is axes
         assert len(axes.get_lines()) == 4 and by in axes.get_xlabel()  # three fitters and the target
     with pytest.raises(jaxid.UsageError, match="seconds"):
-        small.plot(Figure().add_subplot(), by="hours")
+        small.plot("hours", Figure().add_subplot())
     assert small._repr_html_().count("<svg") == 3
 
 

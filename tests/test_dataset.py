@@ -73,7 +73,7 @@ def pendulum(monkeypatch):
     fake.__dict__.update(
         model_names=lambda: ("joint", "pendulum"),
         effect_names=lambda: ("payload", "coulomb_friction", "viscous_friction"),
-        describe=lambda name: info,
+        describe=lambda name, model=None: info,
     )
     monkeypatch.setitem(sys.modules, "jaxid.catalogue", fake)
     monkeypatch.setattr(jaxid, "catalogue", fake, raising=False)

@@ -45,7 +45,7 @@ def recording(model: str, seed: int, **truth) -> jaxid.Dataset:
     ("effect", "place", "truth", "parameters"),
     [
         ("load_dependent_friction", "q", {"load": 0.1}, {"mu": 0.1}),
-        ("input_delay", "tau", {"delay": 0.004}, {"delay": 0.004}),
+        pytest.param("input_delay", "tau", {"delay": 0.004}, {"delay": 0.004}, marks=pytest.mark.slow),
     ],
 )
 def test_a_withheld_effect_is_named(effect, place, truth, parameters):
@@ -62,6 +62,7 @@ def test_a_withheld_effect_is_named(effect, place, truth, parameters):
     assert json["schema"] == 1 and json["which"]["ranking"][0]["effect"] == effect
 
 
+@pytest.mark.slow
 def test_windows_name_the_same_effect():
     data = recording("pendulum", 1, load=0.1)
     d = jaxid.diagnose("pendulum", data, residual="multiple_shooting", effects=CHOICE)
@@ -75,12 +76,14 @@ def test_a_model_that_lacks_nothing_gets_none():
     assert not d.where
 
 
+@pytest.mark.slow
 def test_a_nominal_term_taken_out_is_found():
     d = jaxid.diagnose("pendulum", recording("pendulum", 3), without=["coulomb_friction"])
     named = {e.effect for e in (*d.which.effects, *d.which.confusable_with)}
     assert "coulomb_friction" in named and "coulomb" in d.final.parameters
 
 
+@pytest.mark.slow
 def test_a_cause_outside_the_library_is_not_named():
     data = recording("pendulum", 4)
     t = data.experiments[0].t
@@ -107,6 +110,7 @@ def test_wrong_arguments_are_named():
             jaxid.diagnose("joint", data, **arguments)
 
 
+@pytest.mark.slow
 def test_the_order_of_runs_and_the_unit_change_nothing():
     data = recording("pendulum", 1, load=0.1)
     runs = data.experiments

@@ -162,7 +162,7 @@ class Product:
             self.outputs |= {(e.name, k): y[k] for k in range(3)}
 
 
-@pytest.fixture(scope="module", params=CASES)
+@pytest.fixture(scope="module", params=["pendulum", *(pytest.param(c, marks=pytest.mark.slow) for c in ("joint", "planar_arm"))])
 def product(request):
     return Product(request.param)
 
@@ -306,7 +306,11 @@ NEAR = ("joint_elasticity", "backlash")
 T_FIT = np.arange(201) * 0.01
 
 
-@pytest.mark.parametrize("effect", FOUND)
+#: One of each family; `make test-all` takes them all.
+QUICK = ("dead_zone", "input_delay", "quadratic_drag", "flexible_mode", "sensor_lag")
+
+
+@pytest.mark.parametrize("effect", [e if e in QUICK else pytest.param(e, marks=pytest.mark.slow) for e in FOUND])
 def test_an_effect_is_found_again(effect):
     """From noisy data with viscous friction beside it, by a fit that starts without it (dry laws: test_diagnosis.py)."""
     u = ref.multisine(T_FIT, [1.2], 3, periods=2, lines=8)

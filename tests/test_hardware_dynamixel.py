@@ -23,6 +23,8 @@ from jaxid.hardware.dynamixel_bus import Bus
 from jaxid.hardware.link import Driver
 
 
+pytestmark = pytest.mark.realtime
+
 LIMITS = Limits(data_age=PATIENT_S)
 RATE = 100.0
 

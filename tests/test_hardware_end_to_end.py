@@ -8,6 +8,8 @@ from pathlib import Path
 import pytest
 
 
+pytestmark = pytest.mark.realtime
+
 NOTEBOOK = Path(__file__).parents[1] / "notebooks" / "recording.py"
 
 

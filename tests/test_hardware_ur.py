@@ -25,6 +25,8 @@ from jaxid.hardware.link import Driver
 from jaxid.hardware.rtde import RTDEReader
 
 
+pytestmark = pytest.mark.realtime
+
 pytest.importorskip("rtde_control", reason="ur_rtde has no wheel for this Python")
 
 #: `JAXID_HARDWARE_SECONDS=60` runs the recordings as long as the figures in the documentation.

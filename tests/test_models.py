@@ -13,7 +13,6 @@ import numpy as np
 import pytest
 import sympy as sp
 from hypothesis import given, settings
-from jax.flatten_util import ravel_pytree
 from scipy.integrate import solve_ivp
 
 import jaxid
@@ -25,7 +24,7 @@ from jaxid.models import FlexibleLink, MODELS, Servo, SpaceManipulator, Tracker
 from jaxid.models.effects import BaseMotion
 from jaxid.parameter import Reference
 from jaxid.precision import float64
-from simulated import relative, Simulator
+from simulated import flow, relative, Simulator
 
 
 # ---- Lagrange by SymPy
@@ -254,7 +253,15 @@ def draw(layout: Layout, rng: np.random.Generator) -> np.ndarray:
     return out
 
 
-@pytest.mark.parametrize("chain", chains(), ids=label)
+#: The others are the same code with more joints, or take the compiler half a minute and more: `make test-all`.
+QUICK = ("joint", "pendulum", "servo", "tracker", "flexible_link")
+
+
+@pytest.mark.parametrize(
+    "chain",
+    [c if c.mechanism.name in QUICK else pytest.param(c, marks=pytest.mark.slow) for c in chains()],
+    ids=label,
+)
 def test_no_gradient_is_nan(chain):
     """Of a step, the sensors and the frequency response, by every number and state, in 1,000 draws, a quarter of them at rest."""
     layout, nq, nu = Layout(chain), chain.nq, len(chain.signature.inputs)
@@ -337,8 +344,6 @@ def test_energy_is_kept_for_20_seconds(mechanism, q, qd):
     n = len(q)
     with float64():
         x0 = mechanism.start(jnp.asarray(q), jnp.asarray(qd))
-        flat, unravel = ravel_pytree(x0)
-        field = jax.jit(lambda x: ravel_pytree(mechanism.vector_field(0.0, unravel(x), jnp.zeros(n)))[0])
-        end = solve_ivp(lambda t, x: np.asarray(field(x)), (0, 20), np.asarray(flat), "DOP853", rtol=1e-11, atol=1e-12).y[:, -1]
-        before, after = energy(mechanism, np.array(q), np.array(qd)), energy(mechanism, end[:n], end[n : 2 * n])
+        end = flow(lambda x: mechanism.vector_field(0.0, x, jnp.zeros(n)), x0, 20.0)
+        before, after = energy(mechanism, np.array(q), np.array(qd)), energy(mechanism, *(np.asarray(x) for x in end[:2]))
     assert abs(after - before) < 1e-8 * abs(before)

@@ -208,8 +208,82 @@ def test_value_with_std(value, std, expected):
         (0.0011, "0.1 %"),
         (0.0, "0 %"),
         (1.0, "100 %"),
+        (0.9999999, "over 99.99 %"),
+        (1.0000001, "100 %"),
         (-0.2, "-20 %"),
     ],
 )
 def test_percent(fraction, expected):
     assert text.percent(fraction) == expected
+
+
+# ---- objects in a notebook
+
+
+def sample_dataset():
+    import jaxid
+
+    rng = np.random.default_rng(0)
+    t = np.arange(200) / 100
+    bad = "<script>alert(1)</script>"
+    return jaxid.Dataset.from_arrays(
+        [t, t], {"tau": [np.sin(t), np.cos(t)]}, {"q": [rng.standard_normal(200), rng.standard_normal(200)]},
+        name="arm", description=bad, noise_std={"q": 1e-3}, check_model=False,
+    )  # fmt: skip
+
+
+def test_datasets_and_fits_show_themselves_short_and_escaped():
+    source = sample_dataset()._repr_html_()
+    page = assert_harmless(source)
+    assert "<script>alert(1)</script>" in page.text and "200 samples, 1.99 s" in page.text and "noise 0.0010 rad" in page.text
+    source = sample_fit()._repr_html_()
+    page = assert_harmless(source)
+    assert "0.08123 ± 0.00042" in page.text and "<svg" not in source and len(source) < 12_000
+    assert_harmless(hostile(sample_diagnosis()).final._repr_html_())
+
+
+def plots():
+    from jaxid.profiles import Profile
+
+    d = sample_diagnosis(1500)
+    curve = Profile("coulomb", np.linspace(0, 1, 7), np.linspace(-2, 2, 7) ** 2, 3.84, (0.1, None), (False, True))
+    return {
+        "dataset": sample_dataset().plot,
+        "fit": d.nominal.plot,
+        "trace": d.traces[-1].plot,
+        "diagnosis": d.plot,
+        "missing force": d.missing_force[0].plot,
+        "profile": curve.plot,
+    }
+
+
+@pytest.mark.parametrize("name", list(plots()))
+def test_plots_take_axes_return_them_and_do_not_show(name, monkeypatch):
+    from matplotlib import pyplot
+    from matplotlib.figure import Figure
+
+    monkeypatch.setattr(pyplot, "show", lambda *a, **k: pytest.fail("shown"))
+    pyplot.switch_backend("Agg")
+    given = Figure().add_subplot()
+    assert plots()[name](ax=given) is given
+    assert given.get_xlabel() and (given.get_ylabel() or name == "diagnosis")
+    own = plots()[name]()
+    assert own.figure is not given.figure
+    own.figure.canvas.draw()
+    if (key := own.get_legend()) is not None:  # above the axes: it covers no data
+        assert key.get_window_extent().y0 >= own.get_window_extent().y1 - 2
+    pyplot.close("all")
+
+
+def test_a_plot_of_what_is_not_there_is_refused():
+    with pytest.raises(ValueError, match="did you mean 'tau'"):
+        sample_dataset().plot("taau")
+
+
+def test_nothing_calls_show():
+    from pathlib import Path
+
+    root = Path(__file__).parents[1]
+    for folder in ("jaxid", "models", "fitters", "notebooks", "docs"):
+        for file in (root / folder).rglob("*.py"):
+            assert "plt.show" not in file.read_text() and "pyplot.show" not in file.read_text(), file

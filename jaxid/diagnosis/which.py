@@ -15,7 +15,7 @@ import numpy as np
 from jaxid.diagnosis.evidence import held_out, HeldOut, inflation, memory, worth
 from jaxid.estimation import Bench, probes, step_error, STEP_SHARE
 from jaxid.fitter import Progress
-from jaxid.fitters import descend, Path, search
+from jaxid.fitters import descend, Path, race
 from jaxid.problem import Problem, Rows, rows
 from jaxid.residual import InverseDynamics, Residual
 
@@ -124,7 +124,7 @@ class Searcher:
         for (effects, thetas), more in zip(sets, self._torque_starts(sets), strict=True):
             p = self.problem(effects, thetas[0])
             groups.append([(p, p.z(theta, starts)) for theta in [*thetas, *more]])
-        final, _ = search(groups, 30, 1e-7)
+        final = race(groups, 20, 1e-6)
         found = self._hypotheses([(effects, path) for (effects, _), path in zip(sets, final, strict=True)])
         for k, h in enumerate(found):
             old = self.known.get(_key(h.effects))
@@ -144,7 +144,7 @@ class Searcher:
             free = self.base_free + [i for c in effects for i in c.index]
             p = self.bench.problem(InverseDynamics(decimate=1), "fit", free, thetas[0])
             jobs.append((p, p.z(thetas[0])))
-        return [[p.problem.theta(p.z)] if np.isfinite(p.cost) else [] for p in descend(jobs, 12, 1e-6)]
+        return [[p.problem.theta(p.z)] if np.isfinite(p.cost) else [] for p in descend(jobs, 6, 1e-3)]
 
     # ---- screen
 
@@ -232,8 +232,13 @@ class Searcher:
         return Search(self.nominal, chosen, tried, self._mates(chosen, pool))
 
     def _refined(self, chosen: Hypothesis) -> Hypothesis:
-        """The chosen and the nominal hypothesis again with finer steps, until the step no longer matters against the noise:
-        what the step leaves behind would look like another effect."""
+        """The chosen hypothesis descended to the end; it and the nominal one again with finer steps, until the step no longer
+        matters against the noise: what the step leaves behind would look like another effect."""
+        end = descend([(chosen.path.problem, chosen.path.z)], 20, 1e-9)[0]
+        if end.cost <= chosen.path.cost:
+            chosen = self._hypotheses([(chosen.effects, end)])[0]
+            self._inflations.pop(_key(chosen.effects), None)
+            self.known[_key(chosen.effects)] = chosen
         for _ in range(3):
             if step_error(self.bench, chosen.path.problem, chosen.path.z, self.residual) <= STEP_SHARE:
                 break

@@ -5,15 +5,29 @@ from __future__ import annotations
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from jaxid.report import answer, background, compared, fitted, identified, missing_force, parameters, ranking, traces
+from jaxid.report import (
+    answer,
+    background,
+    compared,
+    fitted,
+    identified,
+    missing_force,
+    parameters,
+    ranking,
+    recorded,
+    studied,
+    traces,
+)
 from jaxid.report.page import render, render_fragment
 from jaxid.terminal import one_line
 
 
 if TYPE_CHECKING:
     from jaxid.comparison import Comparison
+    from jaxid.experiment import Dataset
     from jaxid.identification import Identification
     from jaxid.results import Diagnosis, Fit
+    from jaxid.study.run import StudyResult
 
 
 def write_diagnosis(diagnosis: Diagnosis, path: str | Path) -> Path:
@@ -56,6 +70,11 @@ def write_identification(result: Identification, path: str | Path) -> Path:
     return _write(render(f"{one_line(result.dataset)}: identification", [identified.section(result)]), path)
 
 
+def write_study(result: StudyResult, path: str | Path) -> Path:
+    """Writes the page of a study (whole or not at all) and returns its path."""
+    return _write(render(f"{one_line(result.study.name)}: study", [studied.section(result)]), path)
+
+
 def identification_fragment(result: Identification) -> str:
     """The page of an identification as an HTML fragment, for a notebook."""
     return render_fragment([identified.section(result)])
@@ -64,6 +83,16 @@ def identification_fragment(result: Identification) -> str:
 def diagnosis_fragment(diagnosis: Diagnosis) -> str:
     """The first section of the page as an HTML fragment, for a notebook."""
     return render_fragment([answer.section(diagnosis)])
+
+
+def fit_fragment(fit: Fit) -> str:
+    """Scores and parameters of a fit as an HTML fragment, for a notebook."""
+    return render_fragment([fitted.section(fit, history=False), parameters.section(fit)])
+
+
+def dataset_fragment(data: Dataset) -> str:
+    """Channels, runs and notes of a dataset as an HTML fragment, for a notebook."""
+    return render_fragment([recorded.section(data)])
 
 
 def _write(html: str, path: str | Path) -> Path:

@@ -10,6 +10,8 @@ from jaxid.report.page import Section
 
 
 if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+
     from jaxid.results import Diagnosis, EffectEstimate, HowFar
 
 
@@ -94,6 +96,12 @@ def far_card(diagnosis: Diagnosis) -> tuple[str, list[str]]:
 
 def gap_picture(how_far: HowFar, verdict: str):
     """Bars of the gap before, after retuning and after adding the effect, against the noise."""
+    bars = 3 if verdict in ("named", "partly") else 2
+    return plot.svg("gap", (9.2, 0.62 + 0.42 * bars), lambda figure: draw_gap(figure.add_subplot(), how_far, verdict))
+
+
+def draw_gap(axes: Axes, how_far: HowFar, verdict: str) -> Axes:
+    """The same on Axes."""
     bars = [
         ("nominal model", how_far.gap_before, plot.VERMILLION),
         ("nominal model, retuned", how_far.gap_retuned, plot.ORANGE),
@@ -103,35 +111,31 @@ def gap_picture(how_far: HowFar, verdict: str):
     floor = how_far.noise_floor if 0 < how_far.noise_floor < plot.LARGEST else 1.0
     longest = max([floor, *(plot.drawable(gap) for _, gap, _ in bars)])
     logarithmic = longest > 15 * floor
-
-    def draw(figure):
-        axes = figure.add_subplot()
-        axes.grid(False, axis="y")
-        if logarithmic:
-            axes.set_xscale("log")
-        start = floor if logarithmic else 0.0
-        for i, (_, exact, color) in enumerate(bars):
-            gap = plot.drawable(exact)
-            axes.barh(i, gap - start, left=start, color=color, height=0.62)
-            axes.annotate(
-                text.times(exact),
-                (max(gap, start), i),
-                xytext=(5, 0),
-                textcoords="offset points",
-                va="center",
-                fontweight="bold",
-                color="#000000",
-            )
-        axes.axvline(floor, color=plot.BLACK, linestyle=(0, (4, 2)), linewidth=1.2)
-        axes.annotate("noise", (floor, -0.52), xytext=(4, 0), textcoords="offset points", va="bottom", ha="left", fontsize=8.5)
-        axes.set_yticks(range(len(bars)), [name for name, _, _ in bars])
-        axes.set_ylim(len(bars) - 0.5, -0.85)
-        low = min([floor, *(gap for _, gap, _ in bars if 0 < gap < floor)])
-        axes.set_xlim(*((low / 1.25, longest * (longest / floor) ** 0.1) if logarithmic else (0.0, 1.12 * longest)))
-        axes.tick_params(axis="y", length=0)
-        axes.spines["left"].set_visible(False)
-        axes.set_xlabel("gap on report data, in multiples of the noise" + (" (logarithmic)" if logarithmic else ""))
-        if logarithmic:
-            plot.plain_log(axes.xaxis)
-
-    return plot.svg("gap", (9.2, 0.62 + 0.42 * len(bars)), draw)
+    axes.grid(False, axis="y")
+    if logarithmic:
+        axes.set_xscale("log")
+    start = floor if logarithmic else 0.0
+    for i, (_, exact, color) in enumerate(bars):
+        gap = plot.drawable(exact)
+        axes.barh(i, gap - start, left=start, color=color, height=0.62)
+        axes.annotate(
+            text.times(exact),
+            (max(gap, start), i),
+            xytext=(5, 0),
+            textcoords="offset points",
+            va="center",
+            fontweight="bold",
+            color="#000000",
+        )
+    axes.axvline(floor, color=plot.BLACK, linestyle=(0, (4, 2)), linewidth=1.2)
+    axes.annotate("noise", (floor, -0.52), xytext=(4, 0), textcoords="offset points", va="bottom", ha="left", fontsize=8.5)
+    axes.set_yticks(range(len(bars)), [name for name, _, _ in bars])
+    axes.set_ylim(len(bars) - 0.5, -0.85)
+    low = min([floor, *(gap for _, gap, _ in bars if 0 < gap < floor)])
+    axes.set_xlim(*((low / 1.25, longest * (longest / floor) ** 0.1) if logarithmic else (0.0, 1.12 * longest)))
+    axes.tick_params(axis="y", length=0)
+    axes.spines["left"].set_visible(False)
+    axes.set_xlabel("gap on report data, in multiples of the noise" + (" (logarithmic)" if logarithmic else ""))
+    if logarithmic:
+        plot.plain_log(axes.xaxis)
+    return axes

@@ -15,7 +15,7 @@ if TYPE_CHECKING:
     from jaxid.results import Fit
 
 
-def section(fit: Fit) -> Section:
+def section(fit: Fit, history: bool = True) -> Section:
     rows = [(split, channel, s) for split, channels in fit.scores.items() for channel, s in channels.items()]
     rows += [("windows", channel, s) for channel, s in fit.windowed.items()]
     return Section(
@@ -25,7 +25,7 @@ def section(fit: Fit) -> Section:
             "headline": headline(fit),
             "effects": text.listed(text.effect_name(e) for e in fit.effects),
             "rows": rows,
-            "history": history_picture(fit) if len(fit.history) > 2 else None,
+            "history": history_picture(fit) if history and len(fit.history) > 2 else None,
         },
     )
 

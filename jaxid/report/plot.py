@@ -50,7 +50,7 @@ _SETTINGS: dict[Any, Any] = {
 }
 
 
-def svg(name: str, size: tuple[float, float], draw: Callable[[Figure], None]) -> Markup:
+def svg(name: str, size: tuple[float, float], draw: Callable[[Figure], object]) -> Markup:
     """What `draw` draws on a figure of this size (inches), as an SVG element; the same bytes for the same data."""
     with matplotlib.rc_context(), warnings.catch_warnings():
         warnings.simplefilter("ignore")  # a glyph missing from matplotlib's font: the browser draws the text
@@ -64,7 +64,7 @@ def svg(name: str, size: tuple[float, float], draw: Callable[[Figure], None]) ->
     source = source[source.index("<svg") :]
     source = re.sub(r"<metadata>.*?</metadata>", "", source, flags=re.DOTALL)
     source = re.sub(r"<!--.*?-->", "", source, flags=re.DOTALL)
-    source = re.sub(r'<g id="[^"]*">', "<g>", source)
+    source = re.sub(r'<g id="[^"]*"(/?)>', r"<g\1>", source)  # the same in every picture of a page
     source = re.sub(r' d="[^"]*"', _shorter, source)
     return Markup(re.sub(r"\n\s*", "\n", source))
 

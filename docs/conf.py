@@ -1,0 +1,48 @@
+"""Sphinx: the pages here, those that docs/generate.py writes from the code, and the notebooks with their outputs."""
+
+import os
+import shutil
+import sys
+from pathlib import Path
+
+
+HERE = Path(__file__).resolve().parent
+ROOT = HERE.parent
+sys.path.insert(0, str(HERE))
+
+import generate  # noqa: E402
+
+from jaxid import __version__  # noqa: E402
+
+
+project, author, release = "jaxid", "The jaxid developers", __version__
+copyright = "the jaxid developers, Apache-2.0"  # noqa: A001
+
+extensions = ["myst_nb", "sphinx.ext.mathjax"]
+myst_enable_extensions = ["dollarmath", "deflist", "colon_fence"]
+myst_heading_anchors = 3
+html_theme, html_title, html_static_path = "furo", f"jaxid {release}", ["_static"]
+html_show_sourcelink = False
+exclude_patterns = ["*.py", "notebooks/budget.py", "**/__pycache__"]
+
+# ---- notebooks: copied beside the pages, executed once and kept until their code changes
+
+nb_custom_formats = {".py": "generate.notebook"}
+nb_execution_mode = os.environ.get("JAXID_DOCS_NOTEBOOKS", "cache")  # off: pages without outputs, in seconds
+nb_execution_cache_path = str(ROOT / "out" / "docs_cache")
+nb_execution_timeout = 3600
+nb_execution_raise_on_error = True
+nb_merge_streams = True
+
+shutil.rmtree(HERE / "notebooks", ignore_errors=True)
+shutil.copytree(ROOT / "notebooks", HERE / "notebooks", ignore=shutil.ignore_patterns("__pycache__", ".ipynb_checkpoints"))
+generate.write(HERE / "generated", ROOT)
+
+
+def setup(app):
+    """Links to files of the repository that are pages here under another name."""
+
+    def rename(app, page, source):
+        source[0] = source[0].replace("](../benchmarks/RESULTS.md)", "](/generated/benchmarks.md)")
+
+    app.connect("source-read", rename)

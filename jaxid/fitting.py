@@ -1,0 +1,121 @@
+"""Fits once model and data are bound: one, or the same with many seeds."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Sequence
+from dataclasses import replace
+from typing import Any
+
+import jax
+import numpy as np
+
+from jaxid import samples
+from jaxid.binding import Binding
+from jaxid.errors import UsageError
+from jaxid.estimation import assemble, Bench, default_residual, probe_starts, start_values, step_error, STEP_SHARE
+from jaxid.fitter import AbstractFitter, Minimum, Progress
+from jaxid.fitters import LevenbergMarquardt
+from jaxid.problem import Problem
+from jaxid.residual import InverseDynamics, Residual
+from jaxid.results import Fit
+
+
+def fit_binding(
+    binding: Binding,
+    fitter: AbstractFitter,
+    residual: Residual | None,
+    loss: str,
+    seed: int,
+    budget: int | None,
+    progress: Progress | None,
+) -> Fit:
+    """The whole of `jaxid.fit` once model and data are bound."""
+    return fit_seeds(binding, fitter, residual, loss, [seed], budget, progress)[0]
+
+
+def fit_seeds(
+    binding: Binding,
+    fitter: AbstractFitter,
+    residual: Residual | None,
+    loss: str,
+    seeds: Sequence[int],
+    budget: int | None,
+    progress: Progress | None = None,
+    benches: Benches | None = None,
+) -> list[Fit]:
+    """A fit of each seed, the same as each alone. What does not depend on the seed is done once, and Levenberg-Marquardt takes
+    all seeds in the same batches; each fit states its share of the time. `benches` keeps runs from call to call."""
+    began = time.perf_counter()
+    residual = residual or default_residual(binding)
+    if isinstance(residual, InverseDynamics) and binding.dataset.inputs and not binding.chain.direct:
+        raise UsageError(f"inverse_dynamics needs measured torques; the inputs of {binding.chain.mechanism.name} are none")
+    simulated = not isinstance(residual, InverseDynamics) and bool(binding.dataset.split("fit"))
+    benches = Benches(binding) if benches is None else benches
+    compiled = benches.compile_time()
+    notes: dict[int, list[str]] = {seed: [] for seed in seeds}
+    ended: dict[int, tuple[Bench, Problem, Minimum]] = {}
+    level: dict[int, np.ndarray | None] = dict.fromkeys(seeds)  # where each seed's coarser step ended
+    step = samples.STEP
+    while level:
+        bench, finer = benches.of(step), {}
+        jobs = []
+        for seed, theta in level.items():
+            guesses = benches.starts(bench, residual, loss, seed) if theta is None else [theta]
+            problem = bench.problem(residual, "fit", binding.free, guesses[0], loss=loss)
+            jobs.append((problem, [problem.z(g) for g in guesses], jax.random.key(seed)))
+        for seed, job, result in zip(level, jobs, _minimise(fitter, jobs, budget, progress), strict=True):
+            problem = job[0]
+            ended[seed] = bench, problem, result
+            if result.failed or not simulated or step <= samples.STEP / 8:
+                continue
+            moved = step_error(bench, problem, result.z, residual, benches.of(step / 2))
+            if moved > STEP_SHARE:
+                finer[seed] = problem.theta(result.z)
+                notes[seed].append(
+                    f"halving the step moved the simulation by {moved:.2g} of the noise or gap: refitted at {step / 2:.3g} s"
+                )
+        level, step = finer, step / 2
+        if isinstance(fitter, LevenbergMarquardt):
+            fitter = replace(fitter, restarts=0)
+    share = 1 / len(seeds)
+    fits = [assemble(*ended[seed], residual, fitter.name, seed, 0.0, 0.0, notes[seed]) for seed in seeds]
+    compiling, wall = share * (benches.compile_time() - compiled), share * (time.perf_counter() - began)
+    return [replace(fit, compile_time_s=compiling, wall_time_s=wall) for fit in fits]
+
+
+def _minimise(
+    fitter: AbstractFitter,
+    jobs: Sequence[tuple[Problem, Sequence[np.ndarray], Any]],
+    budget: int | None,
+    progress: Progress | None,
+) -> list[Minimum]:
+    if isinstance(fitter, LevenbergMarquardt) and len(jobs) > 1:
+        return fitter.minimise_each(jobs, budget)
+    return [fitter.minimise(problem, starts, key, budget, progress) for problem, starts, key in jobs]
+
+
+class Benches:
+    """Benches of a binding by step, and the start values on them, each made once."""
+
+    def __init__(self, binding: Binding):
+        self.binding = binding
+        self._benches: dict[float, Bench] = {}
+        self._starts: dict[tuple[str, str], list[np.ndarray]] = {}
+
+    def of(self, step: float) -> Bench:
+        if step not in self._benches:
+            self._benches[step] = Bench(self.binding, step)
+        return self._benches[step]
+
+    def starts(self, bench: Bench, residual: Residual, loss: str, seed: int) -> list[np.ndarray]:
+        """Start values, best first, and those of added effects; no guess depends on the seed."""
+        key = repr(residual), loss
+        if key not in self._starts:
+            guesses = start_values(bench, self.binding.free, seed)
+            problem = bench.problem(residual, "fit", self.binding.free, guesses[0], loss=loss)
+            self._starts[key] = [*guesses, *probe_starts(bench, problem, guesses[0])]
+        return self._starts[key]
+
+    def compile_time(self) -> float:
+        return sum(b.compile_time() for b in self._benches.values())

@@ -1,0 +1,76 @@
+"""Whether the models, effects and fitters of a study exist and fit its data: asked before anything runs."""
+
+from __future__ import annotations
+
+import warnings
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+from jaxid import catalogue
+from jaxid.binding import parse_effect, resolve_model
+from jaxid.dataset_io import load_dataset
+from jaxid.dataset_schema import Places
+from jaxid.errors import UsageError
+from jaxid.experiment import Dataset, DatasetError, Problem
+from jaxid.study.plan import dataset_problems, parse_study, Runs, Study, StudyError
+
+
+def check_study(path: str | Path) -> Study:
+    """Reads a study and everything it names. Raises `StudyError` with every mistake at once."""
+    study, problems = parse_study(path)
+    if study is None:
+        raise StudyError(problems)
+    data: dict[str, Dataset] = {}
+    for folder, label in {t.dataset: t.label for t in study.tasks.values()}.items():
+        try:
+            with warnings.catch_warnings():
+                warnings.simplefilter("ignore")  # each stands in the result of a fit
+                data[folder] = load_dataset(folder)
+        except DatasetError as error:
+            problems += dataset_problems(error, label)
+    places = Places(study.path.name, study.path.read_text(encoding="utf-8-sig"))
+    for runs in study.runs:
+        problems += _Check(runs, places).problems(data)
+    if problems:
+        raise StudyError(list(dict.fromkeys(problems)))
+    return study
+
+
+class _Check:
+    """The questions about one `[[runs]]`."""
+
+    def __init__(self, runs: Runs, places: Places):
+        self.runs, self.places, self.found = runs, places, []
+
+    def problems(self, data: dict[str, Dataset]) -> list[Problem]:
+        entry = self.runs.entry
+        ids = sorted({e for group in entry.effects or [] for e in group})
+        named = (lambda e: e.partition("@")[0]) if entry.command == "fit" else (lambda e: e)
+        effects = [e for e in ids if self.ask("effects", catalogue.effect_class, named(e))]
+        without = [e for e in entry.without if self.ask("without", catalogue.effect_class, e)]
+        models = {m for m in entry.models or [] if m.endswith(".urdf") or self.ask("models", catalogue.model_class, m)}
+        for name in entry.fitters or []:
+            kind = self.ask("fitters", catalogue.fitter_class, name)
+            wanted = getattr(kind, "residual_name", None)
+            if wanted is not None and entry.residual not in (None, wanted):
+                self.say("fitters", f"{name} solves {wanted}, not {entry.residual}", "Leave it out or change `residual`")
+        for task in {(t.dataset, t.model): t for t in self.runs.tasks}.values():
+            unknown = task.model is not None and task.model_sha256 is None and task.model not in models
+            if task.dataset in data and not unknown:
+                where = "datasets" if task.model is None else "models"
+                chain = self.ask(where, resolve_model, task.model, data[task.dataset], without, of=task.label)
+                for effect in effects if chain is not None and entry.command == "fit" else []:
+                    self.ask("effects", parse_effect, effect, chain, of=task.label)
+        return self.found
+
+    def ask(self, field: str, question: Callable[..., Any], *arguments: Any, of: str = "") -> Any:
+        """The answer; None and a problem where it is refused."""
+        try:
+            return question(*arguments)
+        except (UsageError, DatasetError) as error:
+            self.say(field, f"{f'dataset {of!r}: ' if of else ''}{error}", "Correct the name or leave it out")
+            return None
+
+    def say(self, field: str, message: str, remedy: str) -> None:
+        self.found.append(self.places.problem(("runs", self.runs.index, field), message.rstrip("."), remedy))

@@ -1,0 +1,381 @@
+"""A study file and the tasks it stands for: the product of datasets, models, effects, fitters and seeds.
+
+A task is known by the hash of everything its result depends on: the bytes of the dataset, the settings, the version of jaxid.
+So a study that is started again goes on where it stopped, and one that was changed runs only what changed.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import itertools
+import json
+import math
+import re
+import tomllib
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, fields
+from functools import cached_property
+from importlib.metadata import PackageNotFoundError, version
+from pathlib import Path
+from typing import Any, Literal
+
+from pydantic import BaseModel, ConfigDict, Field, field_validator
+
+from jaxid.cli import LOSSES, RESIDUALS
+from jaxid.dataset_schema import _entry as checked_entry, _plain, Document, Places
+from jaxid.errors import nearest, UsageError
+from jaxid.experiment import DatasetError, Problem
+from jaxid.terminal import one_line
+
+
+#: Most tasks of a study.
+MOST = 1_000_000
+#: A study or a dataset.toml above this size is none.
+LARGEST_BYTES = 10_000_000
+SEEDS = 2**31 - 1
+RESIDUAL_NAMES = (*RESIDUALS, "frequency_response")
+
+
+class _Strict(BaseModel):
+    model_config = ConfigDict(extra="forbid", strict=True, allow_inf_nan=False)
+
+
+def _distinct(values: list[Any] | None) -> list[Any] | None:
+    if values is not None and not values:
+        raise ValueError("is an empty list")
+    for k, value in enumerate(values or []):
+        if value in (values or [])[:k]:
+            raise ValueError(f"names {value!r} twice")
+    return values
+
+
+class StudyEntry(_Strict):
+    """The top-level keys. `store` counts from the folder of the study file, like the datasets."""
+
+    name: str
+    store: str
+    description: str = ""
+
+    _names = field_validator("name", "store")(_plain)
+
+
+class RunsEntry(_Strict):
+    """`[[runs]]`: the product of its lists."""
+
+    command: Literal["fit", "diagnose"]
+    datasets: list[str]
+    models: list[str] | None = None
+    effects: list[list[str]] | None = None
+    without: list[str] = []
+    fitters: list[str] | None = None
+    residual: str | None = None
+    loss: str | None = None
+    seeds: int | list[int] = 1
+    budget: int | None = Field(default=None, ge=1)
+    max_effects: int | None = Field(default=None, ge=1, le=20)
+    timeout_s: float | None = Field(default=None, gt=0)
+
+    _lists = field_validator("datasets", "models", "effects", "fitters")(_distinct)
+
+    @field_validator("timeout_s", mode="before")
+    @classmethod
+    def _number(cls, value: Any) -> Any:
+        return float(value) if isinstance(value, int) and not isinstance(value, bool) and abs(value) < 1e15 else value
+
+    @field_validator("seeds")
+    @classmethod
+    def _seeds(cls, value: int | list[int]) -> int | list[int]:
+        if isinstance(value, list):
+            _distinct(value)
+        for seed in value if isinstance(value, list) else [value]:
+            if not (0 if isinstance(value, list) else 1) <= seed <= SEEDS:
+                raise ValueError(f"is {seed}: a number of seeds is 1 or more, a list holds seeds from 0 to {SEEDS}")
+        return value
+
+    @property
+    def seed_list(self) -> Sequence[int]:
+        return range(self.seeds) if isinstance(self.seeds, int) else self.seeds
+
+    @property
+    def count(self) -> int:
+        lists = (self.datasets, self.models, self.effects, self.fitters, self.seed_list)
+        return math.prod(len(values) for values in lists if values is not None)
+
+
+@dataclass(frozen=True)
+class Task:
+    """One fit or diagnosis. `dataset` is a folder, `label` and `system` what dataset and model are called in tables."""
+
+    command: str
+    dataset: str
+    dataset_sha256: str
+    label: str
+    model: str | None
+    model_sha256: str | None  # of a URDF file
+    system: str
+    effects: tuple[str, ...] | None
+    without: tuple[str, ...]
+    fitter: str | None
+    residual: str | None
+    loss: str | None
+    seed: int
+    budget: int | None
+    max_effects: int | None
+    timeout_s: float | None
+    version: str
+
+    @cached_property
+    def settings(self) -> dict[str, Any]:
+        """Every field by its name."""
+        return {f.name: getattr(self, f.name) for f in fields(self)}
+
+    @cached_property
+    def group(self) -> str:
+        """What tasks share that run in the same compiled programs: everything but the seed."""
+        apart = {"seed", "timeout_s", "label", "dataset", "system"}
+        if self.model_sha256 is not None:
+            apart.add("model")  # a path; the content counts
+        return json.dumps({k: v for k, v in self.settings.items() if k not in apart}, sort_keys=True)
+
+    @cached_property
+    def key(self) -> str:
+        return hashlib.sha256(f"{self.group}\n{self.seed}".encode()).hexdigest()[:32]
+
+    @property
+    def method(self) -> str:
+        """The fitter's name in tables."""
+        return self.fitter or ("lm" if self.loss in (None, "sum_of_squares") else "hybrid")
+
+
+@dataclass(frozen=True)
+class Runs:
+    """One `[[runs]]`: its place in the file, what stands there, and the tasks it stands for."""
+
+    index: int
+    entry: RunsEntry
+    tasks: tuple[Task, ...]
+
+
+@dataclass(frozen=True)
+class Study:
+    """A study file that was read: what it is called, where its results go, its tasks by key in their order."""
+
+    path: Path
+    name: str
+    description: str
+    store: Path
+    tasks: dict[str, Task]
+    runs: tuple[Runs, ...]
+
+    @property
+    def digest(self) -> str:
+        """Changes with any task."""
+        return hashlib.sha256("\n".join(self.tasks).encode()).hexdigest()
+
+
+class StudyError(UsageError):
+    """A study that was refused; `problems` holds every fault found, `str()` lists them all."""
+
+    def __init__(self, problems: Sequence[Problem]):
+        self.problems = list(problems)
+        lines = [str(p) for p in self.problems]
+        head = f"{len(lines)} problems in the study:"
+        super().__init__(lines[0] if len(lines) == 1 else "\n".join([head, *(f"- {line}" for line in lines)]))
+
+
+def jaxid_version() -> str:
+    try:
+        return version("jaxid")
+    except PackageNotFoundError:
+        return "not installed"
+
+
+def read_study(path: str | Path) -> Study:
+    """Reads a study file and the fingerprints of its data; no JAX is loaded.
+
+    Raises `StudyError` with every mistake at once, each with its place and what to do. Whether models, effects and fitters exist
+    and fit the data is asked by `jaxid.study.check.check_study`.
+    """
+    study, problems = parse_study(path)
+    if problems or study is None:
+        raise StudyError(problems)
+    return study
+
+
+def parse_study(path: str | Path) -> tuple[Study | None, list[Problem]]:
+    """The study as far as it could be read, and its faults."""
+    path = Path(path)
+    text, raw = _toml(path)
+    places = Places(path.name, text)
+    document = Document()
+    rest = {k: v for k, v in raw.items() if k != "runs"}
+    head = checked_entry(StudyEntry, rest, (), places, document, "header", [*StudyEntry.model_fields, "runs"])
+    runs, entries = raw.get("runs"), {}
+    if not isinstance(runs, list) or not runs:
+        document.problems.append(places.problem(("runs",), "there is no [[runs]]", "Add one with `command` and `datasets`"))
+    for index, value in enumerate(runs if isinstance(runs, list) else []):
+        entry = checked_entry(RunsEntry, value, ("runs", index), places, document, "runs")
+        if entry is not None:
+            entries[index] = entry
+            document.problems += _meaningless(entry, ("runs", index), places)
+    total = sum(entry.count for entry in entries.values())
+    if total > MOST:
+        document.problems.append(
+            places.problem(("runs",), f"{total} tasks are more than a study can hold ({MOST})", "Divide it into several studies")
+        )
+        return None, document.problems
+    folders = _Folders(path.parent, places, document)
+    parts = tuple(Runs(k, e, tuple(_tasks(e, ("runs", k), folders))) for k, e in entries.items())
+    tasks: dict[str, Task] = {}
+    for part in parts:
+        for task in part.tasks:
+            tasks.setdefault(task.key, task)
+    if head is None:
+        return None, document.problems
+    store = path.parent / head.store
+    if store.is_file():
+        document.problems.append(places.problem(("store",), f"{head.store!r} is a file", "Name a folder"))
+    return Study(path, head.name, head.description, store, tasks, parts), document.problems
+
+
+def _toml(path: Path) -> tuple[str, dict[str, Any]]:
+    def refuse(message: str, remedy: str, row: int | None = None) -> StudyError:
+        return StudyError([Problem(path.name or str(path), row, None, message, remedy)])
+
+    try:
+        if not path.is_file():
+            raise refuse("there is no such file", "Name a study, a TOML file with `name`, `store` and [[runs]]")
+        if path.stat().st_size > LARGEST_BYTES:
+            raise refuse("is too large for a study", "Name a study, a TOML file with `name`, `store` and [[runs]]")
+        content = path.read_bytes()
+    except (OSError, ValueError) as error:
+        if isinstance(error, StudyError):
+            raise
+        raise refuse(f"not readable ({_why(error)})", "Check the path and its permissions") from None
+    try:
+        text = content.decode("utf-8-sig")
+    except UnicodeDecodeError as error:
+        row = content.count(b"\n", 0, error.start) + 1
+        raise refuse("a character that is not UTF-8", "Save the file as UTF-8", row) from None
+    try:
+        return text, tomllib.loads(text)
+    except (ValueError, RecursionError) as error:
+        line = re.search(r"at line (\d+)", str(error))
+        message = str(error).split(" (at ")[0].strip().rstrip(".") or type(error).__name__
+        row = int(line[1]) if line else None
+        raise refuse(f"not readable as TOML: {message[:1].lower()}{message[1:]}", "Correct the line", row) from None
+
+
+def _why(error: Exception) -> str:
+    return getattr(error, "strerror", None) or str(error)
+
+
+def _meaningless(entry: RunsEntry, key: tuple[str | int, ...], places: Places) -> Iterator[Problem]:
+    """Settings that the command does not know."""
+    given = entry.model_fields_set
+    wrong = {"fit": {"max_effects"}, "diagnose": {"fitters", "loss", "budget"}}[entry.command]
+    for name in sorted(given & wrong):
+        yield places.problem((*key, name), f"{name!r} has no meaning for the command {entry.command!r}", "Remove it")
+    for name, choices in (("residual", RESIDUAL_NAMES), ("loss", LOSSES)):
+        value = getattr(entry, name)
+        if value is not None and value not in choices:
+            yield places.problem(
+                (*key, name), f"{name!r} is {value!r}{nearest(value, choices)}", f"Write one of: {', '.join(choices)}"
+            )
+
+
+def _tasks(entry: RunsEntry, key: tuple[str | int, ...], folders: _Folders) -> Iterator[Task]:
+    found = [folders.dataset(name, (*key, "datasets")) for name in entry.datasets]
+    models = [folders.model(name, (*key, "models")) for name in (entry.models or [None])]
+    now = jaxid_version()
+    for data, model, effects, fitter in itertools.product(found, models, entry.effects or [None], entry.fitters or [None]):
+        if data is None or model is None:
+            continue
+        system = Path(model[0]).stem if model[1] else model[0] or data[3]
+        for seed in entry.seed_list:
+            yield Task(
+                entry.command, data[0], data[1], data[2], model[0], model[1], system,
+                None if effects is None else tuple(effects), tuple(entry.without), fitter,
+                entry.residual, entry.loss, int(seed), entry.budget, entry.max_effects, entry.timeout_s, now,
+            )  # fmt: skip
+
+
+class _Folders:
+    """Datasets and URDF files of a study, each read once: (folder, sha256, label, its model), (path or id, sha256)."""
+
+    def __init__(self, folder: Path, places: Places, document: Document):
+        self.folder, self.places, self.document = folder, places, document
+        self.found: dict[str, tuple[str, str, str, str] | None] = {}
+        self.labels: dict[str, str] = {}
+
+    def problem(self, key: tuple[str | int, ...], message: str, remedy: str) -> None:
+        self.document.problems.append(self.places.problem(key, message, remedy))
+
+    def dataset(self, name: str, key: tuple[str | int, ...]) -> tuple[str, str, str, str] | None:
+        if name not in self.found:
+            self.found[name] = None
+            try:
+                folder = (self.folder / name).resolve()
+                if folder.name == "dataset.toml":
+                    folder = folder.parent
+                if not (folder / "dataset.toml").is_file():
+                    here = "" if folder.is_dir() else f"; paths count from {self.folder.resolve()}"
+                    what = "holds no dataset.toml" if folder.is_dir() else "is no folder"
+                    self.problem(key, f"dataset {name!r} {what}{here}", "Name a folder with a dataset.toml")
+                    return None
+                digest, label, model = fingerprint(folder)
+            except (OSError, ValueError, RuntimeError) as error:  # RuntimeError: a circle of links
+                self.problem(key, f"dataset {name!r} cannot be read ({_why(error)})", "Correct the path")
+                return None
+            if self.labels.setdefault(label or name, digest) != digest:
+                label = name  # another recording has this name
+            self.found[name] = str(folder), digest, label or name, model
+        return self.found[name]
+
+    def model(self, name: str | None, key: tuple[str | int, ...]) -> tuple[Any, str | None] | None:
+        if name is None or not name.endswith(".urdf"):
+            return name, None
+        try:
+            path = (self.folder / name).resolve()
+            if not path.is_file() or path.stat().st_size > LARGEST_BYTES:
+                self.problem(key, f"model {name!r} is no URDF file here", f"Paths count from {self.folder.resolve()}")
+                return None
+            return str(path), hashlib.sha256(path.read_bytes()).hexdigest()
+        except (OSError, ValueError, RuntimeError) as error:
+            self.problem(key, f"model {name!r} cannot be read ({_why(error)})", "Correct the path")
+            return None
+
+
+def fingerprint(folder: Path) -> tuple[str, str, str]:
+    """(`dataset_sha256` as a loaded dataset has it, its name, its model) without reading any sample.
+
+    Files outside the folder and what is no plain file are left out; loading refuses them.
+    """
+    description = folder / "dataset.toml"
+    if description.stat().st_size > LARGEST_BYTES:
+        raise ValueError("its dataset.toml is too large")
+    content = description.read_bytes()
+    digest, raw = hashlib.sha256(content), {}
+    try:
+        raw = tomllib.loads(content.decode("utf-8-sig"))
+    except (ValueError, RecursionError):
+        pass  # loading says what is wrong with it
+    experiments = raw.get("experiments")
+    listed = [e.get("file") for e in experiments if isinstance(e, Mapping)] if isinstance(experiments, list) else []
+    for file in sorted({f for f in listed if isinstance(f, str)}):
+        path = folder / file
+        try:
+            if path.is_file() and path.resolve().is_relative_to(folder.resolve()):
+                with open(path, "rb") as stream:
+                    digest.update(file.encode() + b"\0" + hashlib.file_digest(stream, "sha256").digest())
+        except (OSError, ValueError, RuntimeError):
+            continue
+    spec = raw.get("model")
+    name, model = raw.get("name"), spec.get("name") if isinstance(spec, Mapping) else None
+    return digest.hexdigest(), name if isinstance(name, str) else "", model if isinstance(model, str) else ""
+
+
+def dataset_problems(error: DatasetError, name: str) -> Iterator[Problem]:
+    """A dataset's faults as faults of the study, with the dataset's name before the file's."""
+    for p in error.problems:
+        yield Problem(f"{one_line(name)}: {p.file}", p.row, p.column, p.message, p.remedy)

@@ -1,0 +1,266 @@
+"""What a study leaves behind when it is complete: runs.parquet, runs.csv, report.html; and the figures that they share."""
+
+from __future__ import annotations
+
+import csv
+import io
+import os
+from collections import Counter, defaultdict
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, TYPE_CHECKING
+
+import numpy as np
+
+from jaxid.study.plan import Task
+from jaxid.study.store import Store, StoreError
+from jaxid.terminal import one_line
+
+
+if TYPE_CHECKING:
+    from jaxid.study.outcome import Outcome
+    from jaxid.study.run import StudyResult
+
+
+#: Columns of the tables; one per parameter follows.
+COLUMNS = ("dataset", "model", "effects", "fitter", "seed", "status", "loss", "evaluations", "wall_time_s", "compile_time_s")
+#: A run has reached the best loss of its problem when it lies within this share of it.
+TOLERANCE = 1e-3
+#: What a spreadsheet takes for the beginning of a formula.
+FORMULA = ("=", "+", "-", "@", "\t", "\r", "'")
+
+
+@dataclass(frozen=True)
+class Problem:
+    """What fitters and seeds have in common."""
+
+    dataset: str
+    model: str
+    effects: tuple[str, ...]
+    residual: str
+
+    def __str__(self) -> str:
+        parts = [f"{self.dataset}, {self.model}", *([f"with {', '.join(self.effects)}"] if self.effects else [])]
+        return " ".join(parts) + (f" ({self.residual})" if self.residual else "")
+
+
+@dataclass(frozen=True)
+class Ranking:
+    """How one fitter did over all problems of a study. A rank counts from 1 within a problem, by the median loss."""
+
+    fitter: str
+    runs: int
+    failed: int
+    reached: int
+    reached_interval_95: tuple[float, float]
+    mean_rank: float
+    excess: float  # median over its runs of the loss above the best of the problem, as a share
+    evaluations: float  # medians of a run
+    seconds: float
+
+    def to_dict(self) -> dict[str, Any]:
+        from jaxid.results import finite
+
+        own = vars(self) | {"reached_interval_95": list(self.reached_interval_95)}
+        return finite(own)
+
+
+def problem_of(task: Task) -> Problem:
+    return Problem(task.label, task.system, task.effects or (), " ".join(filter(None, (task.residual, task.loss))))
+
+
+def problems(result: StudyResult) -> dict[Problem, list[tuple[Task, Outcome]]]:
+    """The fits of a study by what they fitted."""
+    out: dict[Problem, list[tuple[Task, Outcome]]] = defaultdict(list)
+    for key, outcome in result.outcomes.items():
+        task = result.study.tasks[key]
+        if task.command == "fit":
+            out[problem_of(task)].append((task, outcome))
+    return dict(out)
+
+
+def best_loss(runs: Sequence[tuple[Task, Outcome]]) -> float:
+    """The lowest loss of the runs of a problem; infinite where all failed."""
+    return min((o.loss for _, o in runs if not o.failed and o.loss is not None), default=np.inf)
+
+
+def excess(outcome: Outcome, best: float) -> float:
+    """How far a run's loss lies above the best, as a share of it; infinite for a run that failed."""
+    if outcome.failed or outcome.loss is None or not np.isfinite(best):
+        return np.inf
+    return max(0.0, (outcome.loss - best) / max(abs(best), 1e-12))
+
+
+def rankings(result: StudyResult) -> list[Ranking]:
+    """One line a fitter: most runs at the best loss first, then fewest evaluations."""
+    from jaxid.comparison import wilson
+
+    shares: dict[str, list[float]] = defaultdict(list)
+    ranks: dict[str, list[float]] = defaultdict(list)
+    outcomes: dict[str, list[Outcome]] = defaultdict(list)
+    for runs in problems(result).values():
+        best = best_loss(runs)
+        own: dict[str, list[float]] = defaultdict(list)
+        for task, outcome in runs:
+            outcomes[task.method].append(outcome)
+            own[task.method].append(excess(outcome, best))
+        middle = {fitter: _median(values) for fitter, values in own.items()}
+        for fitter, values in own.items():
+            shares[fitter] += values
+            lower, equal = (sum(test(m, middle[fitter]) for m in middle.values()) for test in (_below, _equal))
+            ranks[fitter].append(lower + (equal + 1) / 2)
+    out = []
+    for fitter, values in shares.items():
+        reached, n = sum(v <= TOLERANCE for v in values), len(values)
+        out.append(
+            Ranking(
+                fitter, n, sum(o.failed for o in outcomes[fitter]), reached, wilson(reached, n), float(np.mean(ranks[fitter])),
+                _median(values), _median([o.evaluations for o in outcomes[fitter] if o.evaluations is not None]),
+                _median([o.wall_time_s for o in outcomes[fitter] if o.wall_time_s is not None]),
+            )
+        )  # fmt: skip
+    return sorted(out, key=lambda r: (-r.reached / r.runs, np.nan_to_num(r.evaluations, nan=np.inf), r.fitter))
+
+
+def _median(values: Sequence[float]) -> float:
+    """The middle value, the upper of two where one is infinite."""
+    x = np.sort(np.array(values, float))
+    if not x.size:
+        return np.nan
+    middle = x[(x.size - 1) // 2 : x.size // 2 + 1]
+    return float(middle[-1] if np.isinf(middle).any() else middle.mean())
+
+
+def _equal(a: float, b: float) -> bool:
+    return a == b or abs(a - b) <= 1e-9
+
+
+def _below(a: float, b: float) -> bool:
+    return a < b and not _equal(a, b)
+
+
+def verdicts(result: StudyResult) -> list[tuple[Problem, Counter[str], Counter[str]]]:
+    """Of each problem that was diagnosed: how often each verdict came, and each set of named effects."""
+    out: dict[Problem, tuple[Counter[str], Counter[str]]] = {}
+    for key, o in result.outcomes.items():
+        task = result.study.tasks[key]
+        if task.command == "diagnose":
+            verdict, named = out.setdefault(problem_of(task), (Counter(), Counter()))
+            verdict[o.verdict if not o.failed else o.status] += 1
+            if o.verdict in ("named", "partly"):
+                named[" and ".join(o.named)] += 1
+    return [(p, *counts) for p, counts in out.items()]
+
+
+def failures(result: StudyResult) -> list[tuple[str, str, int, str, str]]:
+    """(status, reason, how many, which tasks, the end of the first one's log), most frequent first."""
+    found: dict[tuple[str, str], list[str]] = defaultdict(list)
+    logs: dict[tuple[str, str], str] = {}
+    for key, o in result.outcomes.items():
+        if o.failed:
+            task = result.study.tasks[key]
+            found[o.status, o.reason].append(f"{problem_of(task)}, {task.method}, seed {task.seed}")
+            logs.setdefault((o.status, o.reason), o.log)
+    ordered = sorted(found.items(), key=lambda item: -len(item[1]))
+    return [(*what, len(who), _some(who), logs[what]) for what, who in ordered]
+
+
+def _some(names: Sequence[str], most: int = 3) -> str:
+    rest = len(names) - most
+    return "; ".join(names[:most]) + (f"; and {rest} more" if rest > 0 else "")
+
+
+# ---- files
+
+
+def table_rows(result: StudyResult) -> tuple[list[dict[str, Any]], list[str]]:
+    """A row a task in the study's order, and the names of all parameters. A diagnosis states the effects that it names."""
+    rows, names = [], {}
+    for key, o in result.outcomes.items():
+        task = result.study.tasks[key]
+        parameters = dict(o.parameters or {})
+        names |= dict.fromkeys(parameters)
+        rows.append(
+            {
+                "dataset": task.label,
+                "model": task.system,
+                "effects": ",".join(task.effects or () if task.command == "fit" else o.named),
+                "fitter": task.method,
+                "seed": task.seed,
+                "status": o.status,
+                "loss": o.loss,
+                "evaluations": o.evaluations,
+                "wall_time_s": o.wall_time_s,
+                "compile_time_s": o.compile_time_s,
+                **{name: value for name, value in parameters.items() if name not in COLUMNS},
+            }
+        )
+    return rows, [name for name in names if name not in COLUMNS]
+
+
+def write_tables(result: StudyResult, store: Store) -> None:
+    """Writes runs.parquet, runs.csv and report.html into the store's folder, each whole or not at all.
+
+    Raises `StoreError` where they cannot be written; the results themselves are in the store.
+    """
+    rows, names = table_rows(result)
+    folder = store.folder
+    try:
+        _whole(folder / "runs.parquet", lambda path: _parquet(rows, names, path))
+        _whole(folder / "runs.csv", lambda path: path.write_text(csv_text(rows, names), encoding="utf-8", newline=""))
+        from jaxid.report import write_study
+
+        _whole(folder / "report.html", lambda path: write_study(result, path))
+    except OSError as error:
+        raise StoreError(
+            f"{folder}: the tables cannot be written ({error.strerror or error}); all results are in study.sqlite. "
+            "Make room and start the same command again"
+        ) from None
+
+
+def _whole(path: Path, write: Callable[[Path], Any]) -> None:
+    partial = path.with_name(f"{path.name}.{os.getpid()}.partial")
+    try:
+        write(partial)
+        partial.replace(path)
+    finally:
+        partial.unlink(missing_ok=True)
+
+
+def _parquet(rows: list[dict[str, Any]], names: Sequence[str], path: Path) -> None:
+    import pyarrow
+    import pyarrow.parquet
+
+    text, whole = ("dataset", "model", "effects", "fitter", "status"), ("seed", "evaluations")
+    kind = lambda name: pyarrow.string() if name in text else pyarrow.int64() if name in whole else pyarrow.float64()
+    schema = pyarrow.schema([(name, kind(name)) for name in (*COLUMNS, *names)])
+    plain = [{name: _encodable(value) for name, value in row.items()} for row in rows]
+    pyarrow.parquet.write_table(pyarrow.Table.from_pylist(plain, schema), path)
+
+
+def _encodable(value: Any) -> Any:
+    """Text as UTF-8 can hold it (a path may hold lone surrogates)."""
+    return value.encode("utf-8", "replace").decode() if isinstance(value, str) else value
+
+
+def csv_text(rows: list[dict[str, Any]], names: Sequence[str]) -> str:
+    """The table for a spreadsheet: text without control characters, and with a ' before what would be read as a formula. Numbers
+    are written so that they are read back to the last bit."""
+    buffer = io.StringIO()
+    writer = csv.writer(buffer)
+    columns = [*COLUMNS, *names]
+    writer.writerow([cell(name) for name in columns])
+    for row in rows:
+        writer.writerow([cell(row.get(name)) for name in columns])
+    return buffer.getvalue()
+
+
+def cell(value: Any) -> str:
+    """One cell of the spreadsheet."""
+    if value is None:
+        return ""
+    if isinstance(value, str):
+        value = one_line(value)
+        return f"'{value}" if value.lstrip().startswith(FORMULA) else value
+    return repr(value)

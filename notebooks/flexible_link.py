@@ -1,0 +1,155 @@
+# ---
+# jupyter:
+#   jupytext:
+#     formats: ipynb,py:percent
+#     text_representation:
+#       extension: .py
+#       format_name: percent
+#   kernelspec:
+#     display_name: Python 3
+#     name: python3
+# ---
+
+# %% [markdown]
+# # Flexible link: which algorithm, and which frequency response? (paper 002)
+#
+# A hub turns a thin metal strip with a payload at its tip. The paper finds six parameters (elastic modulus, hub inertia, friction,
+# damping) from a frequency response and a 0.3 s pulse, by differential evolution, a genetic algorithm and a swarm, and reports
+# that differential evolution is best. The recordings are not published; the twin is a separately written finite-element model
+# at the paper's answer (`tests/test_flexible_link.py`).
+
+# %%
+from jaxid.runtime import prepare
+
+
+prepare()
+
+import matplotlib.pyplot as plt
+import numpy as np
+from budget import FRAMES, LINK_GENERATIONS, LINK_POPULATION, LINK_SEEDS, SMALL
+from IPython.display import HTML
+
+import jaxid
+from benchmarks.papers import link_data, PAPER_LINK
+from jaxid import fitters
+from jaxid.experiment import Dataset, Experiment
+from jaxid.frequency import FrequencyResponseError
+from tests import test_flexible_link as twin
+
+
+data = link_data()
+data
+
+# %%
+figure, (left, right) = plt.subplots(1, 2, figsize=(10, 3.2), layout="constrained")
+pulse = data.experiments[0]
+left.plot(pulse.t, np.rad2deg(pulse.y[:, 0]), color="#0072b2", lw=1)
+left.set(xlabel="time (s)", ylabel="hub angle (degrees)")
+response = data.responses[0]
+right.semilogy(response.omega / (2 * np.pi), np.abs(response.response), ".", ms=3, color="#d55e00")
+_ = right.set(xlabel="frequency (Hz)", ylabel="|tip acceleration / torque|\n(m/s² per N m)")
+
+# %% [markdown]
+# ## The paper's comparison
+#
+# The loss is the paper's: the relative error of the response plus that of the hub angle. A swarm with the paper's inertia weight
+# of 1.4 cannot converge; one with 0.73 is run beside it.
+
+# %%
+residual = FrequencyResponseError(magnitude=True, linear=True, timed=("phi",))
+size = {"popsize": LINK_POPULATION, "generations": LINK_GENERATIONS}
+methods = {
+    "DE, as in the paper": fitters.DifferentialEvolution(F=(0.5, 0.5), CR=0.8, crossover="exp", **size),
+    "GA, as in the paper": fitters.GeneticAlgorithm(**size),
+    "PSO, w 1.4 as in the paper": fitters.ParticleSwarm(w=1.4, c1=1.5, c2=2.5, **size),
+    "PSO, w 0.73": fitters.ParticleSwarm(**size),
+}
+if SMALL:
+    methods = {k: v for k, v in methods.items() if "DE" in k or "1.4" in k}
+runs = {
+    k: [jaxid.fit(None, data, fitter=f, residual=residual, loss="sum_of_norms", seed=s) for s in range(LINK_SEEDS)]
+    for k, f in methods.items()
+}
+for name, fits in runs.items():
+    J = np.array([f.loss for f in fits])
+    best = fits[int(J.argmin())].parameters
+    print(
+        f"{name:28} J {J.mean():.4f} ± {J.std(ddof=1):.4f}   E {best['E'].value / 1e9:.1f} GPa, I_m {best['I_m'].value:.4f} kg m²"
+    )
+
+# %%
+palette = dict(zip(methods, ("#009e73", "#e69f00", "#d55e00", "#0072b2"), strict=False))
+figure, ax = plt.subplots(figsize=(7.5, 3.6), layout="constrained")
+for name, fits in runs.items():
+    grid = np.unique(np.concatenate([[n for n, _ in f.history] for f in fits]))
+    curves = np.array([np.interp(grid, *np.array(f.history).T) for f in fits])
+    ax.fill_between(grid, curves.min(0), curves.max(0), color=palette[name], alpha=0.15, lw=0)
+    ax.plot(grid, np.median(curves, 0), color=palette[name], label=name)
+ax.set(xscale="log", yscale="log", xlabel="evaluations of the loss", ylabel="J, best so far")
+_ = _ = ax.legend(loc="lower left", bbox_to_anchor=(0, 1), ncols=2, frameon=False)
+
+# %% [markdown]
+# Differential evolution has the lowest mean and the smallest spread, as the paper says. The swarm's bad figures come from its
+# inertia weight. (The paper's own answers for comparison:)
+
+# %%
+for name, (E, I_m, tau_c) in PAPER_LINK.items():
+    print(f"{name:4} E {E / 1e9:.1f} GPa, I_m {I_m} kg m², tau_c {tau_c} N m")
+
+# %% [markdown]
+# ## The trap: dry friction bends a frequency response
+#
+# The paper compares a *measured* response with the model's *linear* one. But the hub has dry friction, and after a pulse of 0.24
+# N m it sticks: the strip then rings at its clamped frequency. Here the response is estimated from a pulse with friction, and
+# fitted twice: with the linear response, and with the response of the simulated pulse through the same estimator.
+
+# %%
+t = np.arange(2500) * 2e-3
+u = np.where(t < 0.3, 0.241, 0.0)
+y = twin.zero_order_hold(u, 2e-3, 20, twin.DE["v"], twin.DE["tau_c"])
+y += np.random.default_rng(1).standard_normal(y.shape) * [1.5e-3, 0.3]
+record = Experiment("pulse", "fit", t, u[:, None], y, at_rest=True, initial={"phi": 0.0, "qd": 0.0})
+held = [record.piece(0, 100, name=n, split=n) for n in ("validation", "report")]
+pulsed = Dataset("pulse", data.channels, (record, *held), (), data.model)
+linear, simulated = (
+    jaxid.fit(None, pulsed, residual=FrequencyResponseError(linear=k, timed=("phi",), band_hz=(0.0, 20.0))) for k in (True, False)
+)
+print("            linear response     simulated response     truth")
+for name in ("E", "I_m", "tau_c"):
+    a, b = linear.parameters[name].value, simulated.parameters[name].value
+    truth = twin.DE[name]
+    print(f"{name:6} {a:12.4g} ({100 * (a / truth - 1):+4.0f} %) {b:12.4g} ({100 * (b / truth - 1):+4.0f} %) {truth:12.4g}")
+
+# %%
+assert abs(simulated.parameters["E"].value / twin.DE["E"] - 1) < 0.03 < abs(linear.parameters["E"].value / twin.DE["E"] - 1)
+
+# %%
+f = np.fft.rfftfreq(t.size, 2e-3)
+measured = np.fft.rfft(y[:, 1]) / np.where(np.abs(np.fft.rfft(u)) > 0, np.fft.rfft(u), 1)
+band = (f > 0) & (f < 10) & (np.abs(np.fft.rfft(u)) > 0.1 * np.abs(np.fft.rfft(u)).max())
+figure, ax = plt.subplots(figsize=(7, 3.4), layout="constrained")
+ax.semilogy(f[band], np.abs(measured[band]), "o", ms=4, color="#d55e00", label="estimated from the pulse, with dry friction")
+ax.semilogy(f[1:51], np.abs(twin.direct(f[1:51])), color="#0072b2", label="the same link without dry friction")
+ax.set(xlabel="frequency (Hz)", ylabel="|tip acceleration / torque|")
+_ = _ = ax.legend(loc="lower left", bbox_to_anchor=(0, 1), ncols=2, frameon=False)
+
+# %% [markdown]
+# The peak of the estimated response lies where a *clamped* strip rings, a hertz below that of the free one. A linear model can
+# follow it only with a softer strip.
+#
+# ## The link in motion
+
+# %%
+moving = jaxid.simulate(simulated, pulsed).motion(0)
+ax = moving.strip(count=7)
+
+# %%
+HTML(moving.animate(seconds=5, frames=FRAMES).to_jshtml(default_mode="loop"))
+
+# %% [markdown]
+# ## What holds
+#
+# - *Differential evolution has the lowest mean and spread*: yes. *The swarm scatters most*: yes, because of its inertia weight.
+# - *The genetic algorithm has the worst mean*: not here. `beta` is not identifiable from one mode, by any algorithm.
+# - A linear frequency response is wrong for this experiment. jaxid's default compares simulated with measured records, both
+#   through the same estimator.

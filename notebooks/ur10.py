@@ -1,0 +1,169 @@
+# ---
+# jupyter:
+#   jupytext:
+#     formats: ipynb,py:percent
+#     text_representation:
+#       extension: .py
+#       format_name: percent
+#   kernelspec:
+#     display_name: Python 3
+#     name: python3
+# ---
+
+# %% [markdown]
+# # UR10: is a payload known to 0.04 %? (paper 001)
+#
+# A payload changes what an arm's motors have to do. The paper identifies the arm with and without it, takes the difference of the
+# parameters, and reports a mass of 3.5242 kg for a true one of 3.5256 kg: 0.04 %. Here the same experiment is done many times on a
+# twin: Pinocchio computes the torques, with the paper's friction and the noise level that its own Table II states.
+
+# %%
+from jaxid.runtime import prepare
+
+
+prepare()
+
+import matplotlib.pyplot as plt
+import numpy as np
+import pinocchio as pin
+from budget import PAYLOADS
+
+import jaxid
+from jaxid.models import UR10
+from jaxid.precision import float64
+from jaxid.rigid_body import about_origin
+
+
+LEVEL = np.array([10.0037, 0.0, 5.1803, 2.7800, 2.0115, 1.7533])  # N m, Table VI
+VISCOUS = np.array([21.6084, 26.4096, 15.1400, 2.7746, 3.4578, 3.5335])
+EXPONENT = np.array([0.5758, 0.2723, 0.6093, 0.9995, 0.8031, 0.7209])
+NOISE = np.array([3.7817, 4.1789, 3.0339, 1.7334, 1.0670, 0.9896])  # N m, Table II
+MASS = 3.5256
+LOAD = about_origin(MASS, [0, 0, 0.0296], [0.0064, 0, 0, 0.0064, 0, 0.0045])
+
+
+def pinocchio_arm(load: np.ndarray | None = None) -> pin.Model:
+    """The paper's modified Denavit-Hartenberg table with the bodies that jaxid ships, drive inertias as armatures."""
+    arm, model, parent = UR10(), pin.Model(), 0
+    with float64():
+        bodies, drives = np.array(arm.inertia()), np.array(arm.Ia)
+    if load is not None:
+        bodies[-1] += load
+    for j, (xx, xy, xz, yy, yz, zz, hx, hy, hz, m) in enumerate(bodies):
+        turn = pin.SE3(pin.utils.rotate("x", float(arm.alpha[j])), np.zeros(3))
+        place = (
+            turn * pin.SE3(np.eye(3), np.array([float(arm.a[j]), 0, 0])) * pin.SE3(np.eye(3), np.array([0, 0, float(arm.d[j])]))
+        )
+        parent = model.addJoint(parent, pin.JointModelRZ(), place, f"joint {j + 1}")
+        body = pin.Inertia.FromDynamicParameters(np.array([m, hx, hy, hz, xx, xy, yy, xz, yz, zz]))
+        model.appendBodyToJoint(parent, body, pin.SE3.Identity())
+    model.armature = drives
+    return model
+
+
+# %% [markdown]
+# ## The excitation
+#
+# Five harmonics of 0.1 Hz about the upright pose, as in the paper's (17); its coefficients are lost, so these are drawn.
+
+
+# %%
+def motion(seed: int) -> tuple[np.ndarray, ...]:
+    rng = np.random.default_rng(seed)
+    t = np.arange(0, 10, 1 / 125)
+    w = 2 * np.pi * 0.1 * np.arange(1, 6)
+    a, b = rng.normal(size=(2, 5, 6))
+    peak = np.hypot(a, b)
+    shrink = np.maximum((peak / w[:, None]).sum(0) / 1.4, peak.sum(0) / 2.0)
+    a, b, wide = a / shrink, b / shrink, w[:, None]
+    s, c = np.sin(np.outer(t, w)), np.cos(np.outer(t, w))
+    home = np.array([0, -np.pi / 2, 0, -np.pi / 2, 0, 0])
+    return t, home + s @ (a / wide) - c @ (b / wide), c @ a + s @ b, -s @ (a * wide) + c @ (b * wide)
+
+
+def torque(path: tuple[np.ndarray, ...], load: np.ndarray | None = None) -> np.ndarray:
+    model = pinocchio_arm(load)
+    data, (_, q, qd, qdd) = model.createData(), path
+    rigid = np.array([pin.rnea(model, data, *state) for state in zip(q, qd, qdd, strict=True)])
+    return rigid + (LEVEL + VISCOUS * np.abs(qd) ** EXPONENT) * np.sign(qd)
+
+
+PATHS = [motion(3), motion(8)]
+TORQUES = {loaded: [torque(p, LOAD if loaded else None) for p in PATHS] for loaded in (False, True)}
+
+
+def recording(loaded: bool, seed: int, color: float = 0.0) -> jaxid.Dataset:
+    """One fitted and one held-out motion. `color` 0 is white noise; near 1 it is slow, as friction that nobody models is."""
+    rng = np.random.default_rng(seed)
+    taus = []
+    for tau in TORQUES[loaded]:
+        noise = rng.normal(size=tau.shape)
+        for k in range(1, len(noise)):
+            noise[k] = color * noise[k - 1] + np.sqrt(1 - color**2) * noise[k]
+        taus.append(tau + NOISE * noise)
+    return jaxid.Dataset.from_arrays(
+        [p[0] for p in PATHS], {f"tau{j + 1}": [tau[:, j] for tau in taus] for j in range(6)},
+        {f"q{j + 1}": [p[1][:, j] for p in PATHS] for j in range(6)}, model="ur10", split=["fit", "validation"],
+    )  # fmt: skip
+
+
+t, q, *_ = PATHS[0]
+figure, ax = plt.subplots(figsize=(8, 3.2), layout="constrained")
+for j, color in enumerate(("#000000", "#e69f00", "#56b4e9", "#009e73", "#0072b2", "#d55e00")):
+    ax.plot(t, q[:, j], color=color, label=f"joint {j + 1}")
+ax.set(xlabel="time (s)", ylabel="joint angle (rad)")
+_ = ax.legend(loc="lower left", bbox_to_anchor=(0, 1), ncols=6, frameon=False)
+
+# %% [markdown]
+# ## Identification
+#
+# Base parameters, friction and its law in one step; a richer law is taken only if it is better on every held-out recording.
+
+# %%
+empty = jaxid.identify(None, recording(False, 0))
+print("friction law:", empty.law, {trial.law: round(trial.held_out[0], 4) for trial in empty.laws})
+for e in empty.experiments:
+    print(f"{e.file}: torque error {100 * e.relative_error:.2f} % of the torque ({e.split})")
+
+# %%
+loaded = jaxid.identify(None, recording(True, 1), friction=empty.law, reference=empty)
+m, std = loaded.payload.mass
+print(f"payload {m:.3f} ± {std:.3f} kg, truth {MASS}; by the paper's three rows {loaded.payload.published[9]:.3f} kg")
+
+# %% [markdown]
+# ## The same experiment again and again
+#
+# One number says little. Here the whole experiment is repeated with fresh noise of the same level, white and coloured (an AR(1) of
+# 0.97 a sample, closer to what friction leaves).
+
+# %%
+masses = {}
+for label, color in (("white noise", 0.0), ("coloured noise", 0.97)):
+    found = []
+    for k in range(PAYLOADS):
+        a = jaxid.identify(None, recording(False, 100 + 2 * k, color), friction="power")
+        b = jaxid.identify(None, recording(True, 101 + 2 * k, color), friction="power", reference=a)
+        found.append((b.payload.mass[0], b.payload.published[9]))
+    masses[label] = np.array(found)
+    error = 100 * (masses[label] / MASS - 1)
+    print(f"{label:15} all rows: {error[:, 0].mean():+5.2f} ± {error[:, 0].std(ddof=1):.2f} %; "
+          f"the paper's rows: {error[:, 1].mean():+5.2f} ± {error[:, 1].std(ddof=1):.2f} %")  # fmt: skip
+
+# %%
+figure, ax = plt.subplots(figsize=(7.5, 2.8), layout="constrained")
+for row, (label, found) in enumerate(masses.items()):
+    for shift, column, color, name in ((-0.12, 0, "#0072b2", "all 22 rows"), (0.12, 1, "#d55e00", "the paper's three rows")):
+        ax.plot(100 * (found[:, column] / MASS - 1), np.full(len(found), row + shift), "o", ms=5, alpha=0.6, color=color,
+                label=name if row == 0 else None)  # fmt: skip
+ax.axvspan(-0.04, 0.04, color="0.6", lw=0, label="the published 0.04 %")
+ax.set(yticks=range(len(masses)), yticklabels=list(masses), ylim=(1.5, -0.5), xlabel="error of the payload's mass (%)")
+_ = ax.legend(loc="lower left", bbox_to_anchor=(0, 1), ncols=3, frameon=False)
+
+# %% [markdown]
+# ## What holds
+#
+# - Payload by difference works, and the nonlinear friction law is chosen on held-out motion.
+# - The 22 base parameters that a payload changes, weighted by their covariance, scatter less than the three that the paper uses.
+# - 0.04 % is one draw from a distribution that is many times wider at the paper's own noise. Report an interval.
+# - The inertia of the load is not determined by these data; the paper's values belong to no body that can exist (negative moments).
+#   `loaded.payload.body` is the nearest that can.

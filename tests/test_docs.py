@@ -1,0 +1,158 @@
+"""The documentation: its code runs, its commands exist, its links lead somewhere, and the site builds without a warning."""
+
+from __future__ import annotations
+
+import ast
+import importlib
+import os
+import re
+import shlex
+import shutil
+import subprocess
+import sys
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+import jaxid
+from jaxid import catalogue
+
+
+ROOT = Path(__file__).resolve().parents[1]
+#: Pages whose blocks need a robot, a store or a cluster: what they import exists, and the tests of those parts run it.
+ELSEWHERE = [ROOT / "docs" / name for name in ("hardware.md", "batch.md")]
+PAGES = [ROOT / "README.md", *sorted((ROOT / "docs").glob("*.md"))]
+
+
+def blocks(page: Path, language: str) -> list[str]:
+    return re.findall(rf"```{language}\n(.*?)```", page.read_text(encoding="utf-8"), re.S)
+
+
+def test_python_blocks_run(tmp_path, monkeypatch, capsys):
+    """Those of the pages, with few candidates; the README's own run in full in test_readme."""
+    shutil.copytree(ROOT / "examples" / "servo_pendulum", tmp_path / "my_robot")
+    monkeypatch.chdir(tmp_path)
+    whole = jaxid.diagnose
+    found: dict = {}
+
+    def few(model, data, **settings):
+        key = type(model).__name__, data.sha256
+        if key not in found:
+            found[key] = whole(model, data, effects=("dead_zone", "input_delay"), **settings)
+        return found[key]
+
+    monkeypatch.setattr(jaxid, "diagnose", few)
+    count = 0
+    for page in PAGES:
+        if page.name == "README.md" or page in ELSEWHERE:
+            continue
+        for code in [*blocks(page, "python"), *(b for b in blocks(page, "text") if b.startswith("import jaxid"))]:
+            if "jaxid." not in code:
+                continue
+            exec(compile(code, page.name, "exec"), {})
+            count += 1
+    assert count >= 2 and "dead_zone" in capsys.readouterr().out
+    assert (tmp_path / "report.html").is_file()
+
+
+def test_blocks_that_need_more_than_this_computer_import_what_there_is():
+    for page in ELSEWHERE:
+        for code in blocks(page, "python"):
+            for node in ast.walk(ast.parse(code)):
+                if isinstance(node, ast.ImportFrom) and (node.module or "").startswith("jaxid"):
+                    module = importlib.import_module(node.module or "")
+                    assert [a.name for a in node.names if not hasattr(module, a.name)] == [], page.name
+
+
+def commands() -> list[tuple[str, str]]:
+    out = []
+    for page in PAGES:
+        lines = "\n".join(blocks(page, "sh")).replace("\\\n", " ").splitlines()
+        out += [(page.name, line.split("#")[0].strip()) for line in lines]
+    return [(p, line) for p, line in out if re.match(r"(\.venv/bin/)?jaxid ", line)]
+
+
+@pytest.mark.parametrize(("page", "line"), commands())
+def test_commands_of_the_pages_parse(page, line):
+    """Every command and option that a page shows exists; nothing is run."""
+    from jaxid.cli import cli
+
+    words = shlex.split(line)[1:]
+    context = cli.make_context("jaxid", [], resilient_parsing=True)
+    group: Any = cli
+    arguments = words
+    while True:
+        name, command, arguments = group.resolve_command(context, arguments)
+        assert command is not None, name
+        if not hasattr(command, "resolve_command"):
+            break
+        group = command
+    command.make_context(name, list(arguments))
+
+
+def test_every_command_is_documented():
+    from jaxid.cli import cli
+
+    readme, contract = ((ROOT / f).read_text(encoding="utf-8") for f in ("README.md", "docs/contract.md"))
+    for name in cli.list_commands(cli.make_context("jaxid", [], resilient_parsing=True)):
+        assert f"`jaxid {name}" in readme, f"README: jaxid {name}"
+        assert f"`jaxid {name}" in contract, f"docs/contract.md: jaxid {name}"
+
+
+def test_the_contract_names_what_there_is():
+    contract = (ROOT / "docs" / "contract.md").read_text(encoding="utf-8")
+    for names in (catalogue.model_names(), catalogue.effect_names(), catalogue.fitter_names()):
+        assert [n for n in names if f"`{n}`" not in contract] == []
+
+
+def test_links_lead_somewhere():
+    for page in PAGES:
+        for target in re.findall(r"\]\((?!https?:|#|mailto:)([^)#]+)", page.read_text(encoding="utf-8")):
+            if target.startswith("generated/"):
+                assert target.removeprefix("generated/") in ("effects", "models", "fitters", "benchmarks", "notebooks"), target
+            elif target.startswith("notebooks/") and page.parent == ROOT / "docs":
+                assert (ROOT / f"{target}.py").is_file(), target
+            else:
+                near = page.parent / target
+                assert near.exists() or near.with_suffix(".md").exists(), f"{page.name} links to {target}"
+
+
+def test_every_effect_has_a_place_in_the_atlas(monkeypatch, tmp_path):
+    monkeypatch.syspath_prepend(str(ROOT / "docs"))
+    import generate  # pyright: ignore[reportMissingImports]
+
+    page = generate.effects(
+        tmp_path, {"pendulum": {"equivalent": [[{"effect": "input_delay"}, {"effect": "sensor_delay"}]], "absorbed": []}}
+    )
+    for name in catalogue.effect_names():
+        info = catalogue.describe_effect(name)
+        assert f"### {name}\n" in page
+        assert info.signature and info.what_to_record and info.source, name
+    assert "`sensor_delay` on `pendulum`" in page.split("### input_delay\n")[1].split("###")[0]
+    for model in catalogue.model_names():
+        assert f"## {model}\n" in generate.models()
+    for fitter in catalogue.fitter_names():
+        assert f"## {fitter}\n" in generate.fitters()
+
+
+def test_the_site_builds_without_warnings(tmp_path):
+    """Notebooks without their outputs, which `make docs` computes; in a copy, for the build writes pages beside its sources."""
+    for module in ("furo", "myst_nb", "jupytext", "sphinx"):
+        pytest.importorskip(module)
+    source = tmp_path / "source"
+    leave = shutil.ignore_patterns("__pycache__", "generated", "*.ipynb", "ipynb_checkpoints")
+    for folder in ("docs", "notebooks", "examples"):
+        shutil.copytree(ROOT / folder, source / folder, ignore=leave)
+    (source / "benchmarks").mkdir()
+    shutil.copy(ROOT / "benchmarks" / "RESULTS.md", source / "benchmarks")
+    for folder in ("jaxid", "models"):
+        (source / folder).symlink_to(ROOT / folder)
+    done = subprocess.run(
+        [sys.executable, "-m", "sphinx", "-q", "-W", "--keep-going", "-b", "html", source / "docs", tmp_path / "site"],
+        capture_output=True, text=True, env={**os.environ, "JAXID_DOCS_NOTEBOOKS": "off"},
+    )  # fmt: skip
+    assert done.returncode == 0, done.stderr
+    for page in ("index", "getting_started", "generated/effects", "generated/benchmarks", "notebooks/00_tour", "contract", "faq"):
+        assert (tmp_path / "site" / f"{page}.html").is_file(), page
+    assert "dead_zone" in (tmp_path / "site" / "generated" / "effects.html").read_text(encoding="utf-8")
