@@ -17,7 +17,6 @@ if _TYPE_CHECKING:
     from jaxid.dataset_io import load_dataset as load_dataset, save_dataset as save_dataset
     from jaxid.errors import UsageError as UsageError
     from jaxid.excitation import excite as excite
-    from jaxid.excitation_result import Excitation as Excitation
     from jaxid.experiment import (
         Channel as Channel,
         Dataset as Dataset,
@@ -37,7 +36,6 @@ _HOME = {
     "Dataset": "jaxid.experiment",
     "DatasetError": "jaxid.experiment",
     "Diagnosis": "jaxid.results",
-    "Excitation": "jaxid.excitation_result",
     "Experiment": "jaxid.experiment",
     "Fit": "jaxid.results",
     "Problem": "jaxid.problem",

@@ -203,8 +203,8 @@ def _model_info(document: Document, places: Places, problems: list[Problem], geo
         return None
     if geometry is None and (entry.urdf or entry.dh):
         return None  # its fault is reported
-    arm = None if geometry is None else catalogue.model_class(entry.name)(arm_table(geometry))
-    info = catalogue.describe(entry.name, arm)
+    own = () if geometry is None else (catalogue.model_class(entry.name)(arm_table(geometry)),)
+    info = catalogue.describe(entry.name, *own)
     effects = catalogue.effect_names()
     known = (*info.constants, *info.parameters, "smoothing_velocity")
 
