@@ -12,6 +12,7 @@ import subprocess
 import sys
 from pathlib import Path
 
+import click
 import pytest
 
 import jaxid
@@ -93,9 +94,9 @@ def test_commands_of_the_pages_parse(page, line):
     while True:
         name, command, arguments = group.resolve_command(context, arguments)
         assert command is not None, name
-        if not hasattr(command, "resolve_command"):
+        if not isinstance(command, click.Group):
             break
-        group = command  # type: ignore[assignment]
+        group = command
     command.make_context(name, list(arguments))
 
 

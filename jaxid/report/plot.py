@@ -50,7 +50,7 @@ _SETTINGS: dict[Any, Any] = {
 }
 
 
-def svg(name: str, size: tuple[float, float], draw: Callable[[Figure], None]) -> Markup:
+def svg(name: str, size: tuple[float, float], draw: Callable[[Figure], object]) -> Markup:
     """What `draw` draws on a figure of this size (inches), as an SVG element; the same bytes for the same data."""
     with matplotlib.rc_context(), warnings.catch_warnings():
         warnings.simplefilter("ignore")  # a glyph missing from matplotlib's font: the browser draws the text
