@@ -13,6 +13,7 @@ import sys
 from pathlib import Path
 from typing import Any
 
+import click
 import pytest
 
 import jaxid
@@ -65,6 +66,16 @@ def test_blocks_that_need_more_than_this_computer_import_what_there_is():
                     assert [a.name for a in node.names if not hasattr(module, a.name)] == [], page.name
 
 
+def test_the_picture_is_one():
+    """A browser shows it: well-formed, with the names of the lines as text."""
+    from xml.dom import minidom
+
+    picture = minidom.parse(str(ROOT / "docs" / "_static" / "gap.svg"))
+    words = " ".join(n.firstChild.data for n in picture.getElementsByTagName("text") if n.firstChild)  # type: ignore[attr-defined]
+    assert picture.documentElement.tagName == "svg"  # type: ignore[union-attr]
+    assert "measured" in words and "with dead zone" in words and "noise" in words
+
+
 def commands() -> list[tuple[str, str]]:
     out = []
     for page in PAGES:
@@ -85,7 +96,7 @@ def test_commands_of_the_pages_parse(page, line):
     while True:
         name, command, arguments = group.resolve_command(context, arguments)
         assert command is not None, name
-        if not hasattr(command, "resolve_command"):
+        if not isinstance(command, click.Group):
             break
         group = command
     command.make_context(name, list(arguments))
