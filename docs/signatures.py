@@ -84,8 +84,14 @@ def _force(path: Path, bench, e, theta, y: np.ndarray, nominal: np.ndarray, loca
     (record,) = (runs.record(r) for r in problem.records)
     keep = record.samples - record.first
     columns = b.chain.joint_outputs
-    motion = _differentiated(e, y[:, columns], b.sigma[columns], [y[:, i] for i in columns])
-    force = -_torque(problem, theta, [motion])[0][:, j]
+
+    def missing(outputs: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        motion = _differentiated(e, outputs[:, columns], b.sigma[columns], [outputs[:, i] for i in columns])
+        return motion, -_torque(problem, theta, [motion])[0][:, j]
+
+    # Less what the filters alone leave where the command steps.
+    (motion, force), (_, left) = missing(y), missing(nominal)
+    force = force - left
     n = len(joints)
     t, q, qd = e.t[keep], motion[keep, j], motion[keep, n + j]
     unit, length = b.chain.signature.unit("{F}"), b.chain.signature.unit("{X}")
