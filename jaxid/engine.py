@@ -249,6 +249,13 @@ class Engine:
         """Predictions [lanes length ny]; theta [lanes size], start [lanes 2 nq], record [lanes]; only the first `share`."""
         return self._call("outputs", (self.theta_of(theta, record),), (start,), record, share)[0]
 
+    def output_blocks(
+        self, theta: np.ndarray, start: np.ndarray, record: np.ndarray, share: float = 1.0
+    ) -> Iterator[tuple[np.ndarray, np.ndarray]]:
+        """(lanes, predictions) of some lanes at a time, as of `tangent_blocks`."""
+        for lanes, (y,) in self._blocks("outputs", (self.theta_of(theta, record),), (start,), record, share):
+            yield lanes, y
+
     def tangents(
         self,
         theta: np.ndarray,

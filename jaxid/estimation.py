@@ -29,10 +29,12 @@ STEP_SHARE = 0.02
 
 @dataclass
 class Bench:
-    """Runs of a binding made ready, one set per split and residual, with the same step."""
+    """Runs of a binding made ready, one set per split and residual, with the same step. `differences`: where its problems take
+    their Jacobians from (see `Problem`)."""
 
     binding: Binding
     step: float = samples.STEP
+    differences: int = 0
 
     def __post_init__(self):
         self._runs: dict[tuple[str, str], Runs] = {}
@@ -71,7 +73,8 @@ class Bench:
         loss: str = "sum_of_squares",
     ) -> Problem:
         b = self.binding
-        return Problem(self.runs(residual, split), theta, free, b.lower, b.upper, records, loss, b.scale)
+        runs = self.runs(residual, split)
+        return Problem(runs, theta, free, b.lower, b.upper, records, loss, b.scale, self.differences)
 
     def compile_time(self) -> float:
         return sum(r.engine.compile_time_s for r in self._runs.values())

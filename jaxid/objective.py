@@ -132,6 +132,10 @@ class AbstractProblem(abc.ABC):
     def part(self, pieces: Sequence[int], weights: Sequence[float]) -> AbstractProblem:
         """The problem of some pieces of the data, their squared residuals weighted."""
 
+    def precise(self) -> AbstractProblem:
+        """The problem with the most exact Jacobian that needs no further program."""
+        return self
+
     @classmethod
     @abc.abstractmethod
     def rows(cls, jobs: Sequence[tuple[Any, np.ndarray]], share: float = 1.0) -> Iterator[Rows]:

@@ -22,6 +22,12 @@ from jaxid.residual import Runs
 from jaxid.samples import Samples
 
 
+#: Step of forward and of central differences, in typical changes of a number (logarithms: in factors of e), and the points
+#: beside the one in question; 0 is for tangents.
+STEPS = (0.0, 1e-6, 1e-5)
+SIDES = ((0,), (1,), (1, -1))
+
+
 class Data(NamedTuple):
     """Arguments of the compiled loss."""
 
@@ -45,7 +51,8 @@ class Problem(AbstractProblem):
 
     `base` holds every number of the layout, `free` the positions of those that are fitted between `lower` and `upper`
     (both over the whole layout, like `scale`, a typical change). `records` selects records of the runs, by default all that
-    the residual made.
+    the residual made. With `differences` the Jacobian is made of forward (1) or central (2) differences and not of tangents (0):
+    it is good to about 1e-6 or 1e-9, and needs no program but the one that simulates, which compiles faster.
     """
 
     def __init__(
@@ -58,9 +65,11 @@ class Problem(AbstractProblem):
         records: Sequence[int] | None = None,
         loss: str = "sum_of_squares",
         scale: np.ndarray | None = None,
+        differences: int = 0,
     ):
         if loss not in LOSSES:
             raise UsageError(f"unknown loss {loss!r}; there is: {', '.join(LOSSES)}")
+        self.differences = differences
         self.runs, self.base, self.loss_name = runs, np.asarray(base, np.float64), loss
         self.free = np.asarray(free, int)
         self.records = list(runs.records if records is None else records)
@@ -126,6 +135,22 @@ class Problem(AbstractProblem):
         """d theta / d z of the free parameters."""
         return np.where(self.log, self.theta(z)[self.free], 1.0)
 
+    def columns(self, row: int) -> list[int]:
+        """Columns of z on which one record depends: the parameters and its own start."""
+        return [*range(self.free.size), *(self.free.size + np.flatnonzero(self.start_rows == row)).tolist()]
+
+    def steps(self, z: np.ndarray) -> dict[int, np.ndarray]:
+        """Steps within the bounds to either side of z, by side; for forward differences one, to where there is room."""
+        h = STEPS[self.differences] * self.scale
+        if self.differences == 2:
+            return {1: np.minimum(h, self.upper - z), -1: -np.minimum(h, z - self.lower)}
+        return {1: np.where(z + h <= self.upper, h, -h), -1: np.zeros_like(h)}
+
+    def precise(self) -> Problem:
+        twin = copy.copy(self)
+        twin.differences = 2 if self.differences else 0
+        return twin
+
     # ---- the one loss
 
     @property
@@ -167,7 +192,7 @@ class Problem(AbstractProblem):
     def part(self, pieces, weights):
         records = [self.records[k] for k in pieces]
         lower, upper, scale = self.whole
-        twin = Problem(self.runs, self.base, self.free, lower, upper, records, self.loss_name, scale)
+        twin = Problem(self.runs, self.base, self.free, lower, upper, records, self.loss_name, scale, self.differences)
         if any(w != 1 for w in weights):
             twin.weights = self.weights.copy()
             for number, w in zip(records, weights, strict=True):
@@ -198,6 +223,11 @@ class Problem(AbstractProblem):
         theta = np.tile(self.theta(z), (lanes.size, 1))
         y = self.runs.engine.outputs(theta, self.starts(z), lanes)
         return [self.runs.sample_prediction(r, row) for r, row in zip(self.records, y, strict=True)]
+
+    def residuals(self, z: np.ndarray) -> list[np.ndarray]:
+        """Residual of each record at its samples over the noise, [samples columns]."""
+        at = [self.runs.record(r).samples for r in self.records]
+        return [self.weights[k] * (y - self.targets[k]) for k, y in zip(at, self.predictions(z), strict=True)]
 
 
 def sums(predict: Callable, length: int, z: Float[Array, "pop size"], data: Data) -> Float[Array, "pop 3 columns"]:
@@ -235,49 +265,72 @@ def sums(predict: Callable, length: int, z: Float[Array, "pop size"], data: Data
 
 
 def _lanes(jobs: Sequence[tuple[Problem, np.ndarray]], share: float) -> Iterator[Rows]:
-    runs = jobs[0][0].runs
+    """Rows of each job and record; the lanes of a record: with tangents one for each column of z, else the point itself and one
+    or two beside it for each column."""
+    runs, differences = jobs[0][0].runs, jobs[0][0].differences
     size, nx = len(runs.layout), 2 * runs.layout.chain.nq
-    lanes: list[tuple[int, int, int]] = []  # job, row of its record, column of z (-1: none)
+    lanes: list[tuple[int, int, int, int]] = []  # job, row of its record, column of z (-1: none), on which side of the point
     for j, (p, _) in enumerate(jobs):
         for row in range(len(p.records)):
-            own = [*range(p.free.size), *(p.free.size + np.flatnonzero(p.start_rows == row))]
-            lanes += [(j, row, c) for c in (own or [-1])]
-    thetas = [p.theta(z) for p, z in jobs]
-    starts = [p.starts(z) for p, z in jobs]
-    slopes = [p.dtheta(z) for p, z in jobs]
+            own = [(int(c), side) for c in p.columns(row) for side in SIDES[differences]]
+            lanes += [(j, row, c, side) for c, side in ([(-1, 0), *own] if differences else own or [(-1, 0)])]
     n = len(lanes)
     theta, start = np.empty((n, size)), np.empty((n, nx))
     dtheta, dstart = np.zeros((n, size)), np.zeros((n, nx))
     record = np.empty(n, int)
-    for k, (j, row, c) in enumerate(lanes):
-        p = jobs[j][0]
-        theta[k], start[k], record[k] = thetas[j], starts[j][row], p.records[row]
+    steps = [p.steps(z) for p, z in jobs]
+    points = [(p.theta(z), p.starts(z), p.dtheta(z)) for p, z in jobs]
+    for k, (j, row, c, side) in enumerate(lanes):
+        p, z = jobs[j]
+        theta[k], start[k], record[k] = points[j][0], points[j][1][row], p.records[row]
         if 0 <= c < p.free.size:
-            dtheta[k, p.free[c]] = slopes[j][c]
+            i = p.free[c]
+            dtheta[k, i] = points[j][2][c]
+            if side:
+                moved = z[c] + steps[j][side][c]
+                theta[k, i] = np.exp(moved) if p.log[c] else moved
         elif c >= 0:
-            dstart[k, p.start_columns[c - p.free.size]] = 1.0
+            i = p.start_columns[c - p.free.size]
+            dstart[k, i] = 1.0
+            start[k, i] += steps[j][side][c] if side else 0.0
     rest: dict[tuple[int, int], int] = {}
-    for j, row, _ in lanes:
+    for j, row, _, _ in lanes:
         rest[j, row] = rest.get((j, row), 0) + 1
-    found: dict[tuple[int, int], Any] = {}  # of a job and record: residual, weights, and the columns of its Jacobian
+    found: dict[tuple[int, int], dict[tuple[int, int], np.ndarray]] = {}  # of a job and record: predictions or their derivatives
     order = list(rest)  # the rows of a job come in the order of its records
-    for part, y, dy in runs.engine.tangent_blocks(theta, start, dtheta, dstart, record, share):
+    if differences:
+        parts = ((part, y, y) for part, y in runs.engine.output_blocks(theta, start, record, share))
+    else:
+        parts = runs.engine.tangent_blocks(theta, start, dtheta, dstart, record, share)
+    for part, y, dy in parts:
         for n, k in enumerate(part):
-            j, row, c = lanes[k]
-            p = jobs[j][0]
-            r = runs.record(p.records[row])
-            at = r.samples if share == 1 else r.samples[r.samples < r.offset + share * r.count]
-            inside, w = at - r.offset + r.lead, p.weights[at]
-            if (j, row) not in found:
-                found[j, row] = w * (y[n][inside] - p.targets[at]), w, {}
+            j, row, c, side = lanes[k]
+            inside = _seen(runs, jobs[j][0].records[row], share)[1]
+            own = found.setdefault((j, row), {})
+            if c < 0 or not differences and (-1, 0) not in own:
+                own[-1, 0] = y[n][inside]
             if c >= 0:
-                found[j, row][2][c] = w * dy[n][inside]
+                own[c, side] = dy[n][inside]
             rest[j, row] -= 1
         while order and not rest[order[0]]:
             j, row = order.pop(0)
-            residual, w, columns = found.pop((j, row))
-            J = np.stack([columns[c] for c in sorted(columns)], -1) if columns else np.zeros((*w.shape, 0))
-            yield Rows(j, jobs[j][0].records[row], residual, J, sorted(columns), w)
+            p, own = jobs[j][0], found.pop((j, row))
+            at, columns = _seen(runs, p.records[row], share)[0], p.columns(row)
+            w = p.weights[at]
+            if differences:
+                up, down = steps[j][1], steps[j][-1]
+                slope = lambda c, own=own, up=up, down=down: (own[c, 1] - own.get((c, -1), own[-1, 0])) / (up - down)[c]
+            else:
+                slope = lambda c, own=own: own[c, 0]
+            J = np.stack([w * slope(c) for c in columns], -1) if columns else np.zeros((*w.shape, 0))
+            yield Rows(j, p.records[row], w * (own[-1, 0] - p.targets[at]), J, columns, w)
+
+
+def _seen(runs: Runs, number: int, share: float) -> tuple[np.ndarray, np.ndarray]:
+    """Samples of the first part of a record, and their places in a lane."""
+    r = runs.record(number)
+    at = r.samples if share == 1 else r.samples[r.samples < r.offset + share * r.count]
+    return at, at - r.offset + r.lead
 
 
 __all__ = ["LOSSES", "PENALTY", "Data", "Linear", "Problem", "Rows", "expand", "linearise", "rows", "sums"]

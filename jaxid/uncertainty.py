@@ -40,7 +40,7 @@ def covariance(problem: Problem, z: np.ndarray) -> Covariance:
     H, S_white, count = np.zeros((n, n)), 0.0, 0
     scores: list[tuple[list[int], np.ndarray]] = []
     series: list[np.ndarray] = []
-    for part in rows([(problem, z)]):
+    for part in rows([(problem.precise(), z)]):
         J = part.J.reshape(part.r.size, -1)
         index = np.ix_(part.z_columns, part.z_columns)
         H[index] += J.T @ J

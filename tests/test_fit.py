@@ -16,7 +16,7 @@ from jaxid.binding import bind
 from jaxid.estimation import Bench
 from jaxid.experiment import ModelSpec, ParameterPrior
 from jaxid.fitters import DifferentialEvolution, FITTERS, LevenbergMarquardt
-from jaxid.problem import PENALTY
+from jaxid.problem import PENALTY, rows
 from jaxid.residual import OutputError
 
 
@@ -203,6 +203,25 @@ def test_loss_is_the_same_number_in_every_batch(problem):
     assert np.array_equal(problem.losses(z[5:22]), alone[5:22])
     assert np.array_equal(problem.losses(z[::-1]), alone[::-1])
     assert len(np.unique(alone)) == len(alone)
+
+
+@pytest.mark.parametrize(("order", "error"), [(1, 1e-5), (2, 1e-6)])
+def test_differences_agree_with_tangents(swing, order, error):
+    """Also of a start, of a logarithm and at a bound; the residual is the same number."""
+    free_start = dataclasses.replace(swing, experiments=tuple(dataclasses.replace(e, at_rest=False) for e in swing.experiments))
+    binding = bind(None, free_start)
+    bench = Bench(binding)
+    exact = bench.problem(OutputError(), "fit", binding.free, binding.theta)
+    twin = dataclasses.replace(bench, differences=order).problem(OutputError(), "fit", binding.free, binding.theta)
+    rng = np.random.default_rng(0)
+    z = exact.lower + rng.uniform(0.2, 0.8, exact.size) * (exact.upper - exact.lower)
+    z[exact.names.index("viscous")] = exact.upper[exact.names.index("viscous")]
+    assert exact.size > exact.free.size and exact.log.any()
+    a, b = next(rows([(exact, z)])), next(rows([(twin, z)]))
+    assert np.array_equal(a.r, b.r) and a.z_columns == b.z_columns
+    size = np.linalg.norm(a.J, axis=(0, 1))
+    assert (size > 0).all() and np.all(np.linalg.norm(a.J - b.J, axis=(0, 1)) < error * size)
+    assert twin.precise().differences == 2 and exact.precise().differences == 0
 
 
 def test_gradient_method_and_population_reach_the_same_minimum(problem):

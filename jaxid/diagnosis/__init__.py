@@ -101,7 +101,7 @@ def _search(
 ) -> tuple[Bench, Fit, Search, float]:
     """Nominal fit and search; the search itself goes to finer steps where the step matters."""
     began = time.perf_counter()
-    bench = Bench(binding)
+    bench = Bench(binding, differences=1)  # hundreds of models, each simulated a few times: tangents would compile longer
     guesses = start_values(bench, binding.free, seed)
     problem = bench.problem(residual, "fit", binding.free, guesses[0])
     fitter = LevenbergMarquardt()

@@ -8,7 +8,7 @@ of the true effect; runs that were not fitted do not.
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
@@ -102,7 +102,6 @@ class Searcher:
         self.benches: list[Bench] = []  # coarser ones, left behind
         self.base_free = list(nominal.problem.free)
         self.nominal = self._hypotheses([((), nominal)])[0]
-        self._low, self._high = bench.binding.lower, bench.binding.upper
         self._inflations: dict[frozenset[str], float] = {}
         self.known: dict[frozenset[str], Hypothesis] = {frozenset(): self.nominal}
 
@@ -243,7 +242,7 @@ class Searcher:
             if step_error(self.bench, chosen.path.problem, chosen.path.z, self.residual) <= STEP_SHARE:
                 break
             self.benches.append(self.bench)
-            self.bench = Bench(self.bench.binding, self.bench.step / 2)
+            self.bench = replace(self.bench, step=self.bench.step / 2)
             jobs = []
             for h in (self.nominal, chosen):
                 p = self.problem(h.effects, h.theta)
@@ -287,8 +286,7 @@ class Searcher:
         """The same as `inflation` for the residual of the fit runs."""
         key = _key(h.effects)
         if key not in self._inflations:
-            series = [part.r for part in rows([(Problem(h.path.problem.runs, h.theta, [], self._low, self._high,
-                      h.path.problem.records), h.path.z[h.path.problem.free.size :])])]  # fmt: skip
+            series = h.path.problem.residuals(h.path.z)
             self._inflations[key] = max(1.0, h.fit_loss) * memory(series)
         return self._inflations[key]
 
