@@ -16,7 +16,7 @@ import numpy as np
 
 from jaxid.binding import bind, Binding
 from jaxid.chain import Chain
-from jaxid.diagnosis.which import Candidate, candidates, explained_by_retuning, probe_residuals
+from jaxid.diagnosis.which import Candidate, candidates, probe_residuals, Retuning
 from jaxid.errors import UsageError
 from jaxid.estimation import Bench, probes
 from jaxid.experiment import Dataset
@@ -90,7 +90,7 @@ def equivalences(model: str) -> Equivalences:
     z = p.z(theta)
     parts = list(rows([(p, z)]))
     base = np.concatenate([part.r.ravel() for part in parts])
-    remaining = explained_by_retuning(parts, p.size)
+    remaining = Retuning(parts, p.size).remaining
     pool = candidates(bench, tuple(k.name for k in library))
     shapes, thetas, owner = binding.layout.log, [], []
     for k, c in enumerate(pool):

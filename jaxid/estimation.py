@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 
@@ -30,11 +30,16 @@ STEP_SHARE = 0.02
 @dataclass
 class Bench:
     """Runs of a binding made ready, one set per split and residual, with the same step. `differences`: where its problems take
-    their Jacobians from (see `Problem`)."""
+    their Jacobians from (see `Problem`).
+
+    `defects` (residual, split) -> what finer steps would add to the simulation, at the samples [samples columns]: taken off the
+    targets of its problems, so that a search on coarse steps ends where one on fine steps would.
+    """
 
     binding: Binding
     step: float = samples.STEP
     differences: int = 0
+    defects: dict[tuple[str, str], np.ndarray] = field(default_factory=dict)
 
     def __post_init__(self):
         self._runs: dict[tuple[str, str], Runs] = {}
@@ -74,7 +79,9 @@ class Bench:
     ) -> Problem:
         b = self.binding
         runs = self.runs(residual, split)
-        return Problem(runs, theta, free, b.lower, b.upper, records, loss, b.scale, self.differences)
+        p = Problem(runs, theta, free, b.lower, b.upper, records, loss, b.scale, self.differences)
+        defect = self.defects.get((repr(residual), split))
+        return p if defect is None else p.with_targets(runs.targets - defect)
 
     def compile_time(self) -> float:
         return sum(r.engine.compile_time_s for r in self._runs.values())
@@ -300,17 +307,20 @@ def is_candidate(binding: Binding, effect: str) -> bool:
     return not any(i in binding.nominal for i in entries)
 
 
+def step_defect(problem: Problem, z: np.ndarray, finer: Runs) -> list[np.ndarray]:
+    """What finer steps add to the simulation at z: per record of the problem [samples columns]."""
+    lanes = np.array(problem.records)
+    fine = finer.engine.outputs(np.tile(problem.theta(z), (lanes.size, 1)), problem.starts(z), lanes)
+    coarse = problem.predictions(z)
+    return [finer.sample_prediction(r, row) - c for r, row, c in zip(lanes, fine, coarse, strict=True)]
+
+
 def step_error(bench: Bench, problem: Problem, z: np.ndarray, residual: Residual, finer: Bench | None = None) -> float:
     """How much the simulation at z moves when the step is halved, over the larger of noise and gap (rms, worst column)."""
     finer = finer or Bench(bench.binding, bench.step / 2)
-    runs = finer.runs(residual, "fit")
-    lanes = np.array(problem.records)
-    theta = np.tile(problem.theta(z), (lanes.size, 1))
-    fine = runs.engine.outputs(theta, problem.starts(z), lanes)
-    worst = 0.0
-    coarse = problem.predictions(z)
-    move = np.concatenate([runs.sample_prediction(r, row) - c for r, row, c in zip(lanes, fine, coarse, strict=True)])
-    gap = np.concatenate([c - problem.runs.targets[problem.runs.record(r).samples] for r, c in zip(lanes, coarse, strict=True)])
+    move = np.concatenate(step_defect(problem, z, finer.runs(residual, "fit")))
+    at = np.concatenate([problem.runs.record(r).samples for r in problem.records])
+    gap = np.concatenate(problem.predictions(z)) - problem.targets[at]
     size = np.maximum(np.sqrt(np.mean(gap**2, 0)), problem.runs.noise)
     worst = float(np.max(np.sqrt(np.mean(move**2, 0)) / size))
     return worst if np.isfinite(worst) else 0.0

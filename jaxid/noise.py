@@ -1,8 +1,9 @@
 """The noise floor of each output channel: how close to the measurement any model can come.
 
-The largest counts of what is stated, the quantisation, and the scatter between repeated runs. Where nothing is
-stated, the sensor's white noise is estimated from differences of neighbouring samples. Without repeats the floor is the
-sensor's alone: what the machine does differently from run to run is not in it.
+The largest counts of what is stated (noise and step of the sensor, together where both are), a quantisation that is found,
+and the scatter between repeated runs. Where nothing is stated, the sensor's white noise is estimated from differences of
+neighbouring samples. Without repeats the floor is the sensor's alone: what the machine does differently from run to run is not
+in it.
 """
 
 from __future__ import annotations
@@ -40,8 +41,10 @@ def noise_floor(dataset: Dataset) -> dict[str, Noise]:
 def _floor(channel: Channel, column: int, runs: Sequence[Experiment], groups: list[list[Experiment]]) -> Noise:
     series = [run.y[:, column] for run in runs]
     found: dict[str, tuple[float, str]] = {}
-    if channel.noise_std is not None:
-        found["stated"] = (channel.noise_std, "stated")
+    if channel.noise_std is not None:  # a stated step comes on top of the noise before it
+        both = channel.resolution is not None
+        text = f"stated: {channel.noise_std:.3g}, and step {channel.resolution:.3g} / sqrt(12)" if both else "stated"
+        found["stated"] = (float(np.hypot(channel.noise_std, (channel.resolution or 0.0) / sqrt(12))), text)
     step = channel.resolution if channel.resolution is not None else quantisation_step(series)
     if step is not None:
         how = "stated" if channel.resolution is not None else "found in the data"

@@ -1,6 +1,9 @@
 """The diagnosis on twins whose missing effect it is not told, on controls, and on real recordings where they are present."""
 
+import dataclasses
+import functools
 import os
+import sys
 from pathlib import Path
 from typing import Any
 
@@ -10,34 +13,38 @@ import pytest
 import jaxid
 from jaxid.diagnosis.evidence import HeldOut, inflation, memory
 from jaxid.diagnosis.how_far import bootstrap, shrink
-from reference import measured, multisine, PLANTS, simulate, Truth
+from reference import multisine
 
 
 ROOT = Path(__file__).resolve().parents[1]
+sys.path.insert(0, str(ROOT))
+from benchmarks import twins  # noqa: E402
+
+
 DATA = Path(os.environ.get("JAXID_DATA", ROOT.parent / "shared" / "data"))
 NOISE = 3e-4
 CHOICE = ["load_dependent_friction", "quadratic_drag", "dead_zone"]
 
 
+@functools.cache
 def recording(model: str, seed: int, **truth) -> jaxid.Dataset:
     """Four runs of 6 s at 200 Hz with steps and rests: two to fit, one to choose, one to report."""
     splits = ["fit", "fit", "validation", "report"]
     t = np.arange(1200) / 200
-    us, ys = [], []
-    shape = {"inertia": 0.06, "gravity_torque": 0.9} if model == "pendulum" else {"inertia": 0.06}
+    us = []
     for k in range(4):
         rng = np.random.default_rng(100 * seed + k)
         u = multisine(t, [0.4], seed=100 * seed + k, periods=rng.uniform(1.5, 3), lines=8)
         for _ in range(3):
             a = int(rng.integers(0, 1000))
             u[a : a + int(rng.integers(40, 160))] = rng.uniform(-0.5, 0.5) if rng.uniform() < 0.6 else 0.0
-        acting = Truth(**{"viscous": 0.03, "coulomb": 0.04, "offset": 0.01, **truth})
-        q, _ = simulate(PLANTS[model](**shape), acting, t, u, rtol=1e-8, atol=1e-11)
-        us.append(u[:, 0])
-        ys.append(measured(q, NOISE, seed + k)[:, 0])
+        us.append(u)
+    plant = dataclasses.replace(twins.PLANTS[model], rate=200, noise=NOISE, resolution=0.0)
+    numbers = plant.nominal | {k: np.array([x]) for k, x in truth.items()}
+    y = twins.recorded(plant, np.array(us), {k: np.tile(x, (4, 1)) for k, x in numbers.items()}, np.random.default_rng(seed))
     return jaxid.Dataset.from_arrays(
-        [t] * 4, {"tau": us}, {"q": ys}, units={"tau": "N m", "q": "rad"}, split=splits, at_rest=True,
-        noise_std={"q": NOISE}, model=model,
+        [t] * 4, {"tau": [u[:, 0] for u in us]}, {"q": list(y[:, :, 0])}, units={"tau": "N m", "q": "rad"}, split=splits,
+        at_rest=True, noise_std={"q": NOISE}, model=model,
     )  # fmt: skip
 
 

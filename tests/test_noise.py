@@ -103,9 +103,15 @@ def test_stated_resolution_counts_and_is_not_searched_for():
 
 
 def test_the_largest_counts():
-    found = noise_floor(dataset(MOTION, resolution=1e-2, noise_std=1e-3))["q"]
+    found = noise_floor(dataset(quantised(MOTION, 1e-2), noise_std=1e-3))["q"]
     assert found.source == "quantisation"
-    assert noise_floor(dataset(MOTION, resolution=1e-3, noise_std=1e-2))["q"].source == "stated"
+    assert noise_floor(dataset(quantised(MOTION, 1e-3), noise_std=1e-2))["q"].source == "stated"
+
+
+def test_stated_noise_and_a_stated_step_add_up():
+    found = noise_floor(dataset(MOTION, resolution=1e-2, noise_std=2e-3))["q"]
+    assert found.std == pytest.approx(math.hypot(2e-3, 1e-2 / math.sqrt(12))) and found.source == "stated"
+    assert "0.002" in found.text and "0.01" in found.text
 
 
 def test_repeated_runs_show_what_the_machine_does():

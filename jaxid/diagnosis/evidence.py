@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from jaxid.estimation import Bench, scored, starts_and_information
-from jaxid.fitters import descend
+from jaxid.fitters import descend, Path
 from jaxid.problem import rows
 from jaxid.residual import OutputError, Residual
 
@@ -22,7 +22,8 @@ class HeldOut:
     """Prediction of one split by one model.
 
     `residual` [samples columns] in multiples of the noise, of the free run started from its first samples; `loss` the mean
-    square after the start's own uncertainty is taken out (a start from 20 noisy samples would otherwise count as a gap).
+    square after the own uncertainty of starts and parameters is taken out (a start from 20 noisy samples would else count as a
+    gap).
     """
 
     residual: list[np.ndarray]
@@ -37,14 +38,36 @@ class HeldOut:
         return float(np.sqrt(np.mean(total**2))) if total.size else float("nan")
 
 
-def held_out(bench: Bench, split: str, thetas: Sequence[np.ndarray], residual: Residual | None = None) -> list[HeldOut]:
+#: What the fit runs tell about the free numbers of a model: their positions, and J'J [size size] in search scale.
+Knowledge = tuple[Sequence[int], np.ndarray]
+
+
+def knowledge(path: Path) -> Knowledge | None:
+    """What a descent's data tell about the parameters, whatever the starts of its runs were."""
+    if path.hessian is None:
+        return None
+    n, H = path.problem.free.size, path.hessian
+    inside = H[:n, :n] - H[:n, n:] @ np.linalg.pinv(H[n:, n:], hermitian=True) @ H[n:, :n]
+    values, vectors = np.linalg.eigh((inside + inside.T) / 2)
+    return list(path.problem.free), (vectors * np.maximum(values, 0.0)) @ vectors.T
+
+
+def held_out(
+    bench: Bench,
+    split: str,
+    thetas: Sequence[np.ndarray],
+    residual: Residual | None = None,
+    known: Sequence[Knowledge | None] | None = None,
+) -> list[HeldOut]:
     """Each model on the runs of a split.
 
-    Free run (default): starts from the first samples only, those samples left out of the score. Windows: each window's
-    start is fitted, and costs its degrees of freedom.
+    Free run (default): starts from the first samples only, those samples left out of the score. Where `known` says how well the
+    fit determines a model's numbers, what these uncertainties do to the prediction counts no more than they are likely (a free
+    run that is sensitive to its numbers would else tell nothing). Windows: each window's start is fitted, and costs its degrees
+    of freedom.
     """
     if residual is None or isinstance(residual, OutputError):
-        return _free(bench, split, thetas)
+        return _free(bench, split, thetas, known or [None] * len(thetas))
     return _windows(bench, split, thetas, residual)
 
 
@@ -63,38 +86,57 @@ def _windows(bench: Bench, split: str, thetas: Sequence[np.ndarray], residual: R
     return out
 
 
-def _free(bench: Bench, split: str, thetas: Sequence[np.ndarray]) -> list[HeldOut]:
+def _free(bench: Bench, split: str, thetas: Sequence[np.ndarray], known: Sequence[Knowledge | None]) -> list[HeldOut]:
     runs = bench.runs(OutputError(), split)
-    starts, known = starts_and_information(bench, split, thetas)
-    jobs, information = [], []
-    per = len(runs.records)
+    starts, from_heads = starts_and_information(bench, split, thetas)
+    jobs = []
     for k, theta in enumerate(thetas):
+        free = known[k][0] if (known[k] is not None) else []
         for j, record in enumerate(runs.records):
-            p = bench.problem(OutputError(), split, [], theta, [record])
-            jobs.append((p, np.clip(starts[k, j][p.start_columns], p.lower, p.upper)))
-            information.append(known[k][j])
+            p = bench.problem(OutputError(), split, free, theta, [record])
+            jobs.append((p, np.clip(p.z(theta, starts[k, j][None]), p.lower, p.upper)))
     out = []
     parts = list(rows(jobs))
+    per = len(runs.records)
     for k in range(len(thetas)):
-        residual, settled, total, count = [], [], 0.0, 0
-        for i in range(per):
-            part, job = parts[k * per + i], k * per + i
-            keep = scored(runs.experiments[i], split)
-            r, S = part.r[keep], part.J[keep]
-            residual.append(_finite(r))
-            r, S = _finite(r), np.nan_to_num(S).reshape(r.size, -1)
-            if S.shape[1]:
-                G = S.T @ S + information[job]
-                shift = -np.linalg.lstsq(G, S.T @ r.ravel(), rcond=None)[0]
-                price = float(shift @ information[job] @ shift)
-                share = min(1.0, PLAUSIBLE * np.sqrt(S.shape[1] / max(price, 1e-300)))  # no start beyond what was measured
-                r = r + (S @ (share * shift)).reshape(r.shape)
-                total += share**2 * price
-            settled.append(r)
-            total += float(np.sum(r**2))
-            count += r.size
+        about = np.zeros((0, 0)) if known[k] is None else known[k][1]
+        keep = [scored(runs.experiments[i], split) for i in range(per)]
+        own = parts[k * per : (k + 1) * per]
+        residual = [_finite(part.r[inside]) for part, inside in zip(own, keep, strict=True)]
+        slopes = [np.nan_to_num(part.J[inside]) for part, inside in zip(own, keep, strict=True)]
+        settled, price = _settled(residual, slopes, about, from_heads[k])
+        total = price + sum(float(np.sum(r**2)) for r in settled)
+        count = sum(r.size for r in residual)
         out.append(HeldOut(residual, settled, total / max(count, 1), count))
     return out
+
+
+def _settled(
+    residual: list[np.ndarray], slopes: list[np.ndarray], about: np.ndarray, starts: list[np.ndarray]
+) -> tuple[list[np.ndarray], float]:
+    """Residuals after the shift of parameters (common) and starts (of each run) that is likeliest by these residuals and by what
+    was known before (J'J of the parameters and of each start), and what the shift costs as a sum of squares."""
+    n = len(about)
+    ends = n + np.cumsum([0, *(len(s) for s in starts)])
+    prior = np.zeros((ends[-1], ends[-1]))
+    prior[:n, :n] = about
+    G, g = np.zeros_like(prior), np.zeros(ends[-1])
+    places = []
+    for r, S, start, end, information in zip(residual, slopes, ends, ends[1:], starts, strict=False):
+        at = np.r_[0:n, start:end]
+        places.append(at)
+        prior[start:end, start:end] = information
+        S = S.reshape(r.size, -1)
+        G[np.ix_(at, at)] += S.T @ S
+        g[at] += S.T @ r.ravel()
+    if not g.size:
+        return residual, 0.0
+    size = np.sqrt(np.maximum(np.diag(G + prior), 1e-300))
+    shift = -np.linalg.lstsq((G + prior) / size / size[:, None], g / size, rcond=1e-12)[0] / size
+    price = float(shift @ prior @ shift)
+    share = min(1.0, PLAUSIBLE * np.sqrt(g.size / max(price, 1e-300)))  # nothing beyond what was measured
+    moved = [r + (S @ (share * shift[at])).reshape(r.shape) for r, S, at in zip(residual, slopes, places, strict=True)]
+    return moved, share**2 * price
 
 
 def _finite(r: np.ndarray) -> np.ndarray:

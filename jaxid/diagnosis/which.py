@@ -7,28 +7,32 @@ of the true effect; runs that were not fitted do not.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from jaxid.diagnosis.evidence import held_out, HeldOut, inflation, memory, worth
-from jaxid.estimation import Bench, probes, step_error, STEP_SHARE
+from jaxid.diagnosis.evidence import held_out, HeldOut, inflation, knowledge, memory, worth
+from jaxid.estimation import Bench, estimate_starts, probes, step_defect, step_error, STEP_SHARE
 from jaxid.fitter import Progress
 from jaxid.fitters import descend, Path, race
 from jaxid.problem import Problem, Rows, rows
-from jaxid.residual import InverseDynamics, Residual
+from jaxid.residual import InverseDynamics, OutputError, Residual
 
 
 #: A difference of held-out evidence below this many chi-square units (3 sigma) decides nothing.
 DECISIVE = 9.0
 #: Candidates within this share of the best screen value are refitted, at least MINIMUM and at most MAXIMUM of them.
 SCREEN_SHARE, MINIMUM, MAXIMUM = 0.02, 6, 16
+#: Starts of each refit that come from the screen: two of the best to first order, and the best of all probes as they simulate.
+STARTS = 4
 #: An effect must remove at least this share of what is left of the gap on validation data.
 GAIN = 0.02
 #: Timing comes before physics: these are always refitted first, and win a tie. One sample of offset between two channels, or the
 #: wrong hold of the command, is soon made and looks like lag, friction or inertia.
 TIMING = ("input_hold", "input_delay", "sensor_delay")
+#: How often the step may be halved, and how often its defect is worked out anew for a chosen hypothesis.
+HALVINGS, CORRECTIONS = 3, 2
 #: Near the floor: nothing worth another effect is left below this mean square on validation data.
 NEAR_FLOOR = 1.02
 
@@ -99,17 +103,19 @@ class Searcher:
 
     def __init__(self, bench: Bench, residual: Residual, nominal: Path, progress: Progress | None = None):
         self.bench, self.residual, self.progress = bench, residual, progress
+        self.accurate = bench  # with steps that no longer matter
         self.benches: list[Bench] = []  # coarser ones, left behind
         self.base_free = list(nominal.problem.free)
         self.nominal = self._hypotheses([((), nominal)])[0]
         self._inflations: dict[frozenset[str], float] = {}
         self.known: dict[frozenset[str], Hypothesis] = {frozenset(): self.nominal}
+        self._stale: dict[frozenset[str], Hypothesis] = {}  # refitted before the data were corrected for the step
 
     # ---- hypotheses
 
     def _hypotheses(self, found: Sequence[tuple[tuple[Candidate, ...], Path]]) -> list[Hypothesis]:
         thetas = [path.problem.theta(path.z) for _, path in found]
-        validations = held_out(self.bench, "validation", thetas, self.residual)
+        validations = held_out(self.bench, "validation", thetas, self.residual, [knowledge(path) for _, path in found])
         return [Hypothesis(e, t, p, v) for (e, p), t, v in zip(found, thetas, validations, strict=True)]
 
     def problem(self, effects: Sequence[Candidate], theta: np.ndarray) -> Problem:
@@ -119,6 +125,7 @@ class Searcher:
     def refit(self, sets: Sequence[tuple[tuple[Candidate, ...], Sequence[np.ndarray]]]) -> list[Hypothesis]:
         """Refits each set of effects from its starts (full parameter vectors), all in one batch; best start of each."""
         starts = self.nominal.path.problem.starts(self.nominal.path.z)
+        sets = self._promising(sets)
         groups = []
         for (effects, thetas), more in zip(sets, self._torque_starts(sets), strict=True):
             p = self.problem(effects, thetas[0])
@@ -131,6 +138,21 @@ class Searcher:
                 found[k] = old
             self.known[_key(h.effects)] = found[k]
         return found
+
+    def _promising(
+        self, sets: Sequence[tuple[tuple[Candidate, ...], Sequence[np.ndarray]]]
+    ) -> list[tuple[tuple[Candidate, ...], list[np.ndarray]]]:
+        """The first two starts of each set, and those of the others that simulate best: first order says little where a resonance
+        or a play has to be found."""
+        nominal = self.nominal.path
+        thetas = [theta for _, starts in sets for theta in starts]
+        found = iter(probe_residuals(nominal.problem, nominal.z, thetas))
+        out = []
+        for effects, starts in sets:
+            cost = np.nan_to_num([float(r @ r) for _, r in zip(starts, found, strict=False)], nan=np.inf)
+            order = [int(k) for k in np.argsort(cost, kind="stable")]
+            out.append((effects, [starts[k] for k in dict.fromkeys([*range(min(2, len(starts))), *order])][:STARTS]))
+        return out
 
     def _torque_starts(self, sets: Sequence[tuple[tuple[Candidate, ...], Sequence[np.ndarray]]]) -> list[list[np.ndarray]]:
         """A start of each set from the torque residual of the measured motion: biased by the noise of derivatives, but free of
@@ -169,19 +191,20 @@ class Searcher:
         self, p: Problem, z: np.ndarray, theta0: np.ndarray, pool: Sequence[Candidate]
     ) -> list[tuple[float, Candidate, list[np.ndarray]]]:
         parts = list(rows([(p, z)]))
-        remaining = explained_by_retuning(parts, p.size)
+        retuning = Retuning(parts, p.size)
+        remaining = retuning.remaining
         before = np.concatenate([part.r.ravel() for part in parts])
         total = float(before @ before)
         r0 = remaining(before)
         probes = [(c, theta) for c in pool for theta in self.probes(c, theta0)]
         residuals = probe_residuals(p, z, [theta for _, theta in probes])
-        best: dict[str, list[tuple[float, np.ndarray]]] = {}
+        best: dict[str, list[tuple[float, np.ndarray, np.ndarray]]] = {}
         who: dict[str, Candidate] = {}
         for (c, theta), r in zip(probes, residuals, strict=True):
-            d = r - before
-            if not np.isfinite(d).all():
+            change = r - before
+            if not np.isfinite(change).all():
                 continue
-            d = remaining(d)
+            d = remaining(change)
             power = float(d @ d)
             if power <= 1e-12 * max(total, 1.0) * 1e-6 or power < 1e-6:
                 continue  # the data do not react to this effect
@@ -189,16 +212,20 @@ class Searcher:
             both = all(lower[i] < 0 for i in c.index if not entries[i].spec.log)  # an effect of either sign
             scale = float(np.clip(-(r0 @ d) / power, -4.0 if both else 0.0, 4.0))
             gain = float(-2 * scale * (r0 @ d) - scale**2 * power)
-            start = theta0 + (max(scale, 0.05) if scale >= 0 else min(scale, -0.05)) * (theta - theta0)
+            strength = max(scale, 0.05) if scale >= 0 else min(scale, -0.05)
+            start = theta0 + strength * (theta - theta0)
             for i in c.index:  # a shape parameter has no zero to be scaled from
                 if self.bench.binding.layout.entries[i].spec.log:
                     start[i] = theta[i]
-            best.setdefault(str(c), []).append((gain / max(total, 1e-300), start))
+            tuned = start.copy()  # and with what re-tuning then does to the other numbers
+            moved = z + np.clip(retuning.step(before + strength * change), -0.2 * (p.upper - p.lower), 0.2 * (p.upper - p.lower))
+            tuned[p.free] = p.theta(np.clip(moved, p.lower, p.upper))[p.free]
+            best.setdefault(str(c), []).append((gain / max(total, 1e-300), tuned, start))
             who[str(c)] = c
         ranked = []
         for name, found in best.items():
             found.sort(key=lambda f: -f[0])
-            ranked.append((found[0][0], who[name], [s for _, s in found[:2]]))
+            ranked.append((found[0][0], who[name], [start for _, *both in found for start in both]))
         return sorted(ranked, key=lambda f: -f[0])
 
     def probes(self, c: Candidate, theta: np.ndarray) -> list[np.ndarray]:
@@ -211,8 +238,8 @@ class Searcher:
 
     def run(self, pool: Sequence[Candidate], max_effects: int) -> Search:
         """Forward selection up to `max_effects`, then each accepted effect is questioned again."""
-        chosen, tried = self.nominal, []
-        while len(chosen.effects) < max_effects:
+        chosen, tried = self._refined(self.nominal), []
+        while len(chosen.effects) < max_effects and not self._at_floor(chosen):
             rest = [c for c in pool if c not in chosen.effects]
             if not rest:
                 break
@@ -228,30 +255,75 @@ class Searcher:
             if self._finished(chosen):
                 break
         chosen = self._questioned(chosen)
-        return Search(self.nominal, chosen, tried, self._mates(chosen, pool))
+        if chosen.effects and not self._significant(self.nominal, chosen):  # a pair that came down to one
+            chosen = self.nominal
+        mates = self._mates(chosen, pool)
+        chosen = self._settled(chosen)
+        return Search(self.nominal, chosen, tried, mates)
 
     def _refined(self, chosen: Hypothesis) -> Hypothesis:
-        """The chosen hypothesis descended to the end; it and the nominal one again with finer steps, until the step no longer
-        matters against the noise: what the step leaves behind would look like another effect."""
-        end = descend([(chosen.path.problem, chosen.path.z)], 20, 1e-9)[0]
-        if end.cost <= chosen.path.cost:
-            chosen = self._hypotheses([(chosen.effects, end)])[0]
-            self._inflations.pop(_key(chosen.effects), None)
-            self.known[_key(chosen.effects)] = chosen
-        for _ in range(3):
-            if step_error(self.bench, chosen.path.problem, chosen.path.z, self.residual) <= STEP_SHARE:
+        """The chosen hypothesis descended to the end, with steps so fine that they no longer matter against the noise: what the
+        step leaves behind would look like another effect.
+
+        The search itself stays on its steps: what finer ones add to the chosen hypothesis is taken off the data.
+        """
+        chosen = self._descended(chosen)
+        for _ in range(HALVINGS):
+            p = self.accurate.problem(self.residual, "fit", chosen.path.problem.free, chosen.theta)
+            if step_error(self.accurate, p, self._z(p, chosen), self.residual, finer := self._halved()) <= STEP_SHARE:
                 break
-            self.benches.append(self.bench)
-            self.bench = replace(self.bench, step=self.bench.step / 2)
-            jobs = []
-            for h in (self.nominal, chosen):
-                p = self.problem(h.effects, h.theta)
-                jobs.append((p, p.z(h.theta, h.path.problem.starts(h.path.z))))
-            paths = descend(jobs, 20, 1e-8)
-            self.nominal, chosen = self._hypotheses([((), paths[0]), (chosen.effects, paths[1])])
+            self.accurate = finer
+        if self.accurate is not self.bench:
+            for _ in range(CORRECTIONS):
+                self._take_off(chosen)
+                chosen = self._descended(chosen)
+            self.nominal = self._descended(self.nominal) if chosen.effects else chosen
             self._inflations.clear()
+            self._stale |= self.known
             self.known = {frozenset(): self.nominal, _key(chosen.effects): chosen}
         return chosen
+
+    def _halved(self) -> Bench:
+        return replace(self.accurate, step=self.accurate.step / 2, defects={})
+
+    def _z(self, p: Problem, h: Hypothesis) -> np.ndarray:
+        return p.z(h.theta, h.path.problem.starts(h.path.z))
+
+    def _descended(self, h: Hypothesis) -> Hypothesis:
+        """The hypothesis at its minimum on the bench as it is now."""
+        p = self.problem(h.effects, h.theta)
+        end = descend([(p, self._z(p, h))], 20, 1e-9)[0]
+        self._inflations.pop(_key(h.effects), None)
+        self.known[_key(h.effects)] = self._hypotheses([(h.effects, end)])[0]
+        return self.known[_key(h.effects)]
+
+    def _take_off(self, h: Hypothesis) -> None:
+        """Sets the defects of the bench's steps, as this hypothesis has them."""
+        for split in ("fit", "validation"):
+            p = self.bench.problem(self.residual, split, [], h.theta)
+            starts = h.path.problem.starts(h.path.z) if split == "fit" else None
+            if split == "validation" and isinstance(self.residual, OutputError):
+                starts = estimate_starts(self.bench, split, [h.theta])[0]
+            moved = step_defect(p, p.z(h.theta, starts), self.accurate.runs(self.residual, split))
+            defect = np.zeros_like(p.targets)
+            for number, d in zip(p.records, moved, strict=True):
+                defect[p.runs.record(number).samples] = d
+            self.bench.defects[repr(self.residual), split] = np.nan_to_num(defect)
+
+    def _settled(self, chosen: Hypothesis) -> Hypothesis:
+        """The result on the accurate bench itself."""
+        if self.accurate is not self.bench:
+            self.benches.append(self.bench)
+            self.bench = self.accurate
+            self.nominal = self._descended(self.nominal)
+            chosen = self._descended(chosen) if chosen.effects else self.nominal
+        return chosen
+
+    def _at_floor(self, h: Hypothesis) -> bool:
+        """Nothing is left to explain: the noise, and white."""
+        level = lambda count: 1 + 4 * np.sqrt(2 / max(1, count))
+        low = h.fit_loss <= level(h.path.count) and h.validation.loss <= level(h.validation.count)
+        return low and max(memory(h.validation.settled), memory(h.path.problem.residuals(h.path.z))) <= 2
 
     def _finished(self, h: Hypothesis) -> bool:
         """Down to the noise: near the floor, or white close above it (quantisation adds to a stated noise)."""
@@ -261,15 +333,18 @@ class Searcher:
 
     def _extend(self, h: Hypothesis, rest: Sequence[Candidate]) -> list[Hypothesis]:
         """Refits of `h` with one more effect each, for all that the screen lets pass."""
-        ranked = self.screen(h, [c for c in rest if sensible((*h.effects, c))])
-        if not ranked:
+        rest = [c for c in rest if sensible((*h.effects, c))]
+        ranked = self.screen(h, rest)
+        # A free run that has gone far astray says little to first order: what the torque screen puts first is tried as well.
+        by_torque = self.torque_screen(h, [c for _, c, _ in ranked] or rest)
+        if not (ranked or by_torque):
             return []
         if self.progress:
-            self.progress("screen", len(h.effects), 3, f"{len(ranked)} candidates react to the data")
+            self.progress("screen", len(h.effects), 3, f"{len(ranked or by_torque)} candidates react to the data")
         kept = _head(ranked)
         names = {str(c) for _, c, _ in kept}
-        # A free run that has gone far astray says little to first order: what the torque screen puts first is tried as well.
-        more = {str(c) for _, c, _ in _head(self.torque_screen(h, [c for _, c, _ in ranked]))} - names
+        more = {str(c) for _, c, _ in _head(by_torque)} - names
+        ranked = ranked or by_torque
         first = [f for f in ranked if f[1].effect in TIMING and not h.effects]
         others = [f for f in (*kept, *(f for f in ranked if str(f[1]) in more)) if f not in first]
         kept = [*first, *others][:MAXIMUM]
@@ -291,12 +366,13 @@ class Searcher:
         return self._inflations[key]
 
     def _significant(self, before: Hypothesis, after: Hypothesis) -> bool:
-        """Whether the effects that `after` has beyond `before` are there: fit and validation runs together decide, and the
-        validation runs must agree."""
+        """Whether the effects that `after` has beyond `before` are there: fit and validation runs together decide, the fit runs
+        alone must show them (dozens of candidates are tried), and the validation runs must agree."""
         fitted, held = self._evidence(before, after)
         left = max(before.validation.loss - 1.0, 1e-12)
         share = (before.validation.loss - after.validation.loss) / left
-        return held > 0 and share > GAIN and fitted + held > 2 * DECISIVE + 2 * (after.size - before.size)
+        size, more = after.size - before.size, max(1, len(after.effects) - len(before.effects))
+        return held > 0 and share > GAIN and fitted > DECISIVE + size and fitted + held > 3 * more * DECISIVE + 2 * size
 
     def _best(self, before: Hypothesis, found: Sequence[Hypothesis]) -> Hypothesis | None:
         """The choice among refits: best on validation data; of those that it does not beat decisively, the one with the
@@ -354,9 +430,10 @@ class Searcher:
         factor = inflation(chosen.validation)
         for c in chosen.effects:
             others = tuple(e for e in chosen.effects if e is not c)
-            missing = [e for e in pool if e not in chosen.effects and _key((*others, e)) not in self.known]
+            missing = [e for e in pool if e not in chosen.effects and _key((*others, e)) not in self.known | self._stale]
             if missing and others and _key(others) in self.known:
                 self._extend(self.known[_key(others)], missing)
+            self._renew([_key((*others, e)) for e in pool if e not in chosen.effects], _key(chosen.effects))
             for e in pool:
                 h = self.known.get(_key((*others, e)))
                 if e in chosen.effects or h is None or e in out or not sensible((*others, e)):
@@ -367,6 +444,17 @@ class Searcher:
                 if near and both * count / factor < 2 * DECISIVE:
                     out.append(e)
         return out
+
+    def _renew(self, keys: Sequence[frozenset[str]], chosen: frozenset[str]) -> None:
+        """Brings hypotheses that were close to the chosen one before the data were corrected for the step up to date."""
+        if chosen not in self._stale:
+            return
+        limit = 1.5 * self._stale[chosen].fit_loss
+        old = [self._stale[k] for k in keys if k in self._stale and k not in self.known and self._stale[k].fit_loss <= limit]
+        problems = [self.problem(h.effects, h.theta) for h in old]
+        paths = descend([(p, self._z(p, h)) for p, h in zip(problems, old, strict=True)], 10, 1e-7) if old else []
+        for h in self._hypotheses([(h.effects, path) for h, path in zip(old, paths, strict=True)]) if old else []:
+            self.known[_key(h.effects)] = h
 
 
 def _head(ranked: list) -> list:
@@ -384,18 +472,31 @@ def _key(effects: Sequence[Candidate]) -> frozenset[str]:
     return frozenset(str(c) for c in effects)
 
 
-def explained_by_retuning(parts: Sequence[Rows], size: int) -> Callable[[np.ndarray], np.ndarray]:
-    """Takes out of a residual vector what re-tuning the free numbers could do to it, to first order."""
-    n = sum(part.r.size for part in parts)
-    J = np.zeros((n, size))
-    k = 0
-    for part in parts:
-        J[k : k + part.r.size, part.z_columns] = part.J.reshape(part.r.size, -1)
-        k += part.r.size
-    J = J[:, np.abs(J).max(0) > 0] / np.linalg.norm(J[:, np.abs(J).max(0) > 0], axis=0)
-    Q, s, _ = np.linalg.svd(J, full_matrices=False)
-    Q = Q[:, s > 1e-9 * s[0]] if s.size else Q
-    return lambda r: r - Q @ (Q.T @ r)
+class Retuning:
+    """What re-tuning the free numbers can do to a residual vector, to first order."""
+
+    def __init__(self, parts: Sequence[Rows], size: int):
+        J = np.zeros((sum(part.r.size for part in parts), size))
+        k = 0
+        for part in parts:
+            J[k : k + part.r.size, part.z_columns] = part.J.reshape(part.r.size, -1)
+            k += part.r.size
+        norm = np.linalg.norm(J, axis=0)
+        self._kept = np.flatnonzero(norm > 0)
+        self._norm, self._size = norm[self._kept], size
+        Q, s, Vt = np.linalg.svd(J[:, self._kept] / self._norm, full_matrices=False)
+        good = s > 1e-9 * s[0] if s.size else np.zeros(0, bool)
+        self._Q, self._inverse = Q[:, good], (Vt[good] / s[good, None]).T
+
+    def remaining(self, r: np.ndarray) -> np.ndarray:
+        """What it cannot take out."""
+        return r - self._Q @ (self._Q.T @ r)
+
+    def step(self, r: np.ndarray) -> np.ndarray:
+        """The change of z that takes out the rest."""
+        out = np.zeros(self._size)
+        out[self._kept] = -(self._inverse @ (self._Q.T @ r)) / self._norm
+        return out
 
 
 def probe_residuals(p: Problem, z: np.ndarray, thetas: Sequence[np.ndarray]) -> list[np.ndarray]:
@@ -406,5 +507,5 @@ def probe_residuals(p: Problem, z: np.ndarray, thetas: Sequence[np.ndarray]) -> 
     each = []
     for k, number in enumerate(record):
         at = runs.record(number).samples
-        each.append((runs.weights[at] * (runs.sample_prediction(number, y[k]) - runs.targets[at])).ravel())
+        each.append((p.weights[at] * (runs.sample_prediction(number, y[k]) - p.targets[at])).ravel())
     return [np.concatenate(each[k : k + n]) for k in range(0, len(each), n)]

@@ -37,7 +37,7 @@ class PowerLawFriction(JointEffect):
         unit="{F} (s/{X})^exponent",
         meaning="friction at 1 rad/s (m/s)",
     )
-    exponent: Array = param(1.0, 0.1, 2.0, scale=0.1, unit="1", meaning="power of the speed; 1 is viscous friction")
+    exponent: Array = param(1.0, 0.1, 2.0, log=True, scale=0.1, unit="1", meaning="power of the speed; 1 is viscous friction")
     probes: ClassVar[tuple[dict[str, Quantity | float], ...]] = (
         {"coefficient": 0.1 * TORQUE, "exponent": 0.3},
         {"coefficient": 0.1 * TORQUE, "exponent": 0.6},
