@@ -7,6 +7,7 @@ of the true effect; runs that were not fitted do not.
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 
@@ -31,6 +32,8 @@ GAIN = 0.02
 #: Timing comes before physics: these are always refitted first, and win a tie. One sample of offset between two channels, or the
 #: wrong hold of the command, is soon made and looks like lag, friction or inertia.
 TIMING = ("input_hold", "input_delay", "sensor_delay")
+#: Pairs are made of so many of the best single effects.
+PAIRED = 4
 #: How often the step may be halved, and how often its defect is worked out anew for a chosen hypothesis.
 HALVINGS, CORRECTIONS = 3, 2
 #: Near the floor: nothing worth another effect is left below this mean square on validation data.
@@ -238,19 +241,27 @@ class Searcher:
 
     def run(self, pool: Sequence[Candidate], max_effects: int) -> Search:
         """Forward selection up to `max_effects`, then each accepted effect is questioned again."""
-        chosen, tried = self._refined(self.nominal), []
+        chosen, tried, singles = self._refined(self.nominal), [], []
         while len(chosen.effects) < max_effects and not self._at_floor(chosen):
             rest = [c for c in pool if c not in chosen.effects]
             if not rest:
                 break
             found = self._extend(chosen, rest)
+            if len(chosen.effects) == 1:  # two others may explain more than the first choice and one beside it
+                found += self._pairs(self.nominal, singles)
+            singles = found
             tried += found
             step = self._best(chosen, found)
             if step is None and len(chosen.effects) + 2 <= max_effects:
-                step = self._pairs(chosen, found)
+                step = self._best(chosen, self._pairs(chosen, found))
                 tried += [step] if step else []
             if step is None:
                 break
+            if not chosen.effects and max_effects > 1:
+                rivals = self._plain_pairs(step.effects[0], pool)
+                better = [h for h in rivals if self._significant(chosen, h) and h.validation.loss < step.validation.loss]
+                step = min([step, *better], key=lambda h: h.validation.loss)
+                tried += rivals
             chosen = self._refined(step)
             if self._finished(chosen):
                 break
@@ -372,7 +383,7 @@ class Searcher:
         left = max(before.validation.loss - 1.0, 1e-12)
         share = (before.validation.loss - after.validation.loss) / left
         size, more = after.size - before.size, max(1, len(after.effects) - len(before.effects))
-        return held > 0 and share > GAIN and fitted > DECISIVE + size and fitted + held > 3 * more * DECISIVE + 2 * size
+        return held > 0 and share > GAIN and fitted > 2 * size and fitted + held > 3 * more * DECISIVE + 2 * size
 
     def _best(self, before: Hypothesis, found: Sequence[Hypothesis]) -> Hypothesis | None:
         """The choice among refits: best on validation data; of those that it does not beat decisively, the one with the
@@ -392,9 +403,9 @@ class Searcher:
         total = h.fit_loss * h.path.count + h.validation.loss * h.validation.count
         return total / (h.path.count + h.validation.count)
 
-    def _pairs(self, before: Hypothesis, found: Sequence[Hypothesis]) -> Hypothesis | None:
+    def _pairs(self, before: Hypothesis, found: Sequence[Hypothesis]) -> list[Hypothesis]:
         """Two effects at once, where one alone brings nothing (a nominal term may stand in for both)."""
-        singles = sorted(found, key=lambda h: h.fit_loss)[:4]
+        singles = sorted(found, key=lambda h: h.fit_loss)[:PAIRED]
         sets = []
         for a in range(len(singles)):
             for b in range(a):
@@ -404,7 +415,22 @@ class Searcher:
                 theta[list(new.index)] = second.theta[list(new.index)]
                 if new not in first.effects and sensible((*first.effects, new)):
                     sets.append(((*first.effects, new), [theta, *self.probes(new, first.theta)[:2]]))
-        return self._best(before, self.refit(sets)) if sets else None
+        return self.refit(sets) if sets else []
+
+    def _plain_pairs(self, c: Candidate, pool: Sequence[Candidate]) -> list[Hypothesis]:
+        """Two laws of one number each in the place of one of the same kind with several: dry friction and drag, each alone of no
+        use beside a viscous term that stands in for both, look like friction that remembers."""
+        kind = self._kind(c)
+        plain = [e for e in pool if e.location == c.location and len(e.index) == 1 and self._kind(e) == kind]
+        sets = []
+        for a, b in itertools.combinations(plain, 2):
+            if len(c.index) > 1 and sensible((a, b)):
+                both = [self.probes(b, theta) for theta in self.probes(a, self.nominal.theta)]
+                sets.append(((a, b), [theta for thetas in both for theta in thetas]))
+        return self.refit(sets) if sets else []
+
+    def _kind(self, c: Candidate) -> str:
+        return type(next(e for e in self.bench.binding.chain.effects if e.name == c.effect)).__module__
 
     def _questioned(self, h: Hypothesis) -> Hypothesis:
         """Takes out effects that are no longer needed beside the others; the smaller set gets every chance, starting from
