@@ -175,7 +175,8 @@ def notebooks(names: list[str]) -> str:
     lines = [
         "# Notebooks",
         "",
-        "Text-paired (`notebooks/*.py`): `jupytext --to ipynb notebooks/*.py` makes Jupyter files of them.",
+        "Kept as text (`notebooks/*.py`): after `pip install jupyterlab jupytext`, `jupytext --to ipynb notebooks/00_tour.py`",
+        "makes a Jupyter file, and `jupyter lab notebooks` opens it.",
         "",
     ]
     return "\n".join([*lines, "```{toctree}", ":maxdepth: 1", "", *(f"../notebooks/{n}" for n in names), "```", ""])
