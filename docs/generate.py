@@ -100,7 +100,7 @@ def effects(pictures: Path, alike: dict) -> str:
         "a drive of 60 N and one of 0.1 N m.",
         "",
         "The pictures are computed: the force that the model without the effect lacks, along a rich motion of the model with it",
-        "(less what the filters alone leave), against velocity, position and time; blue forwards, red backwards.",
+        "(less what the filters alone leave), against velocity, position and time; blue forwards, orange backwards.",
         "*Cannot be told from* quotes",
         "`jaxid effects --model M`, an open loop with rich excitation; poorer recordings confuse more, and each diagnosis says",
         "what in `confusable_with`.",
@@ -175,7 +175,8 @@ def notebooks(names: list[str]) -> str:
     lines = [
         "# Notebooks",
         "",
-        "Text-paired (`notebooks/*.py`): `jupytext --to ipynb notebooks/*.py` makes Jupyter files of them.",
+        "Kept as text (`notebooks/*.py`): after `pip install jupyterlab jupytext`, `jupytext --to ipynb notebooks/00_tour.py`",
+        "makes a Jupyter file, and `jupyter lab notebooks` opens it.",
         "",
     ]
     return "\n".join([*lines, "```{toctree}", ":maxdepth: 1", "", *(f"../notebooks/{n}" for n in names), "```", ""])

@@ -111,7 +111,7 @@ def _force(path: Path, bench, e, theta, y: np.ndarray, nominal: np.ndarray, loca
         middle.set(xlabel=f"position ({length})")
         right.set(xlabel="time (s)")
         if bounds := plot.limits(force, quantile=0.01):
-            left.set_ylim(bounds)
+            left.set_ylim(min(bounds[0], 0), max(bounds[1], 0))  # a constant looks constant
 
     path.write_text(plot.svg(path.stem, (8.6, 2.3), picture), encoding="utf-8")
 

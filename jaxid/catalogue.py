@@ -82,7 +82,8 @@ def _fitters() -> dict[str, type]:
 
 def _pick(kind: str, table: dict[str, type], name: str) -> type:
     if name not in table:
-        raise UsageError(f"there is no {kind} {name!r}{nearest(name, table)}")
+        own = "; a model of your own runs from Python, jaxid.diagnose(MyModel(), data)" if kind == "model" else ""
+        raise UsageError(f"there is no {kind} {name!r}{nearest(name, table)}{own}")
     return table[name]
 
 

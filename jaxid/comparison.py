@@ -226,6 +226,11 @@ class Comparison:
         legend(ax, len(self.fitters))
         return ax
 
+    def __repr__(self) -> str:
+        from jaxid.text import comparison_text
+
+        return comparison_text(self)
+
     def _repr_html_(self) -> str:
         from jaxid.report import comparison_fragment
 

@@ -199,7 +199,13 @@ def _model_info(document: Document, places: Places, problems: list[Problem], geo
     names = catalogue.model_names()
     if entry.name not in names:
         message = f"there is no model {entry.name!r}{nearest(entry.name, names)}"
-        problems.append(places.problem(("model", "name"), message, "Name a model that `jaxid models` lists"))
+        problems.append(
+            places.problem(
+                ("model", "name"),
+                message,
+                "Name one that `jaxid models` lists; for one of your own leave `name` out and give the model from Python",
+            )
+        )
         return None
     if geometry is None and (entry.urdf or entry.dh):
         return None  # its fault is reported

@@ -199,8 +199,9 @@ def _rich_motion(chain: Chain, model: str) -> tuple[Dataset, str]:
         noise = {n: max(1e-3 * float(np.std(v)), 1e-9) for n, v in outputs.items()}
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")  # a switch that stays on is meant
+            named = {n: units[n] for n in (*inputs, *outputs)}
             return Dataset.from_arrays(
-                t, inputs, outputs, units=units, noise_std=noise, at_rest=True, model=model, split="fit", check_model=False
+                t, inputs, outputs, units=named, noise_std=noise, at_rest=True, model=model, split="fit", check_model=False
             )
 
     stated = {
@@ -217,7 +218,8 @@ def _rich_motion(chain: Chain, model: str) -> tuple[Dataset, str]:
     if best is None or best[2] < 1e-6:
         raise UsageError(f"{model} has no moderate motion at its default parameters, so nothing can be compared")
     text = f"sines of 0.3 to 8 Hz, steps and rests, {SECONDS:g} s at {RATE} Hz, travel {best[2]:.2g}, open loop, from rest"
-    return recorded(best[0], best[1]), text
+    moving = {n: v for n, v in best[1].items() if np.ptp(v)}  # what stands still by design has another signature without it
+    return recorded(best[0], moving), text
 
 
 def _with_friction(binding: Binding) -> np.ndarray:

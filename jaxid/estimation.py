@@ -239,7 +239,10 @@ def score(y: np.ndarray, error: np.ndarray, unit: str) -> Score:
 def response_scores(
     bench: Bench, residual: FrequencyResponseError, split: str, problem: Problem, z: np.ndarray
 ) -> dict[str, Score]:
-    """Distance of the modelled from the measured response over the lines of a split, |error| as a root mean square."""
+    """Distance of the modelled from the measured response over the lines of a split, |error| as a root mean square.
+
+    Empty where the records of the split show no line: their inputs hold nothing in the band.
+    """
     own = problem if split == "fit" else bench.problem(residual, split, problem.free, problem.theta(z))
     (name, unit), *_ = own.runs.channels
     error, target = [], []
@@ -248,6 +251,8 @@ def response_scores(
         lines = own.runs.weights[at, 0] > 0
         target.append(own.runs.targets[at, 0][lines])
         error.append(p[lines, 0] - target[-1])
+    if not sum(map(len, target)):
+        return {}
     per_line = 1.0 if residual.magnitude else np.sqrt(2.0)
     return {name: score(per_line * np.concatenate(target), per_line * np.concatenate(error), unit)}
 
@@ -307,22 +312,32 @@ def is_candidate(binding: Binding, effect: str) -> bool:
     return not any(i in binding.nominal for i in entries)
 
 
-def step_defect(problem: Problem, z: np.ndarray, finer: Runs) -> list[np.ndarray]:
-    """What finer steps add to the simulation at z: per record of the problem [samples columns]."""
+def finer_predictions(problem: Problem, z: np.ndarray, finer: Runs) -> list[np.ndarray]:
+    """Predictions at z by runs with finer steps: per record of the problem [samples columns]."""
     lanes = np.array(problem.records)
     fine = finer.engine.outputs(np.tile(problem.theta(z), (lanes.size, 1)), problem.starts(z), lanes)
-    coarse = problem.predictions(z)
-    return [finer.sample_prediction(r, row) - c for r, row, c in zip(lanes, fine, coarse, strict=True)]
+    return [finer.sample_prediction(r, row) for r, row in zip(lanes, fine, strict=True)]
+
+
+def _counted(runs: Runs, records: Sequence[int], values: Sequence[np.ndarray]) -> list[np.ndarray]:
+    """Of values [samples columns] of each record those that have weight: one array a column."""
+    weighs = np.concatenate([runs.weights[runs.record(r).samples] > 0 for r in records])
+    together = np.concatenate(list(values))
+    return [together[weighs[:, c], c] for c in range(together.shape[1])]
 
 
 def step_error(bench: Bench, problem: Problem, z: np.ndarray, residual: Residual, finer: Bench | None = None) -> float:
     """How much the simulation at z moves when the step is halved, over the larger of noise and gap (rms, worst column)."""
     finer = finer or Bench(bench.binding, bench.step / 2)
-    move = np.concatenate(step_defect(problem, z, finer.runs(residual, "fit")))
-    at = np.concatenate([problem.runs.record(r).samples for r in problem.records])
-    gap = np.concatenate(problem.predictions(z)) - problem.targets[at]
-    size = np.maximum(np.sqrt(np.mean(gap**2, 0)), problem.runs.noise)
-    worst = float(np.max(np.sqrt(np.mean(move**2, 0)) / size))
+    runs, records = finer.runs(residual, "fit"), problem.records
+    # Column by column: lines of a response and samples in time share a record, and other rows of it where the step is finer.
+    coarse = _counted(problem.runs, records, problem.predictions(z))
+    halved = _counted(runs, records, finer_predictions(problem, z, runs))
+    target = _counted(problem.runs, records, [problem.targets[problem.runs.record(r).samples] for r in records])
+    worst = 0.0
+    for c, h, y, noise in zip(coarse, halved, target, problem.runs.noise, strict=True):
+        if c.size:
+            worst = max(worst, float(np.sqrt(np.mean((h - c) ** 2)) / max(np.sqrt(np.mean((c - y) ** 2)), noise)))
     return worst if np.isfinite(worst) else 0.0
 
 
@@ -365,6 +380,8 @@ def assemble(
             continue
         if isinstance(residual, FrequencyResponseError):
             table[split] = response_scores(bench, residual, split, problem, result.z)
+            if not table[split]:
+                notes.append(f"the {split} data show no line of a frequency response: only their course over time is compared")
         if not binding.experiments(split):
             continue
         if isinstance(residual, InverseDynamics):

@@ -318,6 +318,17 @@ class Dataset:
 
         return figures.dataset(self, channel, ax)
 
+    def __repr__(self) -> str:
+        from jaxid.terminal import one_line
+
+        runs = [f"{e.name} ({e.split}, {len(e.t)} samples)" for e in self.experiments]
+        runs += [f"{r.name} ({r.split}, {len(r.omega)} lines)" for r in self.responses]
+        of = lambda channels: ", ".join(f"{c.name} ({c.unit})" for c in channels) or "none"
+        more = f" and {len(runs) - 6} more" if len(runs) > 6 else ""
+        return one_line(
+            f"Dataset {self.name}: inputs {of(self.inputs)}; outputs {of(self.outputs)}; runs {', '.join(runs[:6])}{more}"
+        )
+
     def _repr_html_(self) -> str:
         from jaxid.report import dataset_fragment
 

@@ -123,7 +123,9 @@ def estimate(
     has `least_input` of its largest amplitude. Y / U is the response."""
     U, Y = np.fft.rfft(u), np.fft.rfft(y)
     f = np.fft.rfftfreq(t.size, float(np.median(np.diff(t))))
-    bins = np.flatnonzero((f >= band_hz[0]) & (f <= band_hz[1]) & (f > 0) & (np.abs(U) >= least_input * np.abs(U[1:]).max()))
+    size = np.abs(U)
+    least = max(least_input * size[1:].max(), 1e-9 * size.max())  # a constant input has but rounding beside f = 0
+    bins = np.flatnonzero((f >= band_hz[0]) & (f <= band_hz[1]) & (f > 0) & (size >= least))
     return bins, U[bins], Y[bins]
 
 
@@ -283,7 +285,7 @@ class FrequencyResponseError(Residual):
         for number, e in enumerate(experiments):
             p = positions[number]
             bins, U, Y = estimate(e.t, e.u[:, iu], e.y[:, iy[output]], self.band_hz, self.least_input)
-            if not bins.size:
+            if not bins.size and e.split == "fit":
                 raise UsageError(f"{e.name}: the input excites no line between {self.band_hz[0]:g} and {self.band_hz[1]:g} Hz")
             omega = 2 * np.pi * bins / (count * np.median(np.diff(e.t)))
             std = noise[output] * np.sqrt(count / 2) / np.abs(U)
@@ -303,7 +305,7 @@ class FrequencyResponseError(Residual):
         lane = record_lane(self.magnitude, self.linear, output, timed, count, pieces)
         engine = Engine(layout, samples, records, overrides(layout, experiments, records), lane, shape[1])
         ratio = _ratio(chain, outputs[output], chain.signature.inputs[0][0])
-        own = [float(np.median(1 / w[w[:, 0] > 0, 0])), *(noise[k] for k in timed)]
+        own = [float(np.median(1 / w[w[:, 0] > 0, 0])) if lines else 1.0, *(noise[k] for k in timed)]
         part, kind = "gain of the" if self.magnitude else "complex", "linear" if self.linear else "simulated"
         return Runs(
             tuple(experiments), layout, (ratio, *(chain.signature.outputs[k] for k in timed)), np.array(own), engine,

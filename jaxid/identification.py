@@ -182,6 +182,11 @@ class Identification:
 
         return write_identification(self, Path(path))
 
+    def __repr__(self) -> str:
+        from jaxid.cli_identify import identification_text
+
+        return identification_text(self)
+
     def _repr_html_(self) -> str:
         from jaxid.report import identification_fragment
 

@@ -160,6 +160,11 @@ class Fit:
 
         return figures.fit(self, channel, ax)
 
+    def __repr__(self) -> str:
+        from jaxid.text import fit_text
+
+        return fit_text(self)
+
     def _repr_html_(self) -> str:
         from jaxid.report import fit_fragment
 
@@ -366,6 +371,11 @@ class Diagnosis:
 
         return figures.diagnosis(self, ax)
 
+    def __repr__(self) -> str:
+        from jaxid.text import diagnosis_text
+
+        return diagnosis_text(self)
+
     def _repr_html_(self) -> str:
         from jaxid.report import diagnosis_fragment
 
@@ -393,6 +403,11 @@ class Simulation:
             "units": self.units,
             "notes": list(self.notes),
         }
+
+    def __repr__(self) -> str:
+        from jaxid.text import simulation_text
+
+        return simulation_text(self)
 
 
 def save_json(result: Any, path: str | Path) -> Path:

@@ -142,7 +142,7 @@ def shrinkage_sentence(how_far: HowFar, verdict: str) -> str:
         return f"No shrinkage is given: {one_line(how_far.interval_reason).rstrip('.')}." if how_far.interval_reason else ""
     head = f"{percent(how_far.shrinkage)} of the gap is closed on data never fitted nor chosen on"
     if how_far.shrinkage_interval_95 is None:
-        reason = one_line(how_far.interval_reason).rstrip(".")
+        reason = one_line(how_far.interval_reason).rstrip(".").removeprefix("no interval: ")
         return f"{head} (no interval: {reason})." if reason else f"{head}."
     low, high = how_far.shrinkage_interval_95
     return f"{head} (95 % interval {percent(low)} to {percent(high)})."

@@ -42,7 +42,9 @@ def emulate(*arguments: str) -> tuple[subprocess.Popen, str]:
     command = [sys.executable, "-m", "jaxid.cli", "emulate", *arguments]
     process = subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True)
     assert process.stdout is not None
-    return process, process.stdout.readline().strip()
+    address = process.stdout.readline().strip()
+    assert address, "the emulator did not start: its reason stands above"
+    return process, address
 
 
 def leave(process: subprocess.Popen) -> None:
@@ -141,7 +143,8 @@ parameters = { coefficient = 5.0 }
 """)
 emulator, host = emulate("ur10", "--host", "127.0.0.40", "--plant", str(folder / "arm.toml"))
 
-motion = jaxid.excite("ur10", starts=4, iterations=50)
+gentle = Limits(speed=(1.5, 1.5, 2.2, 2.2, 2.2, 2.2))  # below the arm's own limits: what is late here catches up in leaps
+motion = jaxid.excite("ur10", starts=4, iterations=50, limits=gentle)
 motion.save(folder / "arm_excitation")
 path = Trajectory.read(folder / "arm_excitation", joints=6)
 print(f"condition number {motion.condition_number:.3g}")

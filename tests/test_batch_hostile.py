@@ -180,6 +180,13 @@ def rich_study(folder: Path) -> tuple[Path, ...]:
     return study, folder / "small" / "dataset.toml", folder / "small" / "run.csv"
 
 
+def test_names_that_no_disk_can_hold(tmp_path):
+    write_dataset(tmp_path / "small", samples=40)
+    study = write_study(tmp_path, store="x" * 400)
+    with pytest.raises(jaxid.UsageError, match=r"row \d+.*cannot be a folder \(File name too long\)"):
+        check_study(study)
+
+
 def test_mutated_files(tmp_path):
     files = rich_study(tmp_path)
     ends = survives(tmp_path, files, random.Random(5), 300, 5.0)

@@ -167,3 +167,17 @@ def test_the_site_builds_without_warnings(tmp_path):
     for page in ("index", "getting_started", "generated/effects", "generated/benchmarks", "notebooks/00_tour", "contract", "faq"):
         assert (tmp_path / "site" / f"{page}.html").is_file(), page
     assert "dead_zone" in (tmp_path / "site" / "generated" / "effects.html").read_text(encoding="utf-8")
+
+
+@pytest.mark.slow
+def test_every_model_of_the_atlas_has_a_motion_that_can_be_recorded(monkeypatch):
+    monkeypatch.syspath_prepend(str(ROOT / "docs"))
+    import signatures  # pyright: ignore[reportMissingImports]
+
+    from jaxid.binding import bind
+    from jaxid.chain import Chain
+    from jaxid.equivalence import _rich_motion
+
+    for model in signatures.MODELS:
+        data, _ = _rich_motion(Chain(catalogue.model_class(model)()), model)
+        assert bind(model, data, splits=False).experiments("fit"), model

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import warnings
 from math import pi
 from typing import Any
 
@@ -16,7 +17,7 @@ from scipy.optimize import brentq
 
 import jaxid
 from jaxid import beam
-from jaxid.experiment import Channel, FrequencyResponse, ModelSpec
+from jaxid.experiment import Channel, Experiment, FrequencyResponse, ModelSpec
 from jaxid.frequency import FrequencyResponseError, merged, transfer
 from jaxid.models import FlexibleLink
 from jaxid.models.effects import GeometricStiffening, ViscousFriction
@@ -386,3 +387,26 @@ def test_the_papers_pulse_is_fitted_by_records_and_biased_by_a_linear_response()
     linear = jaxid.fit(model, data, residual=FrequencyResponseError(linear=True, band_hz=band))
     assert linear.loss > 20 * simulated.loss  # dry friction does not exist in a linear response
     assert linear.parameters["E"].value < 0.97 * DE["E"]
+
+
+@pytest.mark.slow
+def test_held_out_data_without_a_line_and_steps_finer_than_samples():
+    """2 ms samples are one step apart, and two where the step is halved; 0.2 s of a constant input hold no line of a response."""
+    t = np.arange(1000) * 2e-3
+    u = np.where(t < 0.3, 0.241, 0.0)
+    y = zero_order_hold(u, 2e-3, 20, DE["v"], 0.0) + np.random.default_rng(1).standard_normal((t.size, 2)) * [1.5e-3, 0.3]
+    channels = (
+        Channel("tau", "input", "N m"),
+        Channel("phi", "output", "rad", 1.5e-3),
+        Channel("tip_acceleration", "output", "m/s^2", 0.3),
+    )
+    run = Experiment("pulse", "fit", t, u[:, None], y, at_rest=True, initial={"phi": 0.0, "qd": 0.0})
+    held = [run.piece(0, 100, name=n, split=n) for n in ("validation", "report")]
+    model = ModelSpec("flexible_link", constants={"n_modes": 2, "alpha": DE["alpha"], "beta": DE["beta"], "tau_c": 0.0})
+    data = jaxid.Dataset("pulse", channels, (run, *held), (), model)
+    with warnings.catch_warnings():
+        warnings.simplefilter("error", RuntimeWarning)
+        fit = jaxid.fit(None, data, residual=FrequencyResponseError(linear=True, timed=("phi",), band_hz=(0.0, 20.0)))
+    assert fit.parameters["E"].value == pytest.approx(DE["E"], rel=0.03)
+    assert set(fit.scores["validation"]) == {"phi", "tip_acceleration"} < set(fit.scores["fit"])
+    assert any("validation data show no line" in n for n in fit.notes)

@@ -14,7 +14,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from jaxid.diagnosis.evidence import held_out, HeldOut, inflation, knowledge, memory, worth
-from jaxid.estimation import Bench, estimate_starts, probes, step_defect, step_error, STEP_SHARE
+from jaxid.estimation import Bench, estimate_starts, finer_predictions, probes, step_error, STEP_SHARE
 from jaxid.fitter import Progress
 from jaxid.fitters import descend, Path, race
 from jaxid.problem import Problem, Rows, rows
@@ -315,10 +315,11 @@ class Searcher:
             starts = h.path.problem.starts(h.path.z) if split == "fit" else None
             if split == "validation" and isinstance(self.residual, OutputError):
                 starts = estimate_starts(self.bench, split, [h.theta])[0]
-            moved = step_defect(p, p.z(h.theta, starts), self.accurate.runs(self.residual, split))
+            z = p.z(h.theta, starts)
+            fine = finer_predictions(p, z, self.accurate.runs(self.residual, split))
             defect = np.zeros_like(p.targets)
-            for number, d in zip(p.records, moved, strict=True):
-                defect[p.runs.record(number).samples] = d
+            for number, halved, coarse in zip(p.records, fine, p.predictions(z), strict=True):
+                defect[p.runs.record(number).samples] = halved - coarse
             self.bench.defects[repr(self.residual), split] = np.nan_to_num(defect)
 
     def _settled(self, chosen: Hypothesis) -> Hypothesis:

@@ -87,7 +87,7 @@ def far_card(diagnosis: Diagnosis) -> tuple[str, list[str]]:
     if how_far.shrinkage is None or verdict == "unknown":
         sentences.append(text.shrinkage_sentence(how_far, verdict))
     elif how_far.shrinkage_interval_95 is None:
-        sentences.append(f"No interval: {how_far.interval_reason.rstrip('.')}.")
+        sentences.append(f"No interval: {how_far.interval_reason.rstrip('.').removeprefix('no interval: ')}.")
     else:
         low, high = how_far.shrinkage_interval_95
         sentences.append(f"95 % interval: {text.percent(low)} to {text.percent(high)}.")

@@ -233,8 +233,11 @@ def parse_study(path: str | Path) -> tuple[Study | None, list[Problem]]:
     if head is None:
         return None, document.problems
     store = path.parent / head.store
-    if store.is_file():
-        document.problems.append(places.problem(("store",), f"{head.store!r} is a file", "Name a folder"))
+    try:
+        if store.is_file():
+            document.problems.append(places.problem(("store",), f"{head.store!r} is a file", "Name a folder"))
+    except (OSError, ValueError) as error:  # a name that is too long
+        document.problems.append(places.problem(("store",), f"{head.store!r} cannot be a folder ({_why(error)})", "Name another"))
     return Study(path, head.name, head.description, store, tasks, parts), document.problems
 
 
