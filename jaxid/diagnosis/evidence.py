@@ -91,7 +91,8 @@ def _free(bench: Bench, split: str, thetas: Sequence[np.ndarray], known: Sequenc
     starts, from_heads = starts_and_information(bench, split, thetas)
     jobs = []
     for k, theta in enumerate(thetas):
-        free = known[k][0] if (known[k] is not None) else []
+        own = known[k]
+        free = [] if own is None else own[0]
         for j, record in enumerate(runs.records):
             p = bench.problem(OutputError(), split, free, theta, [record])
             jobs.append((p, np.clip(p.z(theta, starts[k, j][None]), p.lower, p.upper)))
@@ -99,7 +100,7 @@ def _free(bench: Bench, split: str, thetas: Sequence[np.ndarray], known: Sequenc
     parts = list(rows(jobs))
     per = len(runs.records)
     for k in range(len(thetas)):
-        about = np.zeros((0, 0)) if known[k] is None else known[k][1]
+        about = np.zeros((0, 0)) if (told := known[k]) is None else told[1]
         keep = [scored(runs.experiments[i], split) for i in range(per)]
         own = parts[k * per : (k + 1) * per]
         residual = [_finite(part.r[inside]) for part, inside in zip(own, keep, strict=True)]
