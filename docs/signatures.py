@@ -36,7 +36,7 @@ def _draw(folder: Path, model: str, names: list[str]) -> set[str]:
     from jaxid import catalogue
     from jaxid.binding import bind
     from jaxid.chain import Chain
-    from jaxid.diagnosis.which import candidates
+    from jaxid.diagnosis.hypothesis import candidates
     from jaxid.equivalence import _rich_motion, _with_friction
     from jaxid.estimation import Bench, probes
     from jaxid.residual import OutputError

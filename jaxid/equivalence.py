@@ -16,7 +16,8 @@ import numpy as np
 
 from jaxid.binding import bind, Binding
 from jaxid.chain import Chain
-from jaxid.diagnosis.which import Candidate, candidates, probe_residuals, Retuning
+from jaxid.diagnosis.hypothesis import Candidate, candidates
+from jaxid.diagnosis.screen import probe_residuals, Retuning
 from jaxid.errors import UsageError
 from jaxid.estimation import Bench, probes
 from jaxid.experiment import Dataset

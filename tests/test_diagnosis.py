@@ -104,7 +104,12 @@ def test_a_cause_outside_the_library_is_not_named():
 
 
 def test_wrong_arguments_are_named():
-    data = recording("joint", 5)
+    t = np.arange(400) / 200
+    series = [np.sin(t + k) for k in range(4)]
+    data = jaxid.Dataset.from_arrays(
+        [t] * 4, {"tau": series}, {"q": series}, units={"tau": "N m", "q": "rad"},
+        split=["fit", "fit", "validation", "report"], model="joint",
+    )  # fmt: skip
     wrong: list[tuple[dict[str, Any], str]] = [
         ({"effects": ["dead_zon"]}, "dead_zone"),
         ({"max_effects": 0}, "max_effects"),

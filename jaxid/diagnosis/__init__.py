@@ -11,8 +11,9 @@ import numpy as np
 from jaxid import catalogue
 from jaxid.binding import bind, Binding, resolve_model
 from jaxid.diagnosis import how_far as shrinking, where as location
+from jaxid.diagnosis.hypothesis import Candidate, candidates, Hypothesis, Search
 from jaxid.diagnosis.next_experiment import advice
-from jaxid.diagnosis.which import Candidate, candidates, Hypothesis, Search, Searcher
+from jaxid.diagnosis.which import Searcher
 from jaxid.errors import nearest, UsageError
 from jaxid.estimation import (
     assemble,

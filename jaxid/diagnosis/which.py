@@ -9,15 +9,17 @@ from __future__ import annotations
 
 import itertools
 from collections.abc import Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import replace
 
 import numpy as np
 
-from jaxid.diagnosis.evidence import held_out, HeldOut, inflation, knowledge, memory, worth
-from jaxid.estimation import Bench, estimate_starts, finer_predictions, probes, step_error, STEP_SHARE
+from jaxid.diagnosis.evidence import held_out, inflation, knowledge, memory, worth
+from jaxid.diagnosis.hypothesis import Candidate, Hypothesis, key_of, probes_of, Search, sensible
+from jaxid.diagnosis.screen import probe_residuals, Screened, screened
+from jaxid.estimation import Bench, estimate_starts, finer_predictions, step_error, STEP_SHARE
 from jaxid.fitter import Progress
 from jaxid.fitters import descend, Path, race
-from jaxid.problem import Problem, Rows, rows
+from jaxid.problem import Problem
 from jaxid.residual import InverseDynamics, OutputError, Residual
 
 
@@ -38,67 +40,6 @@ PAIRED = 4
 HALVINGS, CORRECTIONS = 3, 2
 #: Near the floor: nothing worth another effect is left below this mean square on validation data.
 NEAR_FLOOR = 1.02
-
-
-@dataclass(frozen=True)
-class Candidate:
-    """An effect at a location: the positions of its parameters in the layout."""
-
-    effect: str
-    location: str
-    index: tuple[int, ...]
-    refines: str = ""
-
-    def __str__(self) -> str:
-        return f"{self.effect} at {self.location}"
-
-
-@dataclass
-class Hypothesis:
-    """A set of effects with the model refitted to it, and what it predicts."""
-
-    effects: tuple[Candidate, ...]
-    theta: np.ndarray
-    path: Path
-    validation: HeldOut
-
-    @property
-    def fit_loss(self) -> float:
-        return 2 * self.path.cost / max(1, self.path.count)
-
-    @property
-    def size(self) -> int:
-        """Number of effect parameters."""
-        return sum(len(c.index) for c in self.effects)
-
-    @property
-    def bic(self) -> float:
-        return self.path.count * np.log(max(self.fit_loss, 1e-300)) + self.path.problem.free.size * np.log(
-            max(2, self.path.count)
-        )
-
-
-@dataclass
-class Search:
-    """What the search found: the accepted steps, and all that was tried on the way."""
-
-    nominal: Hypothesis
-    chosen: Hypothesis
-    tried: list[Hypothesis] = field(default_factory=list)
-    confusable: list[Candidate] = field(default_factory=list)
-
-
-def candidates(bench: Bench, allowed: Sequence[str]) -> list[Candidate]:
-    """Every allowed effect that the model lacks, at each of its locations."""
-    b = bench.binding
-    out = []
-    for effect in b.chain.effects:
-        if effect.name in allowed and not any(i in b.nominal for i in b.layout.of_effect(effect.name)):
-            for place in b.chain.offers(effect):
-                index = tuple(b.layout.of_effect(effect.name, place))
-                present = any(i in b.nominal for i in b.layout.of_effect(effect.refines, place)) or effect.refines not in allowed
-                out.append(Candidate(effect.name, place, index, "" if present else effect.refines))
-    return out
 
 
 class Searcher:
@@ -136,10 +77,10 @@ class Searcher:
         final = race(groups, 20, 1e-6)
         found = self._hypotheses([(effects, path) for (effects, _), path in zip(sets, final, strict=True)])
         for k, h in enumerate(found):
-            old = self.known.get(_key(h.effects))
+            old = self.known.get(key_of(h.effects))
             if old is not None and old.effects == h.effects and old.fit_loss < h.fit_loss:
                 found[k] = old
-            self.known[_key(h.effects)] = found[k]
+            self.known[key_of(h.effects)] = found[k]
         return found
 
     def _promising(
@@ -172,70 +113,18 @@ class Searcher:
 
     # ---- screen
 
-    def screen(self, h: Hypothesis, pool: Sequence[Candidate]) -> list[tuple[float, Candidate, list[np.ndarray]]]:
-        """Share of the sum of squares that each candidate explains beside `h` to first order in everything but itself.
+    def screen(self, h: Hypothesis, pool: Sequence[Candidate]) -> list[Screened]:
+        """What each candidate explains beside `h` of the residual."""
+        return screened(self.bench, h.path.problem, h.path.z, h.theta, pool)
 
-        Each finite probe is simulated, what re-tuning could do is projected out, and the probe is scaled within [0, 4]
-        (or [-4, 4] where its parameters may have either sign).
-        Returns (share, candidate, starts for the refit), best first.
-        """
-        return self._ranked(h.path.problem, h.path.z, h.theta, pool)
-
-    def torque_screen(self, h: Hypothesis, pool: Sequence[Candidate]) -> list[tuple[float, Candidate, list[np.ndarray]]]:
+    def torque_screen(self, h: Hypothesis, pool: Sequence[Candidate]) -> list[Screened]:
         """The same by the torque that the measured motion lacks. It is blind to what has no place in an inverse (play, springs,
         sensors) and biased by the noise of derivatives, but it does not depend on how far the free run has gone astray."""
         if not self.bench.binding.motions:
             return []
         p = self.bench.problem(InverseDynamics(decimate=1), "fit", h.path.problem.free, h.theta)
         path = descend([(p, p.z(h.theta))], 12, 1e-6)[0]
-        return self._ranked(p, path.z, p.theta(path.z), pool) if np.isfinite(path.cost) else []
-
-    def _ranked(
-        self, p: Problem, z: np.ndarray, theta0: np.ndarray, pool: Sequence[Candidate]
-    ) -> list[tuple[float, Candidate, list[np.ndarray]]]:
-        parts = list(rows([(p, z)]))
-        retuning = Retuning(parts, p.size)
-        remaining = retuning.remaining
-        before = np.concatenate([part.r.ravel() for part in parts])
-        total = float(before @ before)
-        r0 = remaining(before)
-        probes = [(c, theta) for c in pool for theta in self.probes(c, theta0)]
-        residuals = probe_residuals(p, z, [theta for _, theta in probes])
-        best: dict[str, list[tuple[float, np.ndarray, np.ndarray]]] = {}
-        who: dict[str, Candidate] = {}
-        for (c, theta), r in zip(probes, residuals, strict=True):
-            change = r - before
-            if not np.isfinite(change).all():
-                continue
-            d = remaining(change)
-            power = float(d @ d)
-            if power <= 1e-12 * max(total, 1.0) * 1e-6 or power < 1e-6:
-                continue  # the data do not react to this effect
-            entries, lower = self.bench.binding.layout.entries, self.bench.binding.lower
-            both = all(lower[i] < 0 for i in c.index if not entries[i].spec.log)  # an effect of either sign
-            scale = float(np.clip(-(r0 @ d) / power, -4.0 if both else 0.0, 4.0))
-            gain = float(-2 * scale * (r0 @ d) - scale**2 * power)
-            strength = max(scale, 0.05) if scale >= 0 else min(scale, -0.05)
-            start = theta0 + strength * (theta - theta0)
-            for i in c.index:  # a shape parameter has no zero to be scaled from
-                if self.bench.binding.layout.entries[i].spec.log:
-                    start[i] = theta[i]
-            tuned = start.copy()  # and with what re-tuning then does to the other numbers
-            moved = z + np.clip(retuning.step(before + strength * change), -0.2 * (p.upper - p.lower), 0.2 * (p.upper - p.lower))
-            tuned[p.free] = p.theta(np.clip(moved, p.lower, p.upper))[p.free]
-            best.setdefault(str(c), []).append((gain / max(total, 1e-300), tuned, start))
-            who[str(c)] = c
-        ranked = []
-        for name, found in best.items():
-            found.sort(key=lambda f: -f[0])
-            ranked.append((found[0][0], who[name], [start for _, *both in found for start in both]))
-        return sorted(ranked, key=lambda f: -f[0])
-
-    def probes(self, c: Candidate, theta: np.ndarray) -> list[np.ndarray]:
-        """Parameter vectors with one candidate switched on at each of its probe strengths."""
-        b = self.bench.binding
-        effect = next(e for e in b.chain.effects if e.name == c.effect)
-        return probes(b, effect, c.location, theta)
+        return screened(self.bench, p, path.z, p.theta(path.z), pool) if np.isfinite(path.cost) else []
 
     # ---- search
 
@@ -291,7 +180,7 @@ class Searcher:
             self.nominal = self._descended(self.nominal) if chosen.effects else chosen
             self._inflations.clear()
             self._stale |= self.known
-            self.known = {frozenset(): self.nominal, _key(chosen.effects): chosen}
+            self.known = {frozenset(): self.nominal, key_of(chosen.effects): chosen}
         return chosen
 
     def _halved(self) -> Bench:
@@ -304,9 +193,9 @@ class Searcher:
         """The hypothesis at its minimum on the bench as it is now."""
         p = self.problem(h.effects, h.theta)
         end = descend([(p, self._z(p, h))], 20, 1e-9)[0]
-        self._inflations.pop(_key(h.effects), None)
-        self.known[_key(h.effects)] = self._hypotheses([(h.effects, end)])[0]
-        return self.known[_key(h.effects)]
+        self._inflations.pop(key_of(h.effects), None)
+        self.known[key_of(h.effects)] = self._hypotheses([(h.effects, end)])[0]
+        return self.known[key_of(h.effects)]
 
     def _take_off(self, h: Hypothesis) -> None:
         """Sets the defects of the bench's steps, as this hypothesis has them."""
@@ -371,7 +260,7 @@ class Searcher:
 
     def fit_inflation(self, h: Hypothesis) -> float:
         """The same as `inflation` for the residual of the fit runs."""
-        key = _key(h.effects)
+        key = key_of(h.effects)
         if key not in self._inflations:
             series = h.path.problem.residuals(h.path.z)
             self._inflations[key] = max(1.0, h.fit_loss) * memory(series)
@@ -415,7 +304,7 @@ class Searcher:
                 new = second.effects[-1]
                 theta[list(new.index)] = second.theta[list(new.index)]
                 if new not in first.effects and sensible((*first.effects, new)):
-                    sets.append(((*first.effects, new), [theta, *self.probes(new, first.theta)[:2]]))
+                    sets.append(((*first.effects, new), [theta, *probes_of(self.bench, new, first.theta)[:2]]))
         return self.refit(sets) if sets else []
 
     def _plain_pairs(self, c: Candidate, pool: Sequence[Candidate]) -> list[Hypothesis]:
@@ -426,7 +315,7 @@ class Searcher:
         sets = []
         for a, b in itertools.combinations(plain, 2):
             if len(c.index) > 1 and sensible((a, b)):
-                both = [self.probes(b, theta) for theta in self.probes(a, self.nominal.theta)]
+                both = [probes_of(self.bench, b, theta) for theta in probes_of(self.bench, a, self.nominal.theta)]
                 sets.append(((a, b), [theta for thetas in both for theta in thetas]))
         return self.refit(sets) if sets else []
 
@@ -457,12 +346,12 @@ class Searcher:
         factor = inflation(chosen.validation)
         for c in chosen.effects:
             others = tuple(e for e in chosen.effects if e is not c)
-            missing = [e for e in pool if e not in chosen.effects and _key((*others, e)) not in self.known | self._stale]
-            if missing and others and _key(others) in self.known:
-                self._extend(self.known[_key(others)], missing)
-            self._renew([_key((*others, e)) for e in pool if e not in chosen.effects], _key(chosen.effects))
+            missing = [e for e in pool if e not in chosen.effects and key_of((*others, e)) not in self.known | self._stale]
+            if missing and others and key_of(others) in self.known:
+                self._extend(self.known[key_of(others)], missing)
+            self._renew([key_of((*others, e)) for e in pool if e not in chosen.effects], key_of(chosen.effects))
             for e in pool:
-                h = self.known.get(_key((*others, e)))
+                h = self.known.get(key_of((*others, e)))
                 if e in chosen.effects or h is None or e in out or not sensible((*others, e)):
                     continue
                 both = self._joint(h) - self._joint(chosen)
@@ -481,58 +370,9 @@ class Searcher:
         problems = [self.problem(h.effects, h.theta) for h in old]
         paths = descend([(p, self._z(p, h)) for p, h in zip(problems, old, strict=True)], 10, 1e-7) if old else []
         for h in self._hypotheses([(h.effects, path) for h, path in zip(old, paths, strict=True)]) if old else []:
-            self.known[_key(h.effects)] = h
+            self.known[key_of(h.effects)] = h
 
 
 def _head(ranked: list) -> list:
     """What is refitted of a ranking."""
     return [f for k, f in enumerate(ranked) if k < MINIMUM or f[0] >= ranked[0][0] - SCREEN_SHARE]
-
-
-def sensible(effects: Sequence[Candidate]) -> bool:
-    """Whether every effect that refines another has that one beside it: Stribeck friction is what dry friction has more of at
-    low speed, and without it would be a law of its own that no surface has."""
-    return all(not c.refines or any(e.effect == c.refines and e.location == c.location for e in effects) for c in effects)
-
-
-def _key(effects: Sequence[Candidate]) -> frozenset[str]:
-    return frozenset(str(c) for c in effects)
-
-
-class Retuning:
-    """What re-tuning the free numbers can do to a residual vector, to first order."""
-
-    def __init__(self, parts: Sequence[Rows], size: int):
-        J = np.zeros((sum(part.r.size for part in parts), size))
-        k = 0
-        for part in parts:
-            J[k : k + part.r.size, part.z_columns] = part.J.reshape(part.r.size, -1)
-            k += part.r.size
-        norm = np.linalg.norm(J, axis=0)
-        self._kept = np.flatnonzero(norm > 0)
-        self._norm, self._size = norm[self._kept], size
-        Q, s, Vt = np.linalg.svd(J[:, self._kept] / self._norm, full_matrices=False)
-        good = s > 1e-9 * s[0] if s.size else np.zeros(0, bool)
-        self._Q, self._inverse = Q[:, good], (Vt[good] / s[good, None]).T
-
-    def remaining(self, r: np.ndarray) -> np.ndarray:
-        """What it cannot take out."""
-        return r - self._Q @ (self._Q.T @ r)
-
-    def step(self, r: np.ndarray) -> np.ndarray:
-        """The change of z that takes out the rest."""
-        out = np.zeros(self._size)
-        out[self._kept] = -(self._inverse @ (self._Q.T @ r)) / self._norm
-        return out
-
-
-def probe_residuals(p: Problem, z: np.ndarray, thetas: Sequence[np.ndarray]) -> list[np.ndarray]:
-    """Weighted residual vectors at the samples for full parameter vectors, from the starts of z."""
-    runs, n = p.runs, len(p.records)
-    record = np.tile(np.array(p.records), len(thetas))
-    y = runs.engine.outputs(np.repeat(np.array(thetas), n, 0), np.tile(p.starts(z), (len(thetas), 1)), record)
-    each = []
-    for k, number in enumerate(record):
-        at = runs.record(number).samples
-        each.append((p.weights[at] * (runs.sample_prediction(number, y[k]) - p.targets[at])).ravel())
-    return [np.concatenate(each[k : k + n]) for k in range(0, len(each), n)]

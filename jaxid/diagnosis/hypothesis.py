@@ -1,0 +1,89 @@
+"""Candidates and hypotheses: effects at places, and models refitted with some of them."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from jaxid.diagnosis.evidence import HeldOut
+from jaxid.estimation import Bench, probes
+from jaxid.fitters import Path
+
+
+@dataclass(frozen=True)
+class Candidate:
+    """An effect at a location: the positions of its parameters in the layout."""
+
+    effect: str
+    location: str
+    index: tuple[int, ...]
+    refines: str = ""
+
+    def __str__(self) -> str:
+        return f"{self.effect} at {self.location}"
+
+
+@dataclass
+class Hypothesis:
+    """A set of effects with the model refitted to it, and what it predicts."""
+
+    effects: tuple[Candidate, ...]
+    theta: np.ndarray
+    path: Path
+    validation: HeldOut
+
+    @property
+    def fit_loss(self) -> float:
+        return 2 * self.path.cost / max(1, self.path.count)
+
+    @property
+    def size(self) -> int:
+        """Number of effect parameters."""
+        return sum(len(c.index) for c in self.effects)
+
+    @property
+    def bic(self) -> float:
+        return self.path.count * np.log(max(self.fit_loss, 1e-300)) + self.path.problem.free.size * np.log(
+            max(2, self.path.count)
+        )
+
+
+@dataclass
+class Search:
+    """What the search found: the accepted steps, and all that was tried on the way."""
+
+    nominal: Hypothesis
+    chosen: Hypothesis
+    tried: list[Hypothesis] = field(default_factory=list)
+    confusable: list[Candidate] = field(default_factory=list)
+
+
+def candidates(bench: Bench, allowed: Sequence[str]) -> list[Candidate]:
+    """Every allowed effect that the model lacks, at each of its locations."""
+    b = bench.binding
+    out = []
+    for effect in b.chain.effects:
+        if effect.name in allowed and not any(i in b.nominal for i in b.layout.of_effect(effect.name)):
+            for place in b.chain.offers(effect):
+                index = tuple(b.layout.of_effect(effect.name, place))
+                present = any(i in b.nominal for i in b.layout.of_effect(effect.refines, place)) or effect.refines not in allowed
+                out.append(Candidate(effect.name, place, index, "" if present else effect.refines))
+    return out
+
+
+def sensible(effects: Sequence[Candidate]) -> bool:
+    """Whether every effect that refines another has that one beside it: Stribeck friction is what dry friction has more of at
+    low speed, and without it would be a law of its own that no surface has."""
+    return all(not c.refines or any(e.effect == c.refines and e.location == c.location for e in effects) for c in effects)
+
+
+def key_of(effects: Sequence[Candidate]) -> frozenset[str]:
+    return frozenset(str(c) for c in effects)
+
+
+def probes_of(bench: Bench, c: Candidate, theta: np.ndarray) -> list[np.ndarray]:
+    """Parameter vectors with one candidate switched on at each of its probe strengths."""
+    effect = next(e for e in bench.binding.chain.effects if e.name == c.effect)
+    return probes(bench.binding, effect, c.location, theta)

@@ -1,0 +1,99 @@
+"""The screen: what each candidate could explain of a residual, from one simulation of each of its probes."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from jaxid.diagnosis.hypothesis import Candidate, probes_of
+from jaxid.estimation import Bench
+from jaxid.problem import Problem, Rows, rows
+
+
+#: (share explained, candidate, starts of a refit: each probe re-tuned and as it is, best first)
+Screened = tuple[float, Candidate, list[np.ndarray]]
+
+
+def screened(bench: Bench, p: Problem, z: np.ndarray, theta0: np.ndarray, pool: Sequence[Candidate]) -> list[Screened]:
+    """Share of the sum of squares at z that each candidate explains, to first order in everything but itself.
+
+    Each finite probe is simulated, what re-tuning could do is projected out, and the probe is scaled within [0, 4]
+    (or [-4, 4] where its parameters may have either sign). Best first.
+    """
+    parts = list(rows([(p, z)]))
+    retuning = Retuning(parts, p.size)
+    remaining = retuning.remaining
+    before = np.concatenate([part.r.ravel() for part in parts])
+    total = float(before @ before)
+    r0 = remaining(before)
+    probes = [(c, theta) for c in pool for theta in probes_of(bench, c, theta0)]
+    residuals = probe_residuals(p, z, [theta for _, theta in probes])
+    best: dict[str, list[tuple[float, np.ndarray, np.ndarray]]] = {}
+    who: dict[str, Candidate] = {}
+    for (c, theta), r in zip(probes, residuals, strict=True):
+        change = r - before
+        if not np.isfinite(change).all():
+            continue
+        d = remaining(change)
+        power = float(d @ d)
+        if power <= 1e-12 * max(total, 1.0) * 1e-6 or power < 1e-6:
+            continue  # the data do not react to this effect
+        entries, lower = bench.binding.layout.entries, bench.binding.lower
+        both = all(lower[i] < 0 for i in c.index if not entries[i].spec.log)  # an effect of either sign
+        scale = float(np.clip(-(r0 @ d) / power, -4.0 if both else 0.0, 4.0))
+        gain = float(-2 * scale * (r0 @ d) - scale**2 * power)
+        strength = max(scale, 0.05) if scale >= 0 else min(scale, -0.05)
+        start = theta0 + strength * (theta - theta0)
+        for i in c.index:  # a shape parameter has no zero to be scaled from
+            if bench.binding.layout.entries[i].spec.log:
+                start[i] = theta[i]
+        tuned = start.copy()  # and with what re-tuning then does to the other numbers
+        moved = z + np.clip(retuning.step(before + strength * change), -0.2 * (p.upper - p.lower), 0.2 * (p.upper - p.lower))
+        tuned[p.free] = p.theta(np.clip(moved, p.lower, p.upper))[p.free]
+        best.setdefault(str(c), []).append((gain / max(total, 1e-300), tuned, start))
+        who[str(c)] = c
+    ranked = []
+    for name, found in best.items():
+        found.sort(key=lambda f: -f[0])
+        ranked.append((found[0][0], who[name], [start for _, *both in found for start in both]))
+    return sorted(ranked, key=lambda f: -f[0])
+
+
+class Retuning:
+    """What re-tuning the free numbers can do to a residual vector, to first order."""
+
+    def __init__(self, parts: Sequence[Rows], size: int):
+        J = np.zeros((sum(part.r.size for part in parts), size))
+        k = 0
+        for part in parts:
+            J[k : k + part.r.size, part.z_columns] = part.J.reshape(part.r.size, -1)
+            k += part.r.size
+        norm = np.linalg.norm(J, axis=0)
+        self._kept = np.flatnonzero(norm > 0)
+        self._norm, self._size = norm[self._kept], size
+        Q, s, Vt = np.linalg.svd(J[:, self._kept] / self._norm, full_matrices=False)
+        good = s > 1e-9 * s[0] if s.size else np.zeros(0, bool)
+        self._Q, self._inverse = Q[:, good], (Vt[good] / s[good, None]).T
+
+    def remaining(self, r: np.ndarray) -> np.ndarray:
+        """What it cannot take out."""
+        return r - self._Q @ (self._Q.T @ r)
+
+    def step(self, r: np.ndarray) -> np.ndarray:
+        """The change of z that takes out the rest."""
+        out = np.zeros(self._size)
+        out[self._kept] = -(self._inverse @ (self._Q.T @ r)) / self._norm
+        return out
+
+
+def probe_residuals(p: Problem, z: np.ndarray, thetas: Sequence[np.ndarray]) -> list[np.ndarray]:
+    """Weighted residual vectors at the samples for full parameter vectors, from the starts of z."""
+    runs, n = p.runs, len(p.records)
+    record = np.tile(np.array(p.records), len(thetas))
+    y = runs.engine.outputs(np.repeat(np.array(thetas), n, 0), np.tile(p.starts(z), (len(thetas), 1)), record)
+    each = []
+    for k, number in enumerate(record):
+        at = runs.record(number).samples
+        each.append((p.weights[at] * (runs.sample_prediction(number, y[k]) - p.targets[at])).ravel())
+    return [np.concatenate(each[k : k + n]) for k in range(0, len(each), n)]
