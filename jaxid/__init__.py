@@ -25,7 +25,7 @@ if _TYPE_CHECKING:
     )
     from jaxid.identification import identify as identify
     from jaxid.problem import Problem as Problem
-    from jaxid.results import Diagnosis as Diagnosis, Fit as Fit, Simulation as Simulation
+    from jaxid.results import Diagnosis as Diagnosis, Fit as Fit
 
 
 # Public name -> the module that holds it; None: the name is itself a sub-package.
@@ -39,7 +39,6 @@ _HOME = {
     "Experiment": "jaxid.experiment",
     "Fit": "jaxid.results",
     "Problem": "jaxid.problem",
-    "Simulation": "jaxid.results",
     "UsageError": "jaxid.errors",
     "compare": "jaxid.api",
     "diagnose": "jaxid.api",

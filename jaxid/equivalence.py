@@ -16,7 +16,7 @@ import numpy as np
 
 from jaxid.binding import bind, Binding
 from jaxid.chain import Chain
-from jaxid.diagnosis.hypothesis import Candidate, candidates
+from jaxid.diagnosis.hypothesis import Candidate, candidates, probes_of
 from jaxid.diagnosis.screen import probe_residuals, Retuning
 from jaxid.errors import UsageError
 from jaxid.estimation import Bench, probes
@@ -95,8 +95,7 @@ def equivalences(model: str) -> Equivalences:
     pool = candidates(bench, tuple(k.name for k in library))
     shapes, thetas, owner = binding.layout.log, [], []
     for k, c in enumerate(pool):
-        effect = next(e for e in binding.chain.effects if e.name == c.effect)
-        for full in probes(binding, effect, c.location, theta):
+        for full in probes_of(bench, c, theta):
             weak = np.where(shapes, full, theta + WEAK * (full - theta))
             thetas += [full, weak]
             owner.append(k)
@@ -145,16 +144,13 @@ def _orders(seen: dict[Place, tuple[np.ndarray, Candidate]], pair: tuple[Place, 
 
 def _explains(bench: Bench, p: Problem, z: np.ndarray, truth: Candidate, other: Candidate) -> bool:
     """Whether the model with one effect follows the recording that the other one makes."""
-    b = bench.binding
-    of = lambda c: probes(b, next(e for e in b.chain.effects if e.name == c.effect), c.location, p.theta(z))
-    strengths = of(truth)
-    made = p.runs.engine.outputs(np.array([strengths[-1]]), p.starts(z), np.array(p.records))[0]
+    made = p.runs.engine.outputs(np.array([probes_of(bench, truth, p.theta(z))[-1]]), p.starts(z), np.array(p.records))[0]
     (number,) = p.records
     record = p.runs.record(number)
     targets = p.runs.targets.copy()
     targets[record.offset : record.offset + record.count] = made[: record.count]
     left = []
-    for free, starts in ((list(p.free), [p.theta(z)]), ([*p.free, *other.index], of(other))):
+    for free, starts in ((list(p.free), [p.theta(z)]), ([*p.free, *other.index], probes_of(bench, other, p.theta(z)))):
         problem = bench.problem(OutputError(), "fit", free, starts[0])
         problem.targets = targets
         (path,), _ = search([[(problem, problem.z(theta)) for theta in starts]], 25, 1e-10)

@@ -22,11 +22,6 @@ from jaxid.results import EffectEstimate, Estimate, Fit, Score, Trace
 from jaxid.uncertainty import Covariance, covariance
 
 
-#: Halving the step must not move the simulation by more than this share of what separates it from the data, or by more
-#: than this share of the noise.
-STEP_SHARE = 0.02
-
-
 @dataclass
 class Bench:
     """Runs of a binding made ready, one set per split and residual, with the same step. `differences`: where its problems take
@@ -310,35 +305,6 @@ def is_candidate(binding: Binding, effect: str) -> bool:
     """Whether an effect is not part of the nominal model but was put into the chain afterwards."""
     entries = binding.layout.of_effect(effect)
     return not any(i in binding.nominal for i in entries)
-
-
-def finer_predictions(problem: Problem, z: np.ndarray, finer: Runs) -> list[np.ndarray]:
-    """Predictions at z by runs with finer steps: per record of the problem [samples columns]."""
-    lanes = np.array(problem.records)
-    fine = finer.engine.outputs(np.tile(problem.theta(z), (lanes.size, 1)), problem.starts(z), lanes)
-    return [finer.sample_prediction(r, row) for r, row in zip(lanes, fine, strict=True)]
-
-
-def _counted(runs: Runs, records: Sequence[int], values: Sequence[np.ndarray]) -> list[np.ndarray]:
-    """Of values [samples columns] of each record those that have weight: one array a column."""
-    weighs = np.concatenate([runs.weights[runs.record(r).samples] > 0 for r in records])
-    together = np.concatenate(list(values))
-    return [together[weighs[:, c], c] for c in range(together.shape[1])]
-
-
-def step_error(bench: Bench, problem: Problem, z: np.ndarray, residual: Residual, finer: Bench | None = None) -> float:
-    """How much the simulation at z moves when the step is halved, over the larger of noise and gap (rms, worst column)."""
-    finer = finer or Bench(bench.binding, bench.step / 2)
-    runs, records = finer.runs(residual, "fit"), problem.records
-    # Column by column: lines of a response and samples in time share a record, and other rows of it where the step is finer.
-    coarse = _counted(problem.runs, records, problem.predictions(z))
-    halved = _counted(runs, records, finer_predictions(problem, z, runs))
-    target = _counted(problem.runs, records, [problem.targets[problem.runs.record(r).samples] for r in records])
-    worst = 0.0
-    for c, h, y, noise in zip(coarse, halved, target, problem.runs.noise, strict=True):
-        if c.size:
-            worst = max(worst, float(np.sqrt(np.mean((h - c) ** 2)) / max(np.sqrt(np.mean((c - y) ** 2)), noise)))
-    return worst if np.isfinite(worst) else 0.0
 
 
 def assemble(

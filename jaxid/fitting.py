@@ -13,12 +13,13 @@ import numpy as np
 from jaxid import samples
 from jaxid.binding import Binding
 from jaxid.errors import UsageError
-from jaxid.estimation import assemble, Bench, default_residual, probe_starts, start_values, step_error, STEP_SHARE
+from jaxid.estimation import assemble, Bench, default_residual, probe_starts, start_values
 from jaxid.fitter import AbstractFitter, Minimum, Progress
 from jaxid.fitters import LevenbergMarquardt
 from jaxid.problem import Problem
 from jaxid.residual import InverseDynamics, Residual
 from jaxid.results import Fit
+from jaxid.stepping import step_error, STEP_SHARE
 
 
 def fit_binding(
@@ -69,7 +70,7 @@ def fit_seeds(
             ended[seed] = bench, problem, result
             if result.failed or not simulated or step <= samples.STEP / 8:
                 continue
-            moved = step_error(bench, problem, result.z, residual, benches.of(step / 2))
+            moved = step_error(problem, result.z, benches.of(step / 2).runs(residual, "fit"))
             if moved > STEP_SHARE:
                 finer[seed] = problem.theta(result.z)
                 notes[seed].append(

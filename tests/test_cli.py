@@ -70,7 +70,7 @@ def test_help_is_quick():
         after = resource.getrusage(resource.RUSAGE_CHILDREN)
         return after.ru_utime + after.ru_stime - before.ru_utime - before.ru_stime
 
-    assert min(seconds() for _ in range(6)) <= 0.25
+    assert any(seconds() <= 0.2 for _ in range(12))  # its own time, in the best of a busy machine's moments
 
 
 @pytest.mark.parametrize("name", COMMANDS)

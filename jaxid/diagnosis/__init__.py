@@ -100,7 +100,7 @@ def _search(
     seed: int,
     progress: Progress | None,
 ) -> tuple[Bench, Fit, Search, float]:
-    """Nominal fit and search; the search itself goes to finer steps where the step matters."""
+    """Nominal fit and search, and the bench whose steps no longer matter."""
     began = time.perf_counter()
     bench = Bench(binding, differences=1)  # hundreds of models, each simulated a few times: tangents would compile longer
     guesses = start_values(bench, binding.free, seed)

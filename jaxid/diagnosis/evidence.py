@@ -91,8 +91,7 @@ def _free(bench: Bench, split: str, thetas: Sequence[np.ndarray], known: Sequenc
     starts, from_heads = starts_and_information(bench, split, thetas)
     jobs = []
     for k, theta in enumerate(thetas):
-        own = known[k]
-        free = [] if own is None else own[0]
+        free = [] if (told := known[k]) is None else told[0]
         for j, record in enumerate(runs.records):
             p = bench.problem(OutputError(), split, free, theta, [record])
             jobs.append((p, np.clip(p.z(theta, starts[k, j][None]), p.lower, p.upper)))

@@ -7,6 +7,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
+from jaxid.chain import Effect
 from jaxid.diagnosis.evidence import HeldOut
 from jaxid.estimation import Bench, probes
 from jaxid.fitters import Path
@@ -83,7 +84,10 @@ def key_of(effects: Sequence[Candidate]) -> frozenset[str]:
     return frozenset(str(c) for c in effects)
 
 
+def effect_of(bench: Bench, c: Candidate) -> Effect:
+    return next(e for e in bench.binding.chain.effects if e.name == c.effect)
+
+
 def probes_of(bench: Bench, c: Candidate, theta: np.ndarray) -> list[np.ndarray]:
     """Parameter vectors with one candidate switched on at each of its probe strengths."""
-    effect = next(e for e in bench.binding.chain.effects if e.name == c.effect)
-    return probes(bench.binding, effect, c.location, theta)
+    return probes(bench.binding, effect_of(bench, c), c.location, theta)

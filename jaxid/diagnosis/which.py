@@ -14,13 +14,14 @@ from dataclasses import replace
 import numpy as np
 
 from jaxid.diagnosis.evidence import held_out, inflation, knowledge, memory, worth
-from jaxid.diagnosis.hypothesis import Candidate, Hypothesis, key_of, probes_of, Search, sensible
+from jaxid.diagnosis.hypothesis import Candidate, effect_of, Hypothesis, key_of, probes_of, Search, sensible
 from jaxid.diagnosis.screen import probe_residuals, Screened, screened
-from jaxid.estimation import Bench, estimate_starts, finer_predictions, step_error, STEP_SHARE
+from jaxid.estimation import Bench, estimate_starts
 from jaxid.fitter import Progress
 from jaxid.fitters import descend, Path, race
 from jaxid.problem import Problem
 from jaxid.residual import InverseDynamics, OutputError, Residual
+from jaxid.stepping import finer_predictions, step_error, STEP_SHARE
 
 
 #: A difference of held-out evidence below this many chi-square units (3 sigma) decides nothing.
@@ -137,12 +138,12 @@ class Searcher:
                 break
             found = self._extend(chosen, rest)
             if len(chosen.effects) == 1:  # two others may explain more than the first choice and one beside it
-                found += self._pairs(self.nominal, singles)
+                found += self._pairs(singles)
             singles = found
             tried += found
             step = self._best(chosen, found)
             if step is None and len(chosen.effects) + 2 <= max_effects:
-                step = self._best(chosen, self._pairs(chosen, found))
+                step = self._best(chosen, self._pairs(found))
                 tried += [step] if step else []
             if step is None:
                 break
@@ -170,7 +171,7 @@ class Searcher:
         chosen = self._descended(chosen)
         for _ in range(HALVINGS):
             p = self.accurate.problem(self.residual, "fit", chosen.path.problem.free, chosen.theta)
-            if step_error(self.accurate, p, self._z(p, chosen), self.residual, finer := self._halved()) <= STEP_SHARE:
+            if step_error(p, self._z(p, chosen), (finer := self._halved()).runs(self.residual, "fit")) <= STEP_SHARE:
                 break
             self.accurate = finer
         if self.accurate is not self.bench:
@@ -227,7 +228,7 @@ class Searcher:
         return low and max(memory(h.validation.settled), memory(h.path.problem.residuals(h.path.z))) <= 2
 
     def _finished(self, h: Hypothesis) -> bool:
-        """Down to the noise: near the floor, or white close above it (quantisation adds to a stated noise)."""
+        """Down to the noise: near the floor, or white close above it (a stated noise may be a little low)."""
         worst = max(h.validation.loss, h.fit_loss)
         white = self.fit_inflation(h) < 1.5 * max(1.0, h.fit_loss) and memory(h.validation.settled) <= 2
         return worst < NEAR_FLOOR or (worst < 1.5 and white)
@@ -267,8 +268,8 @@ class Searcher:
         return self._inflations[key]
 
     def _significant(self, before: Hypothesis, after: Hypothesis) -> bool:
-        """Whether the effects that `after` has beyond `before` are there: fit and validation runs together decide, the fit runs
-        alone must show them (dozens of candidates are tried), and the validation runs must agree."""
+        """Whether the effects that `after` has beyond `before` are there: fit and validation runs together decide, by more where
+        more is added (dozens of candidates are tried), and each of the two must agree."""
         fitted, held = self._evidence(before, after)
         left = max(before.validation.loss - 1.0, 1e-12)
         share = (before.validation.loss - after.validation.loss) / left
@@ -293,7 +294,7 @@ class Searcher:
         total = h.fit_loss * h.path.count + h.validation.loss * h.validation.count
         return total / (h.path.count + h.validation.count)
 
-    def _pairs(self, before: Hypothesis, found: Sequence[Hypothesis]) -> list[Hypothesis]:
+    def _pairs(self, found: Sequence[Hypothesis]) -> list[Hypothesis]:
         """Two effects at once, where one alone brings nothing (a nominal term may stand in for both)."""
         singles = sorted(found, key=lambda h: h.fit_loss)[:PAIRED]
         sets = []
@@ -310,17 +311,16 @@ class Searcher:
     def _plain_pairs(self, c: Candidate, pool: Sequence[Candidate]) -> list[Hypothesis]:
         """Two laws of one number each in the place of one of the same kind with several: dry friction and drag, each alone of no
         use beside a viscous term that stands in for both, look like friction that remembers."""
-        kind = self._kind(c)
-        plain = [e for e in pool if e.location == c.location and len(e.index) == 1 and self._kind(e) == kind]
+        if len(c.index) < 2:
+            return []
+        kind = lambda e: type(effect_of(self.bench, e)).__module__
+        plain = [e for e in pool if e.location == c.location and len(e.index) == 1 and kind(e) == kind(c)]
         sets = []
         for a, b in itertools.combinations(plain, 2):
-            if len(c.index) > 1 and sensible((a, b)):
+            if sensible((a, b)):
                 both = [probes_of(self.bench, b, theta) for theta in probes_of(self.bench, a, self.nominal.theta)]
                 sets.append(((a, b), [theta for thetas in both for theta in thetas]))
         return self.refit(sets) if sets else []
-
-    def _kind(self, c: Candidate) -> str:
-        return type(next(e for e in self.bench.binding.chain.effects if e.name == c.effect)).__module__
 
     def _questioned(self, h: Hypothesis) -> Hypothesis:
         """Takes out effects that are no longer needed beside the others; the smaller set gets every chance, starting from
