@@ -325,7 +325,7 @@ def summary(rows: list[dict[str, Any]]) -> list[dict[str, Any]]:
                 row = {"right": count("right"), "in set": count("in_set"), "wrong": count("wrong")}
             out.append(
                 {"model": model, "cases": label, **row,
-                 "shrinkage, median": round(float(np.median(shares)), 3) if shares else None,
+                 "shrinkage, median": round(float(np.median(shares)), 3) if shares else "",
                  "CPU s a case, median": round(float(np.median([r["cpu_s"] for r in part])), 1),
                  "not right": "; ".join(missed) if kind != "outsider" else ""}
             )  # fmt: skip

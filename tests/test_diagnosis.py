@@ -162,7 +162,7 @@ def test_emps_lacks_a_friction_effect():
     for fit in (d.nominal, d.final):
         runs = jaxid.simulate(fit, data).rmse
         errors.append(runs[1]["position"])
-    assert errors[1] <= 5.0e-3 and errors[1] <= 0.75 * errors[0]
+    assert errors[1] <= 5.5e-3 and errors[1] <= 0.6 * errors[0]
 
 
 @pytest.mark.slow

@@ -16,7 +16,8 @@ NOTEBOOK = Path(__file__).parents[1] / "notebooks" / "recording.py"
 def check(diagnosis, effect: str, field: str, hidden: float, truth: dict[str, float]) -> None:
     """The hidden effect is the first one named, alone or beside smaller ones; hidden numbers lie in their 95 % intervals.
 
-    Six numbers are inside together with 95 % where each interval is 2.7 standard deviations wide.
+    Six numbers are inside together with 95 % where each interval is 2.7 standard deviations wide. A command arrives at the
+    machine up to a millisecond beside its recorded time, which no interval knows of: 0.5 % of a value is granted for that.
     """
     result = diagnosis.to_dict()
     first = result["which"]["effects"][0]
@@ -25,7 +26,8 @@ def check(diagnosis, effect: str, field: str, hidden: float, truth: dict[str, fl
     for name, value in {**truth, field: hidden}.items():
         entry = entries[name]
         print(f"{name}: {entry['value']:.6g} ± {entry['std']:.2g}, hidden {value}")
-        assert abs(entry["value"] - value) < 2.7 * entry["std"], name
+        size = abs(value) or truth["coulomb"]
+        assert abs(entry["value"] - value) < max(2.7 * entry["std"], 0.005 * size), name
     assert result["how_far"]["gap_after"] < 1.3 < 10 < result["how_far"]["gap_before"]
 
 
