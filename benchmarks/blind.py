@@ -14,6 +14,7 @@ import json
 import sys
 import time
 import zlib
+from functools import cache
 from pathlib import Path
 from typing import Any
 
@@ -218,9 +219,10 @@ def recordings(cases: list[dict[str, Any]], seed: int) -> list[Dataset]:
     return out
 
 
-def classes(model: str) -> tuple[list[set[str]], set[str]]:
+@cache
+def classes(model: str, without: tuple[str, ...]) -> tuple[list[set[str]], set[str]]:
     """Effects that are exactly equivalent on a model (names; by the joint where they act), and those it absorbs."""
-    found = equivalences(model)
+    found = equivalences(model, without)
     groups = [{str(p) for p in c} for c in found.classes]
     return groups, {str(p) for p in (*found.absorbed, *found.invisible)}
 
@@ -267,14 +269,13 @@ def run(
     for model in models:
         cases = plan(model, seed, kinds)
         keep = [k for k in range(len(cases)) if (k * 0.6180339887) % 1 < share]
-        groups = None
         data = recordings(cases, seed)
         for k in keep:
             case = cases[k]
             label = " + ".join(f"{e} at {p}" for e, p in case["effects"]) or f"nothing, {k}"
             key = (model, case["kind"], label, seed)
             if key not in done:
-                groups = groups or classes(model)
+                groups = classes(model, tuple(case["without"]))
                 began = time.process_time()
                 d = diagnose(model, data[k], without=case["without"], seed=0)
                 row = {"model": model, "kind": case["kind"], "case": label, "seed": seed, **score(case, d, *groups),

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import itertools
 import warnings
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -33,6 +34,8 @@ ABSORBED, WEAK = 3e-3, 1e-3
 #: last probe, is fitted with the other, and they are alike where both fits leave less than LEFT of what re-tuning alone leaves.
 PARALLEL, LEFT = 0.999, 0.02
 RATE, SECONDS = 200, 5.0
+#: The motion that is compared on travels so far at most (rad, m).
+TRAVEL = 2.5
 
 
 @dataclass(frozen=True)
@@ -74,17 +77,18 @@ class Equivalences:
         return "\n".join([*lines, "", "Weak effects are alike more often, and a poor excitation makes more classes."])
 
 
-def equivalences(model: str) -> Equivalences:
-    """Equivalent and absorbed effects of a model at its default parameters, without controller, every output measured.
+def equivalences(model: str, without: Sequence[str] = ()) -> Equivalences:
+    """Equivalent and absorbed effects of a model at its default parameters, without controller, every output measured; `without`
+    takes built-in ones out of the model, which are then candidates too.
 
     Raises `UsageError` for an unknown model and for one that has no moderate motion at its defaults.
     """
     from jaxid import catalogue
 
-    chain = Chain(catalogue.model_class(model)())
+    chain = Chain(catalogue.model_class(model)()).without(*without)
     library = [k for n in catalogue.effect_names() if n not in chain.contents and chain.offers(k := catalogue.effect_class(n))]
     data, text = _rich_motion(chain, model)
-    binding = bind(model, data, candidates=library, splits=False)
+    binding = bind(model, data, without=without, candidates=library, splits=False)
     bench = Bench(binding)
     theta = _with_friction(binding)
     p = bench.problem(OutputError(), "fit", binding.free, theta)
@@ -204,12 +208,13 @@ def _rich_motion(chain: Chain, model: str) -> tuple[Dataset, str]:
     stated = {
         e.name: {"value": float(v)} for e, v in zip(Layout(chain).entries, Layout(chain).values, strict=True) if not e.spec.fixed
     }
-    best = None
+    best, limit = None, TRAVEL
     for strength in 10.0 ** np.arange(-3, 4.1, 0.5) if names else [1.0]:
         run = simulate_dataset({"parameters": stated, "effects": []}, recorded(strength), None).runs[0]
         y = {n: np.asarray(run[n]) for n, _ in chain.signature.outputs}
         spread = max(float(np.ptp(y[j])) for j in chain.signature.joints if j in y)
-        if not np.isfinite(spread) or spread > 2.5:
+        limit = max(limit, 1.2 * min(spread, 2 * np.pi)) if best is None else limit  # what falls by itself moves more
+        if not np.isfinite(spread) or spread > limit:
             break
         best = strength, y, spread
     if best is None or best[2] < 1e-6:

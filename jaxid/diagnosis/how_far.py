@@ -12,6 +12,8 @@ from jaxid.results import ChannelGap, HowFar
 #: An interval needs at least this many independent blocks.
 BLOCKS = 8
 DRAWS = 2000
+#: A model without a gap on fit and validation data is told of one this large (in multiples of the noise) on report data.
+UNSEEN = 1.5
 
 
 def measure(
@@ -32,6 +34,11 @@ def measure(
     reason = ""
     if verdict == "none":
         reason = "the verdict is none: there is no gap to shrink"
+        if gaps[2] > UNSEEN:
+            note += (
+                f" The {split} runs are {gaps[2]:.3g} times the noise away all the same: they go where fit and validation runs "
+                "do not, with numbers that those do not determine. Fit runs that go there tell more."
+            )
     elif gaps[0] <= 1.0:
         reason = "the gap was at the noise floor on report data before any effect was added"
     else:

@@ -121,7 +121,8 @@ class Searcher:
     def torque_screen(self, h: Hypothesis, pool: Sequence[Candidate]) -> list[Screened]:
         """The same by the torque that the measured motion lacks. It is blind to what has no place in an inverse (play, springs,
         sensors) and biased by the noise of derivatives, but it does not depend on how far the free run has gone astray."""
-        if not self.bench.binding.motions:
+        binding = self.bench.binding
+        if not binding.motions or binding.chain.mechanism.hidden_states:
             return []
         p = self.bench.problem(InverseDynamics(decimate=1), "fit", h.path.problem.free, h.theta)
         path = descend([(p, p.z(h.theta))], 12, 1e-6)[0]
