@@ -16,7 +16,7 @@ from typing import Any, ClassVar
 import jax
 import numpy as np
 
-from jaxid.fitter import AbstractFitter, Log, Minimum, sampling_box
+from jaxid.fitter import AbstractFitter, Log, Minimum, Progress, sampling_box
 from jaxid.objective import AbstractProblem, expand, Linear, linearise
 
 
@@ -47,6 +47,14 @@ class LevenbergMarquardt(AbstractFitter):
         """`minimise` of several (problem, starts, key) on the same runs, each with the budget: the same bits as one by one, with
         all linearisations in the same batches."""
         return self._search(jobs, [Log(problem, self.name, budget) for problem, _, _ in jobs])
+
+    def path(
+        self, problem: AbstractProblem, starts: Sequence[np.ndarray], key: Any, progress: Progress | None = None
+    ) -> tuple[Path, Log]:
+        """The best descent itself and its course, for who goes on from there."""
+        log = Log(problem, self.name, progress=progress)
+        group = [(problem, z) for z in guesses(problem, starts, self.restarts, key)]
+        return search([group], self.iterations, self.tolerance, [log])[0][0], log
 
     def _search(self, jobs: Sequence[tuple[AbstractProblem, Sequence[np.ndarray], Any]], logs: Sequence[Log]) -> list[Minimum]:
         groups = [[(problem, z) for z in guesses(problem, starts, self.restarts, key)] for problem, starts, key in jobs]

@@ -24,6 +24,7 @@ from jaxid.chain import Carry, Chain, Command
 from jaxid.layout import Layout
 from jaxid.precision import float64
 from jaxid.samples import BLOCK, bucket, Record, Samples
+from jaxid.traced import key_of, Traced
 
 
 #: Lanes of one block: enough for vector code, few enough to stay in the cache.
@@ -180,8 +181,9 @@ def programs_for(layout: Layout, lane: Lane, length: int, reach: int, burn: bool
             return jax.jvp(f, (theta, start), (dtheta, dstart))
 
         batch = jax.vmap(predict, (0, 0, 0, None, None))
-        tangents = jax.jit(jax.vmap(tangent, (0, 0, 0, 0, 0, None, None)))
-        _PROGRAMS[key] = Programs(batch, jax.jit(batch), tangents, {}, set())
+        tangents = jax.vmap(tangent, (0, 0, 0, 0, 0, None, None))
+        kept = lambda name: key_of(lane, layout.model(np.zeros(len(layout))), name, layout.names, length, reach, burn)
+        _PROGRAMS[key] = Programs(batch, Traced(batch, kept("outputs")), Traced(tangents, kept("tangents")), {}, set())
     return _PROGRAMS[key]
 
 

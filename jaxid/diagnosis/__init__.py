@@ -106,29 +106,30 @@ def _search(
     guesses = start_values(bench, binding.free, seed)
     problem = bench.problem(residual, "fit", binding.free, guesses[0])
     fitter = LevenbergMarquardt()
-    result = fitter.minimise(problem, [problem.z(g) for g in guesses], jax.random.key(seed), None, progress)
-    if result.failed:
-        raise UsageError(f"the nominal model cannot be fitted: {result.stopped_because}")
-    nominal = descend([(problem, result.z)], 3, 1e-9)[0]
+    nominal, log = fitter.path(problem, [problem.z(g) for g in guesses], jax.random.key(seed), progress)
+    if not np.isfinite(nominal.cost):
+        raise UsageError(
+            "the nominal model cannot be fitted: the simulation diverges at every candidate; give other start values or bounds"
+        )
+    converged, stopped = nominal.converged, nominal.stopped
+    nominal = descend([(problem, nominal.z)], 3, 1e-9)[0]
+
+    def minimum(z: np.ndarray, loss: float) -> Minimum:
+        return Minimum(z, loss, converged, stopped, log.evaluations, log.history)
+
     searcher = Searcher(bench, residual, nominal, progress)
     try:
         search = searcher.run(candidates(bench, allowed), max_effects)
     except KeyboardInterrupt as stop:  # what is finished is a result too
-        minimum = Minimum(nominal.z, result.loss, result.converged, result.stopped_because, result.evaluations)
         spent = time.perf_counter() - began
-        raise Interrupted(assemble(bench, problem, minimum, residual, fitter.name, seed, 0.0, spent)) from stop
+        found = minimum(nominal.z, 2 * nominal.cost / nominal.count)
+        raise Interrupted(assemble(bench, problem, found, residual, fitter.name, seed, 0.0, spent)) from stop
     bench = searcher.bench
     compile_time = sum(b.compile_time() for b in (*searcher.benches, bench))
     path = search.nominal.path
-    minimum = Minimum(path.z, search.nominal.fit_loss, result.converged, result.stopped_because, result.evaluations,
-                      result.history)  # fmt: skip
     spent = time.perf_counter() - began
-    return (
-        bench,
-        assemble(bench, path.problem, minimum, residual, fitter.name, seed, compile_time, spent),
-        search,
-        compile_time,
-    )
+    found = minimum(path.z, search.nominal.fit_loss)
+    return bench, assemble(bench, path.problem, found, residual, fitter.name, seed, compile_time, spent), search, compile_time
 
 
 def judge(search: Search) -> tuple[str, str]:
