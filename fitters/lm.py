@@ -120,7 +120,7 @@ def search(
 
 #: Stages of a race, as of `STAGES`, with the number of groups that take the whole stage; those whose cost is within WITHIN of the
 #: best do so in any case.
-HEATS = ((0.1, 5, 1, None), (0.4, 6, 2, None), (1.0, 5, 1, 8), (1.0, None, 1, 4))
+HEATS = ((0.1, 5, 2, None), (0.4, 6, 2, None), (1.0, 5, 1, 8), (1.0, None, 1, 4))
 WITHIN = 1.5
 
 
@@ -130,7 +130,7 @@ def race(groups: Sequence[Sequence[tuple[AbstractProblem, np.ndarray]]], iterati
     current = [list(g) for g in groups]
     paths: list[Path] = []
     for heat, (share, steps, keep, front) in enumerate(HEATS):
-        if heat == 1:  # a short look leaves much undetermined: the first starts go on as they were, too
+        if heat == 1:  # a short look leaves much undetermined: the first two starts go on as they were, too
             current = [[*now, *g[:2]] for now, g in zip(current, groups, strict=True)]
         order = sorted(range(len(paths)), key=lambda k: paths[k].cost)
         ahead = [k for n, k in enumerate(order) if front is None or n < front or paths[k].cost <= WITHIN * paths[order[0]].cost]

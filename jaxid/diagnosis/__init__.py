@@ -152,6 +152,11 @@ def judge(search: Search) -> tuple[str, str]:
             f"The model lacks {names}, which explains {100 * closed:.0f} % of the gap on validation data; a clear remainder "
             f"({left:.3g} times the noise) stays unexplained."
         )
+    if search.chosen.fit_loss <= 1.1 < search.nominal.fit_loss:
+        return "partly", (
+            f"The model lacks {names}: with it the fit runs are followed down to the noise. The validation runs go where the fit "
+            f"runs do not: there {100 * closed:.0f} % of the gap is explained and {left:.3g} times the noise is left."
+        )
     return "unknown", (
         f"No effect explains most of the gap: the best, {names}, explains {100 * closed:.0f} % of it and leaves "
         f"{left:.3g} times the noise."

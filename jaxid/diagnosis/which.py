@@ -30,6 +30,9 @@ DECISIVE = 9.0
 SCREEN_SHARE, MINIMUM, MAXIMUM = 0.02, 6, 16
 #: Starts of each refit that come from the screen: two of the best to first order, and the best of all probes as they simulate.
 STARTS = 4
+#: A hypothesis that leaves less than this share of what the best one on validation data leaves of the fit runs, and less over
+#: both (mean logarithm), is preferred to it: validation runs may go where the fit runs tell little of any hypothesis.
+CONFLICT = 0.5
 #: An effect must remove at least this share of what is left of the gap on validation data.
 GAIN = 0.02
 #: Timing comes before physics: these are always refitted first, and win a tie. One sample of offset between two channels, or the
@@ -74,7 +77,9 @@ class Searcher:
         groups = []
         for (effects, thetas), more in zip(sets, self._torque_starts(sets), strict=True):
             p = self.problem(effects, thetas[0])
-            groups.append([(p, p.z(theta, starts)) for theta in [*thetas, *more]])
+            groups.append(
+                [(p, p.z(theta, starts)) for theta in [thetas[0], *more, *thetas[1:]]]
+            )  # the race favours the first two
         final = race(groups, 20, 1e-6)
         found = self._hypotheses([(effects, path) for (effects, _), path in zip(sets, final, strict=True)])
         for k, h in enumerate(found):
@@ -244,13 +249,14 @@ class Searcher:
             return []
         if self.progress:
             self.progress("screen", len(h.effects), 3, f"{len(ranked or by_torque)} candidates react to the data")
-        kept = _head(ranked)
+        blind = not (by_torque or h.effects)  # a model with inner states: all that reacts is tried
+        kept = ranked if blind else _head(ranked)
         names = {str(c) for _, c, _ in kept}
         more = {str(c) for _, c, _ in _head(by_torque)} - names
         ranked = ranked or by_torque
         first = [f for f in ranked if f[1].effect in TIMING and not h.effects]
         others = [f for f in (*kept, *(f for f in ranked if str(f[1]) in more)) if f not in first]
-        kept = [*first, *others][:MAXIMUM]
+        kept = [*first, *others][: 2 * MAXIMUM if blind else MAXIMUM]
         if self.progress:
             self.progress("refit", len(h.effects), 3, f"{len(kept)} candidates")
         return self.refit([((*h.effects, c), starts) for _, c, starts in kept])
@@ -284,6 +290,11 @@ class Searcher:
         if not good:
             return None
         top = min(good, key=lambda h: h.validation.loss)
+        both = lambda h: h.path.count * np.log(h.fit_loss) + h.validation.count * np.log(h.validation.loss)
+        rival = min(good, key=both)
+        if rival.fit_loss < CONFLICT * top.fit_loss:
+            top = rival
+            good = [h for h in good if CONFLICT * h.fit_loss < top.fit_loss]
         factor = inflation(top.validation)
         near = [h for h in good if worth(top.validation, h.validation, factor) < DECISIVE]
         fewest = min(h.size for h in near)
