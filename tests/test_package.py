@@ -181,6 +181,7 @@ def test_what_is_built(tmp_path):
     build = "from setuptools import build_meta as b; print(b.build_wheel('.'), b.build_sdist('.'))"
     result = subprocess.run([sys.executable, "-c", build], cwd=source, capture_output=True, text=True)
     assert result.returncode == 0, result.stderr
+    assert "would be ignored" not in result.stderr + result.stdout, "a folder that setuptools knows twice"
     with tarfile.open(next(source.glob("*.tar.gz"))) as archive:
         members = {m.name.split("/", 1)[1] for m in archive.getmembers() if m.isfile()}
     assert files - members == set(), "the source distribution misses files; name them in MANIFEST.in"
