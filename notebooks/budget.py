@@ -19,7 +19,7 @@ CANDIDATES = ("dead_zone", "input_delay", "stribeck_friction", "quadratic_drag")
 #: Comparison of fitters: which, how many seeds, how many evaluations each.
 COMPARED = ("lm", "de", "rde") if SMALL else ("lm", "hybrid", "de", "rde", "pso", "ga", "cmaes", "shade")
 SEEDS = 2 if SMALL else 5
-EVALUATIONS = 600 if SMALL else 4_000
+EVALUATIONS = 600 if SMALL else 3_000
 
 #: Paper 002: population and generations (the paper: 100 and 100).
 LINK_POPULATION, LINK_GENERATIONS, LINK_SEEDS = (10, 4, 2) if SMALL else (100, 100, 5)

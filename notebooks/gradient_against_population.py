@@ -17,7 +17,7 @@
 # better? `jaxid.compare` runs all of them on the *same compiled loss*, from the same random starts, with the same budget of
 # evaluations, several seeds each. (A residual with its derivatives counts as one evaluation more than there are parameters.)
 #
-# Here that is five seeds of 4,000 evaluations, so that the notebook takes minutes. For a claim of your own take the 10,000 evaluations
+# Here that is five seeds of 3,000 evaluations, so that the notebook takes minutes. For a claim of your own take the 10,000 evaluations
 # that `jaxid compare` gives each run, and as many seeds as your patience allows: `notebooks/budget.py` holds both numbers.
 
 # %%
