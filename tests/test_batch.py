@@ -12,6 +12,7 @@ import sqlite3
 import subprocess
 import sys
 import tempfile
+import threading
 import time
 from pathlib import Path
 
@@ -308,6 +309,39 @@ def test_signals_save_and_leave(home, number, ignored):
     assert study_status(study)[2].running == 0
     code, status, _ = fleet(study)
     assert code == 0 and status["done"] == 40
+
+
+@pytest.mark.skipif(threading.current_thread() is not threading.main_thread(), reason="signals come to the main thread")
+def test_a_cluster_that_does_not_close_holds_nothing_up(home, monkeypatch):
+    """On a crowded computer dask takes all the time that it is given; what was finished is on the disk long before."""
+    import distributed
+
+    def stuck(self, timeout: float, **more):
+        left.append(self)
+        time.sleep(timeout)
+        raise TimeoutError
+
+    left, sent = [], []
+    closing = {kind: kind.close for kind in (distributed.Client, distributed.LocalCluster)}
+    for kind in closing:
+        monkeypatch.setattr(kind, "close", stuck)
+
+    def heard(progress):
+        if progress.new > 3 and not sent:
+            sent.append((time.monotonic(), progress.new))
+            os.kill(os.getpid(), signal.SIGTERM)
+
+    study = write_study(home, "seeds = 200")
+    try:
+        result = run_study(study, workers=2, solver=(*SOLVE, "--sleep", "0.02", "--hang", "20"), check=False, heard=heard)
+        ((began, finished),) = sent
+        assert result.interrupted and len(left) == 2 and time.monotonic() - began < 2.5
+        assert len(acknowledged(study)) == result.new >= finished
+    finally:
+        monkeypatch.undo()
+        for part in left:
+            with contextlib.suppress(TimeoutError):
+                closing[type(part)](part, timeout=10)
 
 
 # ---- the store
