@@ -18,7 +18,8 @@
 # evaluations, several seeds each. (A residual with its derivatives counts as one evaluation more than there are parameters.)
 #
 # Here that is five seeds of 3,000 evaluations, so that the notebook takes minutes. For a claim of your own take the 10,000 evaluations
-# that `jaxid compare` gives each run, and as many seeds as your patience allows: `notebooks/budget.py` holds both numbers.
+# that `jaxid compare` gives each run, and as many seeds as your patience allows: `notebooks/budget.py` holds both numbers. Most
+# populations are still on their way down when this budget ends: read their curves, not only their counts.
 
 # %%
 from jaxid.runtime import prepare
