@@ -25,13 +25,13 @@ EVALUATIONS = 600 if SMALL else 3_000
 LINK_POPULATION, LINK_GENERATIONS, LINK_SEEDS = (10, 4, 2) if SMALL else (100, 100, 5)
 
 #: Paper 003: population and generations (the paper: 20, not stated).
-TRACKER_POPULATION, TRACKER_GENERATIONS, TRACKER_SEEDS = (10, 5, 1) if SMALL else (20, 60, 10)
+TRACKER_POPULATION, TRACKER_GENERATIONS, TRACKER_SEEDS = (10, 5, 1) if SMALL else (20, 60, 5)
 
 #: Paper 001: repetitions of the payload experiment.
-PAYLOADS = 2 if SMALL else 20
+PAYLOADS = 2 if SMALL else 12
 
 #: Paper 000: runs of each algorithm, and evaluations each.
-ARM_SEEDS, ARM_EVALUATIONS = (2, 800) if SMALL else (10, 20_000)
+ARM_SEEDS, ARM_EVALUATIONS = (2, 800) if SMALL else (5, 10_000)
 #: While following a change: blocks of data (half before the change), generations of the search on the first three.
 ARM_BLOCKS, ARM_GENERATIONS = (8, 30) if SMALL else (12, 200)
 
