@@ -26,7 +26,7 @@ html_theme, html_title, html_static_path = "furo", f"jaxid {release}", ["_static
 html_show_sourcelink = False
 exclude_patterns = ["*.py", "notebooks/budget.py", "**/__pycache__"]
 
-# ---- notebooks: copied beside the pages, executed once and kept until their code or the budgets change (`make clean` forgets them)
+# ---- notebooks: copied beside the pages, executed once, kept until their code or the budgets change (`make clean` forgets them)
 
 BUDGET = hashlib.sha256((ROOT / "notebooks" / "budget.py").read_bytes()).hexdigest()[:16]
 
