@@ -32,11 +32,13 @@ benchmark: .venv/installed-dev
 benchmark-reliability: .venv/installed-dev
 	$(BIN)/python benchmarks/run_all.py reliability study_throughput
 
-# Every notebook with the small budgets, those of the papers too.
+# Every notebook with the small budgets, those of the papers too; the one that records in real time runs alone.
 notebooks: .venv/installed-dev
-	$(PYTEST) tests/test_notebooks.py $(ARGS)
+	$(PYTEST) -n auto --maxprocesses 2 --dist worksteal tests/test_notebooks.py $(ARGS)
+	$(PYTEST) tests/test_hardware_end_to_end.py $(ARGS)
 
-# The site with all notebooks executed in full; warnings are errors. Outputs are kept in out/docs_cache until code changes.
+# The site with all notebooks executed in full; warnings are errors. Outputs are kept in out/docs_cache until a notebook
+# or the budgets change; for those of changed library code `make clean` first.
 docs: .venv/installed-dev
 	$(BIN)/python -m sphinx -W --keep-going -b html docs out/site
 	@echo "The site: out/site/index.html"

@@ -1,5 +1,6 @@
 """Sphinx: the pages here, those that docs/generate.py writes from the code, and the notebooks with their outputs."""
 
+import hashlib
 import os
 import shutil
 import sys
@@ -25,11 +26,13 @@ html_theme, html_title, html_static_path = "furo", f"jaxid {release}", ["_static
 html_show_sourcelink = False
 exclude_patterns = ["*.py", "notebooks/budget.py", "**/__pycache__"]
 
-# ---- notebooks: copied beside the pages, executed once and kept until their code changes
+# ---- notebooks: copied beside the pages, executed once, kept until their code or the budgets change (`make clean` forgets them)
+
+BUDGET = hashlib.sha256((ROOT / "notebooks" / "budget.py").read_bytes()).hexdigest()[:16]
 
 nb_custom_formats = {".py": "generate.notebook"}
 nb_execution_mode = os.environ.get("JAXID_DOCS_NOTEBOOKS", "cache")  # off: pages without outputs, in seconds
-nb_execution_cache_path = str(ROOT / "out" / "docs_cache")
+nb_execution_cache_path = str(ROOT / "out" / "docs_cache" / f"notebooks-{BUDGET}")
 nb_execution_timeout = 3600
 nb_execution_show_tb = True  # a notebook that fails is a warning, which -W makes an error once all pages are built
 nb_merge_streams = True

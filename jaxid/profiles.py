@@ -39,6 +39,7 @@ class Profile:
     threshold: float
     interval: tuple[float | None, float | None]
     at_bound: tuple[bool, bool]
+    unit: str = ""
 
     def plot(self, ax: Axes | None = None) -> Axes:
         """Draws the profile with its threshold and the ends of the interval, on new axes or the given ones."""
@@ -98,9 +99,9 @@ def profile_likelihood(
         assert abs(unit(z[left.k]) - theta[position]) <= 1e-9 * max(1.0, abs(theta[position]))
         ends = (left.crossing(threshold), right.crossing(threshold))
         interval = (None if ends[0] is None else unit(ends[0]), None if ends[1] is None else unit(ends[1]))
-        out[name] = Profile(
-            name, np.array([unit(v) for v in values]), np.array(rise), threshold, interval, (left.ended, right.ended)
-        )
+        bounds = left.ended, right.ended
+        said = problem.runs.layout.entries[position].unit
+        out[name] = Profile(name, np.array([unit(v) for v in values]), np.array(rise), threshold, interval, bounds, said)
     return out
 
 

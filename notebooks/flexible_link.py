@@ -130,7 +130,7 @@ band = (f > 0) & (f < 10) & (np.abs(np.fft.rfft(u)) > 0.1 * np.abs(np.fft.rfft(u
 figure, ax = plt.subplots(figsize=(7, 3.4), layout="constrained")
 ax.semilogy(f[band], np.abs(measured[band]), "o", ms=4, color="#d55e00", label="estimated from the pulse, with dry friction")
 ax.semilogy(f[1:51], np.abs(twin.direct(f[1:51])), color="#0072b2", label="the same link without dry friction")
-ax.set(xlabel="frequency (Hz)", ylabel="|tip acceleration / torque|")
+ax.set(xlabel="frequency (Hz)", ylabel="|tip acceleration / torque|\n(m/s² per N m)")
 _ = _ = ax.legend(loc="lower left", bbox_to_anchor=(0, 1), ncols=2, frameon=False)
 
 # %% [markdown]

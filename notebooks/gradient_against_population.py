@@ -16,6 +16,10 @@
 # Levenberg-Marquardt follows derivatives from many starts; differential evolution, swarms and genetic algorithms need none. Which is
 # better? `jaxid.compare` runs all of them on the *same compiled loss*, from the same random starts, with the same budget of
 # evaluations, several seeds each. (A residual with its derivatives counts as one evaluation more than there are parameters.)
+#
+# Here that is five seeds of 3,000 evaluations, so that the notebook takes minutes. For a claim of your own take the 10,000 evaluations
+# that `jaxid compare` gives each run, and as many seeds as your patience allows: `notebooks/budget.py` holds both numbers. Most
+# populations are still on their way down when this budget ends: read their curves, not only their counts.
 
 # %%
 from jaxid.runtime import prepare
@@ -72,7 +76,7 @@ ax = rough.plot()
 # %% [markdown]
 # ## How to read it
 #
-# - Count *successes*, not averages: a mean over runs of which some failed says nothing. Intervals belong to every rate, and ten
-#   seeds give wide ones.
+# - Count *successes*, not averages: a mean over runs of which some failed says nothing. Intervals belong to every rate, and five
+#   seeds give very wide ones: 5 of 5 says no more than "above 57 %". A run that the budget ended might have arrived later.
 # - Look at both axes. A population evaluates its members side by side, so it does better by seconds than by evaluations.
 # - `hybrid` (a population, then Levenberg-Marquardt from its best points) is what to take where nothing is known of the start.

@@ -175,7 +175,7 @@ for name in TRACKER:
 
 # %%
 t = np.arange(2001) * 0.01
-lift = np.where(t < 6, 6.0, 2.1)  # V: up to some 60 degrees, then held there
+lift = np.where(t < 6, 6.0, 2.1)  # V: up to the vertical, then slowly beyond
 both = np.stack([6.0 * np.sign(np.sin(2 * np.pi * 0.5 * t)), lift], 1)
 y = recorded(run_with_rotor, both, t, 5)
 new = replace(data.experiments[0], name="both joints", split="fit", t=t, u=both, y=y)

@@ -11,6 +11,8 @@ import signal
 import sqlite3
 import subprocess
 import sys
+import tempfile
+import threading
 import time
 from pathlib import Path
 
@@ -309,6 +311,39 @@ def test_signals_save_and_leave(home, number, ignored):
     assert code == 0 and status["done"] == 40
 
 
+@pytest.mark.skipif(threading.current_thread() is not threading.main_thread(), reason="signals come to the main thread")
+def test_a_cluster_that_does_not_close_holds_nothing_up(home, monkeypatch):
+    """On a crowded computer dask takes all the time that it is given; what was finished is on the disk long before."""
+    import distributed
+
+    def stuck(self, timeout: float, **more):
+        left.append(self)
+        time.sleep(timeout)
+        raise TimeoutError
+
+    left, sent = [], []
+    closing = {kind: kind.close for kind in (distributed.Client, distributed.LocalCluster)}
+    for kind in closing:
+        monkeypatch.setattr(kind, "close", stuck)
+
+    def heard(progress):
+        if progress.new > 3 and not sent:
+            sent.append((time.monotonic(), progress.new))
+            os.kill(os.getpid(), signal.SIGTERM)
+
+    study = write_study(home, "seeds = 200")
+    try:
+        result = run_study(study, workers=2, solver=(*SOLVE, "--sleep", "0.02", "--hang", "20"), check=False, heard=heard)
+        ((began, finished),) = sent
+        assert result.interrupted and len(left) == 2 and time.monotonic() - began < 2.5
+        assert len(acknowledged(study)) == result.new >= finished
+    finally:
+        monkeypatch.undo()
+        for part in left:
+            with contextlib.suppress(TimeoutError):
+                closing[type(part)](part, timeout=10)
+
+
 # ---- the store
 
 
@@ -464,6 +499,51 @@ def test_read_only_store(home, monkeypatch):
     for place in ("/proc/nowhere/out", str(home / "small" / "run.csv" / "out")):
         with pytest.raises(StoreError, match="cannot be made"):
             run_study(write_study(home, store=place), workers=1, solver=SOLVE, check=False)
+
+
+@contextlib.contextmanager
+def as_anyone():
+    """As a user without rights, where this is root: whose writes no permission stops."""
+    if os.geteuid() != 0:
+        yield
+        return
+    os.setresgid(65534, 65534, 0)
+    os.setresuid(65534, 65534, 0)
+    try:
+        yield
+    finally:
+        os.setresuid(0, 0, 0)
+        os.setresgid(0, 0, 0)
+
+
+@pytest.mark.skipif(not hasattr(os, "setresuid"), reason="needs the users of Linux")
+@pytest.mark.parametrize("locked", [("study.sqlite",), (".",), ("study.sqlite", ".", "arrays")])
+def test_store_without_the_right_to_write(locked):
+    """File, folder or both: what is there can be read, whoever wants to write is told, nothing is touched."""
+    with tempfile.TemporaryDirectory() as name:  # pytest's own folders are closed to others
+        home = Path(name)
+        home.chmod(0o755)
+        write_dataset(home / "small")
+        study = write_study(home)
+        run_study(study, workers=1, solver=SOLVE, check=False)
+        out = home / "out"
+        for path in (out, *out.rglob("*")):
+            path.chmod(0o777 if path.is_dir() else 0o666)
+        for part in locked:
+            (out / part).chmod(0o555 if (out / part).is_dir() else 0o444)
+        content = {p: p.read_bytes() for p in sorted(out.rglob("*")) if p.is_file()}
+        more = write_study(home, "seeds = 5")
+        try:
+            with as_anyone():
+                assert not all(os.access(out / part, os.W_OK) for part in locked)
+                known = study_status(more)[2]
+                assert (known.done, known.total) == (4, 5)
+                with pytest.raises(StoreError, match=r"study.sqlite: cannot be written .*check its permissions, or name another"):
+                    run_study(more, workers=1, solver=SOLVE, check=False)
+        finally:
+            for folder in (out, out / "arrays"):
+                folder.chmod(0o777)
+        assert {p: p.read_bytes() for p in sorted(out.rglob("*")) if p.is_file()} == content
 
 
 def test_schema(tmp_path, monkeypatch):

@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import subprocess
 import sys
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -18,6 +19,7 @@ from jaxid.comparison import Comparison, Known, Run, typical, wilson
 from jaxid.fitters import DifferentialEvolution, LevenbergMarquardt
 from jaxid.runtime import Interrupted
 from test_fitters import data_of
+from test_report import assert_harmless
 
 
 @pytest.fixture(scope="module")
@@ -133,7 +135,23 @@ def test_plot_and_notebook(small):
         assert len(axes.get_lines()) == 4 and by in axes.get_xlabel()  # three fitters and the target
     with pytest.raises(jaxid.UsageError, match="seconds"):
         small.plot("hours", Figure().add_subplot())
-    assert small._repr_html_().count("<svg") == 3
+    html = small._repr_html_()
+    assert html.count("<svg") == 3 and "<html" not in html and len(html) < 150_000
+
+
+def test_a_comparison_shows_itself_short_and_escaped():
+    bad = "<script>alert(1)</script>\x1b]0;x\x07\u202e"
+    c = replace(
+        made({"good": [1.0, 1.0], bad: [2.0, 3.0]}),
+        dataset=bad,
+        model=bad,
+        best={k: Known(1.0, 0.1, bad, 0.0, 5.0) for k in "ab"},
+    )
+    html = c._repr_html_()
+    page = assert_harmless(html)
+    assert "<script>alert(1)</script>" in page.text and "good" in page.text and "<html" not in html
+    words = repr(c)
+    assert "good" in words and len(words.splitlines()) < 20 and not any(x in words for x in "\x1b\x07\u202e")
 
 
 def test_ctrl_c_keeps_what_was_finished(tmp_path, monkeypatch, capsys):

@@ -6,8 +6,10 @@ import importlib
 import json
 import os
 import re
+import shutil
 import subprocess
 import sys
+import tarfile
 import tomllib
 import zipfile
 from pathlib import Path
@@ -152,22 +154,38 @@ def test_documents_link_only_to_what_exists():
             assert (ROOT / target).exists(), f"{document} links to {target}"
 
 
-@pytest.mark.slow
-def test_wheel_content(tmp_path):
-    """Built from a copy, so that no build folder is left in the checkout."""
-    import shutil
+def in_the_repository() -> set[str]:
+    """Every file of the checkout that a clone would have."""
+    ignored = shutil.ignore_patterns("__pycache__", "*.egg-info", "*.ipynb", "*.partial", ".*_cache", "generated")
+    found = set()
+    for top in sorted(ROOT.iterdir()):
+        if top.is_file() and top.name not in (".git", "setup.cfg", "PKG-INFO"):
+            found.add(top.name)
+        elif top.name in (".ci", "jaxid", "models", "fitters", "tests", "notebooks", "docs", "benchmarks", "examples"):
+            for folder, folders, files in os.walk(top):
+                left_out = ignored(folder, [*folders, *files])
+                folders[:] = [f for f in folders if f not in left_out and Path(folder, f) != ROOT / "docs" / "notebooks"]
+                found |= {str(Path(folder, f).relative_to(ROOT)) for f in files if f not in left_out}
+    return found
 
+
+def test_what_is_built(tmp_path):
+    """Wheel and source distribution, built from a copy so that no build folder is left in the checkout."""
     pytest.importorskip("setuptools", minversion="77")
-    source = tmp_path / "source"
-    skip = shutil.ignore_patterns("__pycache__", "*.egg-info")
-    source.mkdir()
-    for top in ("jaxid", "models", "fitters"):
-        shutil.copytree(ROOT / top, source / top, ignore=skip)
-    for file in ("pyproject.toml", "README.md", "LICENSE"):
-        shutil.copy(ROOT / file, source)
-    build = "from setuptools import build_meta; print(build_meta.build_wheel('.'))"
+    source, files = tmp_path / "source", in_the_repository()
+    for file in files:
+        (source / file).parent.mkdir(parents=True, exist_ok=True)
+        shutil.copy(ROOT / file, source / file)
+    (source / "tests" / "__pycache__").mkdir()
+    (source / "tests" / "__pycache__" / "left.pyc").touch()
+    build = "from setuptools import build_meta as b; print(b.build_wheel('.'), b.build_sdist('.'))"
     result = subprocess.run([sys.executable, "-c", build], cwd=source, capture_output=True, text=True)
     assert result.returncode == 0, result.stderr
+    assert "would be ignored" not in result.stderr + result.stdout, "a folder that setuptools knows twice"
+    with tarfile.open(next(source.glob("*.tar.gz"))) as archive:
+        members = {m.name.split("/", 1)[1] for m in archive.getmembers() if m.isfile()}
+    assert files - members == set(), "the source distribution misses files; name them in MANIFEST.in"
+    assert {m for m in members - files if ".egg-info/" not in m} <= {"PKG-INFO", "setup.cfg"}
     wheel = zipfile.ZipFile(next(source.glob("*.whl")))
     names = set(wheel.namelist())
     for expected in (

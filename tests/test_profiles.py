@@ -32,6 +32,7 @@ def test_profile_of_a_well_determined_fit_is_the_covariance(fitted):
         assert low is not None and high is not None and low < value < high
         assert (high - low) / (2 * 1.96 * std) == pytest.approx(1, abs=0.15), name
         assert np.all(np.diff(p.values) > 0) and p.rise.min() == 0
+    assert profiles["inertia"].unit == "kg m^2" and profiles["inertia"].plot().get_xlabel() == "inertia (kg m^2)"
 
 
 def test_profile_needs_no_absolute_step(fitted):

@@ -12,7 +12,7 @@ from jaxid import text
 from jaxid.report import diagnosis_fragment, plot, write_diagnosis, write_fit
 from jaxid.report.missing_force import spectrum
 from jaxid.results import Estimate, HowFar
-from report_sample import hostile, sample_diagnosis, sample_fit
+from report_sample import hostile, sample_diagnosis, sample_fit, sample_simulation
 
 
 class Page(HTMLParser):
@@ -240,6 +240,19 @@ def test_datasets_and_fits_show_themselves_short_and_escaped():
     page = assert_harmless(source)
     assert "0.08123 ± 0.00042" in page.text and "<svg" not in source and len(source) < 12_000
     assert_harmless(hostile(sample_diagnosis()).final._repr_html_())
+    page = assert_harmless(hostile(sample_diagnosis())._repr_html_())
+    assert "<script>alert(1)</script>" in page.text
+
+
+def test_what_the_prompt_shows_is_short_and_plain():
+    """`repr` of what a user holds: a few lines, names from files without control characters."""
+    strange = hostile(sample_diagnosis())
+    data = replace(sample_dataset(), name="arm\x1b]0;x\x07\u202e")
+    for result, longest in ((data, 1), (strange, 20), (strange.final, 30), (sample_simulation(), 8)):
+        words = repr(result)
+        assert 1 <= len(words.splitlines()) <= longest and len(words) < 3000, type(result)
+        assert not any(c in words for c in "\x1b\x07\x00\u202e"), type(result)
+        assert not words.startswith(type(result).__name__ + "("), "every field of a dataclass"
 
 
 def plots():

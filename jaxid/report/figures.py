@@ -132,7 +132,7 @@ def profile(result: Profile, ax: Axes | None = None) -> Axes:
     for end in ends:
         ax.axvline(end, color=plot.GREY, ls=":", lw=1.1)
     ax.set(
-        xlabel=plot.label(result.name),
+        xlabel=plot.with_unit(result.name, result.unit),
         ylabel="rise of −2 log likelihood",
         ylim=(-0.03 * 3 * result.threshold, 3 * result.threshold),
     )

@@ -38,8 +38,11 @@ STARTS = 4
 RENEW_S, WORKERS_S = 5.0, 1.0
 #: How long a scheduler may take to answer.
 CONNECT_S = 10.0
-#: After the first Ctrl-C running batches may finish for so long; then their processes are ended.
-GRACE_S = 0.7
+#: After the first Ctrl-C running batches may finish for so long; then their processes are ended, and what they had finished may
+#: arrive. Both count from the signal, so that a crowded computer leaves in time too.
+GRACE_S, ARRIVE_S = 0.7, 0.35
+#: How long the parts of a cluster in this process may take to close, and after Ctrl-C, when everything is saved.
+CLOSE_S, HURRY_S = 2.0, 0.3
 
 Heard = Callable[["Coordinator"], None]
 
@@ -67,10 +70,12 @@ class Batch:
 
 
 class Stop:
-    """Ctrl-C or SIGTERM: `count` of them. Also where a shell had a background job ignore Ctrl-C: what is sent to it is meant."""
+    """Ctrl-C or SIGTERM: `count` of them, the first at `since`. Also where a shell had a background job ignore Ctrl-C: what is
+    sent to it is meant."""
 
     def __init__(self):
         self.count = 0
+        self.since = 0.0  # time.monotonic() of the first
         self._before: dict[int, Any] = {}
 
     def __enter__(self) -> Stop:
@@ -80,6 +85,7 @@ class Stop:
         return self
 
     def _heard(self, number: int, frame: Any) -> None:
+        self.since = self.since or time.monotonic()
         self.count += 1
 
     def __exit__(self, *exception) -> None:
@@ -300,12 +306,12 @@ class Coordinator:
     def _finish(self, stop: Stop) -> None:
         """Gives running batches a moment, takes in what came back, leaves the rest for the next time."""
         self.cluster.drain()
-        self._wait(GRACE_S, lambda: stop.count < 2)
+        self._wait(stop.since + GRACE_S, lambda: stop.count < 2)
         self.cluster.close()
-        self._wait(GRACE_S / 2, lambda: stop.count < 3)
+        self.cluster.patience = HURRY_S
+        self._wait(max(stop.since + GRACE_S, time.monotonic()) + ARRIVE_S, lambda: stop.count < 3)
 
-    def _wait(self, seconds: float, patient: Callable[[], bool]) -> None:
-        until = time.monotonic() + seconds
+    def _wait(self, until: float, patient: Callable[[], bool]) -> None:
         while self.batches and time.monotonic() < until and patient():
             self._collect(0.05)
 
@@ -318,6 +324,7 @@ class Cluster:
 
     def __init__(self, client: Any, everywhere: Callable[..., Any]):
         self.client, self.session, self._everywhere = client, uuid.uuid4().hex, everywhere
+        self.patience = CLOSE_S  # seconds for each of its parts to close
 
     def drain(self) -> None:
         """Batches that have not begun return at once."""
@@ -344,6 +351,7 @@ def local_cluster(workers: int, threads: int = 1) -> Iterator[Cluster]:
             memory_limit=0,
             silence_logs=50,
         )
+    patience = CLOSE_S
     try:
         parts.sync(_stop_listening, parts)
         client = Client(parts, set_as_default=False)
@@ -351,11 +359,12 @@ def local_cluster(workers: int, threads: int = 1) -> Iterator[Cluster]:
         try:
             yield cluster
         finally:
+            patience = cluster.patience
             cluster.close()
-            _close(client, 1)
+            _close(client, patience / 2)
     finally:
         with contextlib.suppress(TimeoutError):
-            parts.close(timeout=2)
+            parts.close(timeout=patience)
         parts.shutdown_on_close = False  # what is not closed by now would hold up the end of Python
 
 
@@ -389,7 +398,7 @@ def running_cluster(address: str) -> Iterator[Cluster]:
     finally:
         with contextlib.suppress(Exception):
             cluster.close()
-        _close(client, 2)
+        _close(client, cluster.patience)
 
 
 def cores() -> int:
