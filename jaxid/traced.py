@@ -39,7 +39,7 @@ class Traced:
         if not folder:
             return self._plain(*args)
         leaves, tree = jax.tree.flatten(args)
-        shapes = tuple((np.shape(a), np.result_type(a).str) for a in leaves)
+        shapes = tuple((np.shape(a), str(getattr(a, "dtype", type(a)))) for a in leaves)
         call = self._calls.get((tree, shapes))
         if call is None:
             call = self._calls[tree, shapes] = self._read_or_trace(Path(folder) / "traced", leaves, args, f"{tree}{shapes}")
