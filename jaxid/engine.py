@@ -182,7 +182,7 @@ def programs_for(layout: Layout, lane: Lane, length: int, reach: int, burn: bool
 
         batch = jax.vmap(predict, (0, 0, 0, None, None))
         tangents = jax.vmap(tangent, (0, 0, 0, 0, 0, None, None))
-        kept = lambda name: key_of(lane, layout.model(np.zeros(len(layout))), name, layout.names, length, reach, burn)
+        kept = lambda name: key_of(lane, layout.model(jnp.zeros(len(layout))), name, layout.names, length, reach, burn)
         _PROGRAMS[key] = Programs(batch, Traced(batch, kept("outputs")), Traced(tangents, kept("tangents")), {}, set())
     return _PROGRAMS[key]
 

@@ -35,7 +35,7 @@ class Traced:
         self._calls: dict[Any, Callable[..., Any]] = {}
 
     def __call__(self, *args: Any) -> Any:
-        folder = self._key and jax.config.jax_compilation_cache_dir  # pyright: ignore[reportAttributeAccessIssue]
+        folder = self._key and jax.config.values["jax_compilation_cache_dir"]
         if not folder:
             return self._plain(*args)
         leaves, tree = jax.tree.flatten(args)

@@ -19,7 +19,7 @@ from jaxid.traced import key_of, Traced
 
 @pytest.fixture
 def folder(tmp_path):
-    before = jax.config.jax_compilation_cache_dir
+    before = jax.config.values["jax_compilation_cache_dir"]
     jax.config.update("jax_compilation_cache_dir", str(tmp_path))
     yield tmp_path / "traced"
     jax.config.update("jax_compilation_cache_dir", before)
@@ -64,7 +64,7 @@ def test_a_broken_file_is_no_harm(folder, content):
 def test_no_folder_no_file(tmp_path, monkeypatch):
     blocked = tmp_path / "file"
     blocked.write_text("")
-    before = jax.config.jax_compilation_cache_dir
+    before = jax.config.values["jax_compilation_cache_dir"]
     jax.config.update("jax_compilation_cache_dir", str(blocked))  # nothing can be made below a file
     try:
         with float64():
