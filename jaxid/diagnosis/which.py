@@ -44,6 +44,8 @@ PAIRED = 4
 HALVINGS, CORRECTIONS = 3, 2
 #: Near the floor: nothing worth another effect is left below this mean square on validation data.
 NEAR_FLOOR = 1.02
+#: Residuals of fit runs at the noise, and white: their sums of squares count as they are.
+WHITE = 1.5
 
 
 class Searcher:
@@ -281,7 +283,10 @@ class Searcher:
         left = max(before.validation.loss - 1.0, 1e-12)
         share = (before.validation.loss - after.validation.loss) / left
         size, more = after.size - before.size, max(1, len(after.effects) - len(before.effects))
-        return held > 0 and share > GAIN and fitted > 2 * size and fitted + held > 3 * more * DECISIVE + 2 * size
+        # Where the fit runs are at the noise, evidence is exact, and the best of dozens of candidates reaches some by chance.
+        chance = DECISIVE if self.fit_inflation(after) < WHITE else 0.0
+        enough = fitted > chance + 2 * size and fitted + held > 3 * more * DECISIVE + 2 * size
+        return held > 0 and share > GAIN and enough
 
     def _best(self, before: Hypothesis, found: Sequence[Hypothesis]) -> Hypothesis | None:
         """The choice among refits: best on validation data; of those that it does not beat decisively, the one with the
