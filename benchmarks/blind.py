@@ -298,7 +298,7 @@ def main() -> dict[str, Any]:
     rows = [json.loads(line) for line in lines]
     text = (
         "Recordings of separately written twins (benchmarks/twins.py); the key was read afterwards. The search was tuned "
-        "on seed 1 and on two real recordings, the rows are of seed 2. Of the flexible link 18 of 29 cases were run. "
+        "on seed 1 and on two real recordings, the rows are of seed 2. Of the flexible link 18 of 30 cases were run. "
         "Planar arm and tracker were run on seed 1 alone, in part: planar arm 9 cases, 6 right, 1 in the set, 2 unknown "
         "(power law, right since; backlash), tracker 5 cases, all right. `right`: exactly the withheld effects, or equals "
         "of them on that model, were named; `in set`: they are among those named or reported as not to be told apart; "

@@ -53,12 +53,14 @@ class LevenbergMarquardt(AbstractFitter):
     ) -> tuple[Path, Log]:
         """The best descent itself and its course, for who goes on from there."""
         log = Log(problem, self.name, progress=progress)
-        group = [(problem, z) for z in guesses(problem, starts, self.restarts, key)]
-        return search([group], self.iterations, self.tolerance, [log])[0][0], log
+        return self._paths([(problem, starts, key)], [log])[0], log
+
+    def _paths(self, jobs: Sequence[tuple[AbstractProblem, Sequence[np.ndarray], Any]], logs: Sequence[Log]) -> list[Path]:
+        groups = [[(problem, z) for z in guesses(problem, starts, self.restarts, key)] for problem, starts, key in jobs]
+        return search(groups, self.iterations, self.tolerance, logs)[0]
 
     def _search(self, jobs: Sequence[tuple[AbstractProblem, Sequence[np.ndarray], Any]], logs: Sequence[Log]) -> list[Minimum]:
-        groups = [[(problem, z) for z in guesses(problem, starts, self.restarts, key)] for problem, starts, key in jobs]
-        best, _ = search(groups, self.iterations, self.tolerance, logs)
+        best = self._paths(jobs, logs)
         return [log.minimum(p.z, p.converged, log.exhausted or p.stopped) for p, log in zip(best, logs, strict=True)]
 
 

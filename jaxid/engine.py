@@ -182,8 +182,9 @@ def programs_for(layout: Layout, lane: Lane, length: int, reach: int, burn: bool
 
         batch = jax.vmap(predict, (0, 0, 0, None, None))
         tangents = jax.vmap(tangent, (0, 0, 0, 0, 0, None, None))
-        kept = lambda name: key_of(lane, layout.model(jnp.zeros(len(layout))), name, layout.names, length, reach, burn)
-        _PROGRAMS[key] = Programs(batch, Traced(batch, kept("outputs")), Traced(tangents, kept("tangents")), {}, set())
+        about = key_of(lane, layout.model(jnp.zeros(len(layout))), layout.names, length, reach, burn)
+        traced = lambda f, name: Traced(f, about and f"{name}\n{about}")
+        _PROGRAMS[key] = Programs(batch, traced(batch, "outputs"), traced(tangents, "tangents"), {}, set())
     return _PROGRAMS[key]
 
 

@@ -163,6 +163,8 @@ def test_emps_lacks_a_friction_effect():
         runs = jaxid.simulate(fit, data).rmse
         errors.append(runs[1]["position"])
     assert errors[1] <= 5.5e-3 and errors[1] <= 0.6 * errors[0]
+    if errors[1] > 5.0e-3:
+        pytest.xfail(f"{1e3 * errors[1]:.2f} mm, 5.0 mm asked: the least squares of the fit run lie there")
 
 
 @pytest.mark.slow
