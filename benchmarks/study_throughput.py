@@ -105,7 +105,9 @@ def nothing(session: str, command: tuple[str, ...], batch: str) -> str:
 
 def fleet(home: Path) -> list[dict]:
     """The coordinator with workers that do nothing: processor time of its process a task, and where it saturates."""
-    from jaxid.study import coordinator as fleets, read_study, supervisor
+    from jaxid.study import read_study, supervisor
+    from jaxid.study.cluster import local_cluster
+    from jaxid.study.coordinator import Coordinator, Stop
     from jaxid.study.store import Store
     from tests.test_batch import write_dataset, write_study
 
@@ -123,9 +125,9 @@ def fleet(home: Path) -> list[dict]:
 
         supervisor.run_batch, PAUSE_S[0] = nothing, seconds
         try:
-            with Store(study.store) as store, fleets.Stop() as stop, fleets.local_cluster(workers, threads) as cluster:
+            with Store(study.store) as store, Stop() as stop, local_cluster(workers, threads) as cluster:
                 store.acquire()
-                coordinator = fleets.Coordinator(store, list(study.tasks.values()), cluster)
+                coordinator = Coordinator(store, list(study.tasks.values()), cluster)
                 began, spent = time.perf_counter(), time.process_time()
                 coordinator.run(stop)
                 wall, spent = time.perf_counter() - began, time.process_time() - spent

@@ -23,7 +23,7 @@ import pytest
 
 import jaxid
 from jaxid import cli
-from jaxid.study import coordinator, read_study, run_study, store as stores, study_status
+from jaxid.study import cluster, read_study, run_study, store as stores, study_status
 from jaxid.study.plan import StudyError
 from jaxid.study.store import LeaseLost, Row, Store, StoreError
 from study_fleet import number
@@ -625,7 +625,7 @@ def test_on_a_running_cluster(home, running_scheduler, monkeypatch):
     assert killed and result.complete and result.status.done == 60
     psutil.wait_procs(killed[0], timeout=5)
     assert not any(c.is_running() for c in killed[0])
-    monkeypatch.setattr(coordinator, "CONNECT_S", 1.0)
+    monkeypatch.setattr(cluster, "CONNECT_S", 1.0)
     with pytest.raises(jaxid.UsageError, match="no scheduler answers there"):
         run_study(write_study(home, "seeds = 61"), scheduler="tcp://127.0.0.1:9", solver=SOLVE, check=False)
 

@@ -9,18 +9,16 @@ from __future__ import annotations
 import collections
 import contextlib
 import json
-import os
 import queue
 import signal
 import threading
 import time
-import uuid
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
-from jaxid.errors import UsageError
 from jaxid.study import supervisor
+from jaxid.study.cluster import Cluster
 from jaxid.study.outcome import of_message, Outcome
 from jaxid.study.plan import Task
 from jaxid.study.store import Store, StoreError
@@ -36,13 +34,11 @@ DEATHS = 2
 #: Solvers that die before they are ready, in a row, until the study gives up.
 STARTS = 4
 RENEW_S, WORKERS_S = 5.0, 1.0
-#: How long a scheduler may take to answer.
-CONNECT_S = 10.0
 #: After the first Ctrl-C running batches may finish for so long; then their processes are ended, and what they had finished may
 #: arrive. Both count from the signal, so that a crowded computer leaves in time too.
 GRACE_S, ARRIVE_S = 0.7, 0.35
-#: How long the parts of a cluster in this process may take to close, and after Ctrl-C, when everything is saved.
-CLOSE_S, HURRY_S = 2.0, 0.3
+#: How long the parts of a cluster may take to close after Ctrl-C, when everything is saved.
+HURRY_S = 0.3
 
 Heard = Callable[["Coordinator"], None]
 
@@ -314,96 +310,3 @@ class Coordinator:
     def _wait(self, until: float, patient: Callable[[], bool]) -> None:
         while self.batches and time.monotonic() < until and patient():
             self._collect(0.05)
-
-
-# ---- clusters
-
-
-class Cluster:
-    """A dask client, and a session of solvers on its workers."""
-
-    def __init__(self, client: Any, everywhere: Callable[..., Any]):
-        self.client, self.session, self._everywhere = client, uuid.uuid4().hex, everywhere
-        self.patience = CLOSE_S  # seconds for each of its parts to close
-
-    def drain(self) -> None:
-        """Batches that have not begun return at once."""
-        self._everywhere(supervisor.drain, self.session)
-
-    def close(self) -> None:
-        """Ends the solvers."""
-        self._everywhere(supervisor.close, self.session)
-
-
-@contextlib.contextmanager
-def local_cluster(workers: int, threads: int = 1) -> Iterator[Cluster]:
-    """Workers in this process, each thread with a solver process of its own; nothing listens on any network."""
-    from dask import config
-    from distributed import Client, LocalCluster
-
-    with config.set({"distributed.scheduler.http.routes": [], "distributed.worker.http.routes": []}):
-        parts = LocalCluster(
-            n_workers=workers,
-            threads_per_worker=threads,
-            processes=False,
-            dashboard_address="127.0.0.1:0",
-            worker_dashboard_address="127.0.0.1:0",
-            memory_limit=0,
-            silence_logs=50,
-        )
-    patience = CLOSE_S
-    try:
-        parts.sync(_stop_listening, parts)
-        client = Client(parts, set_as_default=False)
-        cluster = Cluster(client, lambda function, session: function(session))
-        try:
-            yield cluster
-        finally:
-            patience = cluster.patience
-            cluster.close()
-            _close(client, patience / 2)
-    finally:
-        with contextlib.suppress(TimeoutError):
-            parts.close(timeout=patience)
-        parts.shutdown_on_close = False  # what is not closed by now would hold up the end of Python
-
-
-def _close(client: Any, seconds: float) -> None:
-    """Closes a client; where a crowded computer is too slow for that, its destructor would try again for a minute."""
-    with contextlib.suppress(TimeoutError):
-        client.close(timeout=seconds)
-    client.status = "closed"
-
-
-async def _stop_listening(parts: Any) -> None:
-    """dask opens an HTTP server (here on loopback, without pages) for each of its parts; nobody asks them."""
-    for part in (parts.scheduler, *parts.workers.values()):
-        part.http_server.stop()
-
-
-@contextlib.contextmanager
-def running_cluster(address: str) -> Iterator[Cluster]:
-    """The cluster of the scheduler at an address."""
-    from distributed import Client
-
-    try:
-        client = Client(address, timeout=CONNECT_S, set_as_default=False)
-    except (OSError, ValueError, TypeError) as error:
-        raise UsageError(
-            f"--scheduler {address}: no scheduler answers there ({error}); start one with `dask scheduler`"
-        ) from None
-    cluster = Cluster(client, client.run)
-    try:
-        yield cluster
-    finally:
-        with contextlib.suppress(Exception):
-            cluster.close()
-        _close(client, cluster.patience)
-
-
-def cores() -> int:
-    """Cores this process may use."""
-    try:
-        return len(os.sched_getaffinity(0))
-    except AttributeError:
-        return os.cpu_count() or 1

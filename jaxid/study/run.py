@@ -8,7 +8,8 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from jaxid.study import coordinator as fleet
+from jaxid.study.cluster import cores, local_cluster, running_cluster
+from jaxid.study.coordinator import Coordinator, Stop
 from jaxid.study.outcome import FAILURES, of_row, Outcome
 from jaxid.study.plan import read_study, Study
 from jaxid.study.store import NotBegun, Store
@@ -122,12 +123,12 @@ def run_study(
             store.remember("checked", study.digest)
         new, complete = 0, not left
         if left:
-            threads = workers or fleet.cores()
-            place = fleet.running_cluster(scheduler) if scheduler else fleet.local_cluster(min(threads, len(left)))
-            with fleet.Stop() as stop, place as cluster:
-                coordinator = fleet.Coordinator(store, left, cluster, solver)
+            threads = workers or cores()
+            place = running_cluster(scheduler) if scheduler else local_cluster(min(threads, len(left)))
+            with Stop() as stop, place as cluster:
+                coordinator = Coordinator(store, left, cluster, solver)
 
-                def tell(c: fleet.Coordinator) -> None:
+                def tell(c: Coordinator) -> None:
                     now = time.monotonic() - began
                     heard(Progress(study, outcomes | c.outcomes, c.running, now, len(c.outcomes)))
 
