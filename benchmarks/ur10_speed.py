@@ -58,6 +58,26 @@ def streamed(seconds: float, rate: float = 500.0) -> dict[str, Any]:
     }
 
 
+def empty(seconds: float, rate: float = 500.0) -> dict[str, Any]:
+    """What this computer takes for a compiled program that adds one number, called at the same pace."""
+    with float64():
+        add = jax.jit(lambda P, x: P + x[0, 0])
+        P, spent, began = jnp.zeros((58, 58)), [], time.perf_counter()
+        for k in range(round(seconds * rate)):
+            wait = began + k / rate - time.perf_counter()
+            if wait > 0:
+                time.sleep(wait)
+            start = time.perf_counter()
+            P = jax.block_until_ready(add(P, np.zeros((4, 6))))
+            spent.append(time.perf_counter() - start)
+    return {
+        "what": f"a compiled program that adds one number, {seconds:g} s at {rate:g} Hz in real time",
+        "jaxid": f"median {1e3 * np.median(spent):.3f} ms, 99 % {1e3 * np.percentile(spent, 99):.2f} ms",
+        "beside it": "what the pace and the computer cost by themselves",
+        "ratio": "",
+    }
+
+
 def best(run: Callable[[], Any], repeats: int = 5) -> float:
     """Least CPU time of some runs, s."""
     times = []
@@ -144,7 +164,7 @@ def mjcf(arm: Any) -> str:
 
 def main() -> dict:
     """Latency of the stream, then batches."""
-    rows = [streamed(60.0), *batches()]
+    rows = [streamed(60.0), empty(10.0), *batches()]
     text = f"UR10, float64. Batches of {SAMPLES} samples (regressor 3000), best of several, CPU time of the whole process."
     return {"title": "Speed of arm dynamics and of the recursion", "text": text, "rows": rows}
 

@@ -191,8 +191,8 @@ def bind(
 def _references(
     dataset: Dataset, layout: Layout, theta: np.ndarray, motions: dict[str, Motion]
 ) -> tuple[list[Reference], list[Reference]]:
-    """Typical magnitudes of each joint and of each input channel."""
-    fit = dataset.split("fit")
+    """Typical magnitudes of each joint and of each input channel, in the recordings to fit, or in all where none is."""
+    fit = dataset.split("fit") or dataset.experiments
     chain, nq = layout.chain, layout.chain.nq
     iu, _ = samples.columns(dataset, chain)
     size = [float(np.percentile(np.abs(np.concatenate([e.u[:, i] for e in fit])), 99)) for i in iu] if fit else []

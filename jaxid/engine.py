@@ -22,6 +22,7 @@ from jaxtyping import Array, Float, Int
 
 from jaxid.chain import Carry, Chain, Command
 from jaxid.layout import Layout
+from jaxid.mechanism import Mechanism
 from jaxid.precision import float64
 from jaxid.samples import BLOCK, bucket, Record, Samples
 from jaxid.traced import key_of, Traced
@@ -76,16 +77,19 @@ def simulate_lane(
     length: int,
     reach: int,
     burn: bool,
+    body: Mechanism | None = None,
 ) -> Float[Array, "length ny"]:
     """Outputs of one model on one record, at every step of the buffer (`steps` of them, then zeros).
 
     `where` holds the first step of the lane, the bounds of its run, and the burn-in: for so many steps the mechanism follows
     the measured motion, so that effects bring their states to the record's beginning; then it starts from `start`.
-    The loop runs over blocks, their count is data: one program serves every length.
+    The loop runs over blocks, their count is data: one program serves every length. `body` is the mechanism with its effects,
+    prepared, where that has been done.
     """
     nq = chain.nq
     begin, first, last, lead = where
-    body = chain.body().prepare(samples.h[begin] if reach == EVEN else None)
+    if body is None:
+        body = chain.body().prepare(samples.h[begin] if reach == EVEN else None)
 
     def step(carry: Carry, k: Array) -> tuple[Carry, Array]:
         i = jnp.minimum(begin + k, last)

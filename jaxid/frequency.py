@@ -21,10 +21,11 @@ from jaxtyping import Array, Float
 
 from jaxid import samples as recorded
 from jaxid.chain import Chain, Command, Signals
-from jaxid.engine import Engine, Lane, simulate_lane
+from jaxid.engine import Engine, EVEN, Lane, simulate_lane
 from jaxid.errors import nearest, UsageError
 from jaxid.experiment import Dataset, Experiment, FrequencyResponse as Measured
 from jaxid.layout import Layout
+from jaxid.mechanism import Mechanism
 from jaxid.residual import _record, overrides, Residual, RESIDUALS, Runs
 from jaxid.samples import Record, Samples
 from jaxid.small_matrices import solve
@@ -34,10 +35,11 @@ Complex = tuple[Array, Array]
 
 
 def transfer(
-    chain: Chain, omega: Float[Array, " lines"], q0: Float[Array, " nq"] | None = None
+    chain: Chain, omega: Float[Array, " lines"], q0: Float[Array, " nq"] | None = None, body: Mechanism | None = None
 ) -> tuple[Float[Array, "lines ny nu"], Float[Array, "lines ny nu"]]:
-    """Real and imaginary part of outputs / inputs at omega (rad/s), linearised at rest in q0 (default 0). Traceable."""
-    body = chain.body().prepare(None)
+    """Real and imaginary part of outputs / inputs at omega (rad/s), linearised at rest in q0 (default 0). Traceable. `body` is
+    the chain's mechanism with its effects, prepared, where that has been done."""
+    body = chain.body().prepare(None) if body is None else body
     q0 = jnp.zeros(chain.nq) if q0 is None else q0
     still = jnp.zeros_like(q0)
     u0 = jnp.zeros(len(chain.signature.inputs))
@@ -97,7 +99,8 @@ class Lines:
 
 
 def merged(measured: Measured) -> Lines:
-    """Median over repeats, weights from their scatter (both robust to outliers); without repeats 2 % of the gain."""
+    """Median over repeats, weights from their scatter (both robust to outliers); without repeats 2 % of the gain, in the
+    zeros of the response of a tenth of its median."""
     order = np.argsort(measured.omega, kind="stable")
     omega, response = measured.omega[order], np.asarray(measured.response, complex)[order]
     first = np.append(True, np.diff(omega) > 1e-9 * omega[1:])
@@ -113,7 +116,10 @@ def merged(measured: Measured) -> Lines:
         std = 1.4826 * few * np.maximum(pooled, 1e-3) * np.abs(middle) * 1.2533 / np.sqrt(counts)
         statement = f"median of {np.median(counts):.0f} repeats, weights from their scatter"
         return Lines(omega[first], middle, std, statement)
-    return Lines(omega[first], middle, 0.02 * np.abs(middle), "no repeats: noise taken as 2 % of the gain")
+    gain = np.abs(middle)
+    return Lines(
+        omega[first], middle, 0.02 * np.maximum(gain, 0.1 * np.median(gain)), "no repeats: noise taken as 2 % of the gain"
+    )
 
 
 def estimate(
@@ -125,7 +131,7 @@ def estimate(
     f = np.fft.rfftfreq(t.size, float(np.median(np.diff(t))))
     size = np.abs(U)
     least = max(least_input * size[1:].max(), 1e-9 * size.max())  # a constant input has but rounding beside f = 0
-    bins = np.flatnonzero((f >= band_hz[0]) & (f <= band_hz[1]) & (f > 0) & (size >= least))
+    bins = np.flatnonzero((f >= band_hz[0]) & (f <= band_hz[1]) & (f > 0) & (size >= least) & (size > 0))
     return bins, U[bins], Y[bins]
 
 
@@ -136,10 +142,12 @@ def _interleaved(re: Array, im: Array, length: int) -> Array:
     return jnp.stack([re, im], 1).reshape(length, -1)
 
 
-def _of_lines(chain: Chain, samples: Samples, begin: Array, last: Array, length: int, magnitude: bool) -> Array:
+def _of_lines(
+    chain: Chain, samples: Samples, begin: Array, last: Array, length: int, magnitude: bool, body: Mechanism | None = None
+) -> Array:
     """Linear response at the lines of a record, [length 1]; `samples.x` holds omega, output and input of each line."""
     x = samples.x[jnp.minimum(begin + 2 * jnp.arange(length // 2), last)]
-    re, im = transfer(chain, jnp.where(x[:, 0] > 0, x[:, 0], 1.0))  # rows without a line
+    re, im = transfer(chain, jnp.where(x[:, 0] > 0, x[:, 0], 1.0), body=body)  # rows without a line
     pick = lambda a: a[jnp.arange(length // 2), x[:, 1].astype(int), x[:, 2].astype(int)]
     re, im = pick(re), pick(im)
     if magnitude:
@@ -158,19 +166,22 @@ def line_lane(magnitude: bool) -> Lane:
 
 
 @functools.cache
-def record_lane(magnitude: bool, linear: bool, output: int, timed: tuple[int, ...], count: int, pieces: int) -> Lane:
-    """Columns: the response to `output`, then the simulated outputs `timed`; records of `count` samples, `pieces` steps each.
+def record_lane(magnitude: bool, linear: bool, output: int, timed: tuple[int, ...], count: int, pieces: int, room: int) -> Lane:
+    """Columns: the response to `output`, then the simulated outputs `timed`; records of `count` samples, `pieces` steps each, and
+    at most `room` / 2 lines in any of them.
 
     `samples.x` holds, per line, omega, output, input, the bin, and 1 / U.
     """
 
     def lane(chain, samples, where, start, steps, length, reach, burn):
         begin, _, last, _ = where
-        y = simulate_lane(chain, samples, where, start, steps, length, reach, burn)
+        body = chain.body().prepare(samples.h[begin] if reach == EVEN else None)
+        y = simulate_lane(chain, samples, where, start, steps, length, reach, burn, body)
+        size = min(room, length)
         if linear:
-            response = _of_lines(chain, samples, begin, last, length, magnitude)
+            response = _of_lines(chain, samples, begin, last, size, magnitude, body)
         else:
-            x = samples.x[jnp.minimum(begin + 2 * jnp.arange(length // 2), last)]
+            x = samples.x[jnp.minimum(begin + 2 * jnp.arange(size // 2), last)]
             Y = jnp.fft.rfft(y[: count * pieces : pieces, output])
             Y = Y[jnp.clip(x[:, 3].astype(int), 0, Y.size - 1)]
             a, b = Y.real, Y.imag
@@ -178,7 +189,8 @@ def record_lane(magnitude: bool, linear: bool, output: int, timed: tuple[int, ..
             if magnitude:
                 power = re * re + im * im
                 re, im = jnp.sqrt(jnp.where(power > 0, power, 1e-300)), jnp.zeros_like(im)
-            response = _interleaved(re, im, length)
+            response = _interleaved(re, im, size)
+        response = jnp.concatenate([response, jnp.zeros((length - size, 1))])
         return jnp.concatenate([response, y[:, jnp.array(timed, int)]], 1)
 
     return lane
@@ -302,7 +314,9 @@ class FrequencyResponseError(Residual):
             records.append(Record(**{**record.__dict__, "samples": kept}))
             lines += bins.size
         samples = samples._replace(y=y, w=w, x=x)
-        lane = record_lane(self.magnitude, self.linear, output, timed, count, pieces)
+        inside = (self.band_hz[1] - self.band_hz[0]) * count * np.median(spacing) + 1  # lines of a record in the band, at most
+        room = recorded.bucket(2 * min(int(inside), count // 2 + 1), 64)
+        lane = record_lane(self.magnitude, self.linear, output, timed, count, pieces, room)
         engine = Engine(layout, samples, records, overrides(layout, experiments, records), lane, shape[1])
         ratio = _ratio(chain, outputs[output], chain.signature.inputs[0][0])
         own = [float(np.median(1 / w[w[:, 0] > 0, 0])) if lines else 1.0, *(noise[k] for k in timed)]
@@ -346,7 +360,8 @@ class FrequencyResponseError(Residual):
             record = _record(number, e, p, 0, len(e.t), dataset, chain, False)
             kept = np.flatnonzero((w[p[0] : p[-1] + 1] > 0).any(1)) + p[0]
             records.append(Record(**{**record.__dict__, "samples": kept}))
-        lane = record_lane(self.magnitude, True, 0, timed, 0, 1)
+        most = max(sum(r.omega.size for r in dataset.responses if r.split == s) for s in {r.split for r in dataset.responses})
+        lane = record_lane(self.magnitude, True, 0, timed, 0, 1, recorded.bucket(2 * most, 64))
         stated = overrides(layout, experiments, records)
         engine = Engine(layout, samples._replace(y=y, w=w, x=x), records, stated, lane, shape[1])
         pairs = {(r.output, r.input) for r in measured}

@@ -12,7 +12,7 @@ import numpy as np
 from jaxtyping import Array, Float, Inexact
 
 
-SWEEPS = 10  # of Jacobi rotations; they converge quadratically, graded matrices within 7
+SWEEPS = 30  # of Jacobi rotations, at most: they converge quadratically, graded matrices of 8 rows within 7, of 64 within 15
 
 
 @jax.custom_jvp
@@ -52,32 +52,54 @@ def whitening(a: Float[Array, "n n"]) -> Float[Array, "n n"]:
     return jax.lax.scan(eliminate, jnp.concatenate([a, jnp.eye(n, dtype=a.dtype)], 1), jnp.arange(n))[0][:, n:]
 
 
+def _tournament(n: int) -> np.ndarray:
+    """Who sits where after a round in which neighbours 0-1, 2-3, ... met (n even): n - 1 rounds bring each pair together once."""
+    seats = np.arange(n)
+    if n > 2:
+        seats[2], seats[4::2] = 1, np.arange(2, n - 2, 2)
+        seats[1 : n - 1 : 2], seats[n - 1] = np.arange(3, n, 2), n - 2
+    return seats
+
+
 @jax.custom_jvp
 def eigh(a: Float[Array, "n n"]) -> tuple[Float[Array, " n"], Float[Array, "n n"]]:
-    """Eigenvalues of a symmetric matrix, rising, and its eigenvectors (columns), by cyclic Jacobi rotations; derivatives need
-    distinct eigenvalues."""
+    """Eigenvalues of a symmetric matrix, rising, and its eigenvectors (columns), by Jacobi rotations of n / 2 pairs at a time
+    (Brent and Luk 1985); derivatives need distinct eigenvalues."""
     n = a.shape[0]
-    pairs = np.tile(np.array([(p, q) for p in range(n) for q in range(p + 1, n)]), (SWEEPS, 1))
+    if n == 1:
+        return a[0], jnp.ones_like(a)
+    even = n + n % 2  # a last row and column that nothing is coupled with
+    wide = jnp.zeros((even, even), a.dtype).at[:n, :n].set(a)
+    if even > n:
+        wide = wide.at[n, n].set(2 * jnp.max(jnp.sum(jnp.abs(a), 1)) + 1)
+    p, q, seats = np.arange(0, even, 2), np.arange(1, even, 2), _tournament(even)
+    mates, pairs, sides = seats ^ 1, seats // 2, np.where(seats % 2, 1.0, -1.0)
 
-    def rotate(both: Array, pair: Array) -> tuple[Array, None]:
-        p, q = pair
+    def turn(both: Array, c: Array, s: Array) -> Array:
+        """Columns rotated by pairs, each then at its next seat."""
+        return c[pairs] * both[:, seats] + (sides * s[pairs]) * both[:, mates]
+
+    def meet(both: Array, _: None) -> tuple[Array, None]:
         small = both[p, q]
         theta = (both[q, q] - both[p, p]) / (2 * jnp.where(small == 0, 1.0, small))
         t = jnp.where(theta >= 0, 1.0, -1.0) / (jnp.abs(theta) + jnp.sqrt(theta * theta + 1))
         t = jnp.where(small == 0, 0.0, t)
         c = 1 / jnp.sqrt(1 + t * t)
-        s = t * c
-        one, two = both[:, p], both[:, q]  # of the matrix and of the vectors under it
-        both = both.at[:, p].set(c * one - s * two).at[:, q].set(s * one + c * two)
-        one, two = both[p], both[q]
-        return both.at[p].set(c * one - s * two).at[q].set(s * one + c * two), None
+        both = turn(both, c, t * c)  # of the matrix and of the vectors under it
+        return jnp.concatenate([turn(both[:even].T, c, t * c).T, both[even:]]), None
 
-    if n == 1:
-        return a[0], jnp.ones_like(a)
-    both = jax.lax.scan(rotate, jnp.concatenate([a, jnp.eye(n, dtype=a.dtype)]), jnp.asarray(pairs))[0]
-    values = jnp.diagonal(both[:n])
-    order = jnp.argsort(values)
-    return values[order], both[n:][:, order]
+    least = 1e-15 * jnp.max(jnp.abs(a))
+
+    def unsettled(state: tuple[Array, Array]) -> Array:
+        beside = jnp.where(np.eye(even, dtype=bool), 0.0, state[1][:even])
+        return (state[0] < SWEEPS) & (jnp.max(jnp.abs(beside)) > least)
+
+    both = jnp.concatenate([wide, jnp.eye(even, dtype=a.dtype)])
+    sweep = lambda state: (state[0] + 1, jax.lax.scan(meet, state[1], None, length=even - 1)[0])
+    both = jax.lax.while_loop(unsettled, sweep, (jnp.zeros((), int), both))[1]
+    values = jnp.diagonal(both[:even])
+    order = jnp.argsort(values)[:n]
+    return values[order], both[even : even + n][:, order]
 
 
 @eigh.defjvp

@@ -80,6 +80,12 @@ def test_pendulum(swing):
     assert fit.compile_time_s >= 0 and fit.evaluations > 0
 
 
+def test_a_recording_that_is_not_for_fitting_can_be_simulated(swing):
+    alone = dataclasses.replace(swing, experiments=tuple(dataclasses.replace(e, split="report") for e in swing.experiments))
+    known = {"parameters": {k: {"value": v} for k, v in PENDULUM.items()}}
+    assert jaxid.simulate(known, alone).rmse[0]["q"] < 1.3 * NOISE
+
+
 def test_rotary_and_linear_joint():
     rotary = recording(JOINT, ref.joint(JOINT["inertia"]), model="joint")
     near(jaxid.fit(None, rotary), JOINT)

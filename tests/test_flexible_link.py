@@ -360,6 +360,15 @@ def test_repeats_give_weights_that_outliers_do_not_move():
     assert np.median(lines.std / np.abs(lines.response)) == pytest.approx(0.02 / np.sqrt(2) * 1.2533 / np.sqrt(10), rel=0.4)
 
 
+def test_without_repeats_a_zero_of_the_response_does_not_outweigh_the_rest():
+    f = np.arange(0.4, 20.01, 0.4)
+    response = direct(f)
+    response[10] = 1e-9
+    std = merged(FrequencyResponse("s", "fit", 2 * np.pi * f, response, "tau", "tip_acceleration")).std
+    assert std[10] == pytest.approx(0.002 * np.median(np.abs(response)))
+    assert np.allclose(std[11:20], 0.02 * np.abs(response[11:20]))
+
+
 def pulse_data(seed: int = 0) -> jaxid.Dataset:
     t = np.arange(2000) * 1e-3
     u = np.where(t < 0.3, 0.241, 0.0)
