@@ -126,9 +126,12 @@ HEATS = ((0.1, 5, 2, None), (0.4, 6, 2, None), (1.0, 5, 1, 8), (1.0, None, 1, 4)
 WITHIN = 1.5
 
 
-def race(groups: Sequence[Sequence[tuple[AbstractProblem, np.ndarray]]], iterations: int, tolerance: float) -> list[Path]:
+def race(
+    groups: Sequence[Sequence[tuple[AbstractProblem, np.ndarray]]], iterations: int, tolerance: float, sure: Sequence[int] = ()
+) -> list[Path]:
     """A path of each group of (problem, start) on the same data, as by `search` but for a choice among the groups: those that are
-    clearly behind after the first steps stay where they are, and only the front ones descend to the end."""
+    clearly behind after the first steps stay where they are, and only the front ones, and those that are `sure`, descend to the
+    end."""
     current = [list(g) for g in groups]
     paths: list[Path] = []
     for heat, (share, steps, keep, front) in enumerate(HEATS):
@@ -136,7 +139,7 @@ def race(groups: Sequence[Sequence[tuple[AbstractProblem, np.ndarray]]], iterati
             current = [[*now, *g[:2]] for now, g in zip(current, groups, strict=True)]
         order = sorted(range(len(paths)), key=lambda k: paths[k].cost)
         ahead = [k for n, k in enumerate(order) if front is None or n < front or paths[k].cost <= WITHIN * paths[order[0]].cost]
-        ahead = ahead or list(range(len(groups)))
+        ahead = [*ahead, *(k for k in sure if k not in ahead)] if ahead else list(range(len(groups)))
         if share == 1.0 and steps is not None:  # the whole for the first time: for all of them, for those behind one step
             behind = [k for k in range(len(groups)) if k not in ahead]
             for k in ahead:

@@ -23,6 +23,7 @@ from jaxid.estimation import (
     free_runs,
     make_traces,
     start_values,
+    torque_traces,
 )
 from jaxid.experiment import Dataset
 from jaxid.fitter import Minimum, Progress
@@ -60,8 +61,6 @@ def run_diagnosis(
         raise UsageError(f"{known[0]} is part of the model already{nearest(known[0], set(allowed) - set(known))}")
     library = [k for n in allowed if n not in present and nominal.offers(k := catalogue.effect_class(n))]
     binding = bind(model, dataset, without=without, candidates=library)
-    if isinstance(residual, InverseDynamics):
-        raise UsageError("a diagnosis simulates: use the residual output_error or multiple_shooting")
     if not binding.dataset.experiments:
         raise UsageError("a diagnosis needs recorded runs; this dataset holds frequency responses alone: fit it")
     residual = residual or default_residual(binding)
@@ -77,7 +76,8 @@ def run_diagnosis(
         progress("how far", 0, 1, "report data")
 
     before, note = _before(binding, search.nominal)
-    how_far = shrinking.measure(bench, before, search.nominal.theta, chosen.theta if named else final.theta, verdict, seed, note)
+    after = chosen.theta if named else final.theta
+    how_far = shrinking.measure(bench, residual, before, search.nominal.theta, after, verdict, seed, note)
     estimates = _effect_estimates(binding, final)
     final_fit = _fit(bench, final, residual, seed, compile_time, time.perf_counter() - began)
     mates = search.confusable if named else []
@@ -87,7 +87,7 @@ def run_diagnosis(
     return Diagnosis(
         binding.chain.mechanism.name, binding.dataset.name, binding.dataset.sha256, seed, residual.name, findings, which,
         how_far, advice(verdict, [c.effect for c in named], [c.effect for c in mates]), time.perf_counter() - began,
-        nominal_fit, final_fit, _traces(bench, search.nominal, final, named), pictures, rows,
+        nominal_fit, final_fit, _traces(bench, residual, search.nominal, final, named), pictures, rows,
         (*binding.dataset.notes, *_notes(binding, final_fit, compile_time)),
     )  # fmt: skip
 
@@ -119,7 +119,7 @@ def _search(
 
     searcher = Searcher(bench, residual, nominal, progress)
     try:
-        search = searcher.run(candidates(bench, allowed), max_effects)
+        search = searcher.run(candidates(bench, allowed, isinstance(residual, InverseDynamics)), max_effects)
     except KeyboardInterrupt as stop:  # what is finished is a result too
         spent = time.perf_counter() - began
         found = minimum(nominal.z, 2 * nominal.cost / nominal.count)
@@ -191,8 +191,11 @@ def _fit(bench: Bench, h: Hypothesis, residual: Residual, seed: int, compile_tim
     return assemble(bench, problem, minimum, residual, "lm", seed, compile_time, wall_time)
 
 
-def _starts(bench: Bench, h: Hypothesis) -> np.ndarray:
+def _starts(bench: Bench, h: Hypothesis) -> np.ndarray | None:
+    """Starts of the fit runs; None where nothing is simulated."""
     problem = h.path.problem
+    if problem.runs.setting is not None:
+        return None
     if list(problem.records) == list(bench.runs(OutputError(), "fit").records):
         return problem.starts(h.path.z)
     return estimate_starts(bench, "fit", [h.theta])[0]
@@ -249,13 +252,16 @@ def _ranked(search: Search) -> list[Ranked]:
     return out
 
 
-def _traces(bench: Bench, nominal: Hypothesis, final: Hypothesis, named):
-    """Measured and simulated series of every split, for the report."""
+def _traces(bench: Bench, residual: Residual, nominal: Hypothesis, final: Hypothesis, named):
+    """Measured and simulated series of every split, for the report; of the torque where that is what was compared."""
     out = []
     thetas = [nominal.theta] + ([final.theta] if named else [])
     labels = ["nominal model, re-tuned"] + (["with " + " and ".join(str(c) for c in named)] if named else [])
     for split in ("report", "validation", "fit"):
         if not bench.binding.experiments(split):
+            continue
+        if isinstance(residual, InverseDynamics):
+            out += torque_traces(bench, residual, split, dict(zip(labels, thetas, strict=True)))
             continue
         if split == "fit":
             starts = np.array([_starts(bench, h) for h in (nominal, final)[: len(thetas)]])

@@ -6,6 +6,7 @@ import numpy as np
 
 from jaxid.diagnosis.evidence import held_out, HeldOut, memory
 from jaxid.estimation import Bench
+from jaxid.residual import InverseDynamics, Residual
 from jaxid.results import ChannelGap, HowFar
 
 
@@ -17,19 +18,29 @@ UNSEEN = 1.5
 
 
 def measure(
-    bench: Bench, before: np.ndarray, retuned: np.ndarray, after: np.ndarray, verdict: str, seed: int, note: str
+    bench: Bench,
+    residual: Residual,
+    before: np.ndarray,
+    retuned: np.ndarray,
+    after: np.ndarray,
+    verdict: str,
+    seed: int,
+    note: str,
 ) -> HowFar:
-    """Gaps of three parameter vectors on the report runs: as stated, re-tuned without the effect, with the effect."""
+    """Gaps of three parameter vectors on the report runs: as stated, re-tuned without the effect, with the effect; of the free
+    run, or of the torque where that is what was compared."""
     b = bench.binding
     split = "report" if b.experiments("report") else "validation"
-    runs = held_out(bench, split, [before, retuned, after])
+    by_torque = isinstance(residual, InverseDynamics)
+    runs = held_out(bench, split, [before, retuned, after], residual if by_torque else None)
     gaps = [r.gap for r in runs]
     per_channel = {}
-    for c, (name, unit) in enumerate(b.chain.signature.outputs):
-        sigma = float(b.sigma[c])
+    compared = bench.runs(residual, split) if by_torque else None
+    for c, (name, unit) in enumerate(compared.channels if compared else b.chain.signature.outputs):
+        sigma = float(compared.noise[c] if compared else b.sigma[c])
         rmse = [sigma * float(np.sqrt(np.mean(np.concatenate([r[:, c] for r in run.residual]) ** 2))) for run in runs]
-        noise = b.noise[name]
-        per_channel[name] = ChannelGap(unit, rmse[0], rmse[1], rmse[2], noise.std, noise.source)
+        source = "scatter of neighbouring samples" if compared else b.noise[name].source
+        per_channel[name] = ChannelGap(unit, rmse[0], rmse[1], rmse[2], sigma if compared else b.noise[name].std, source)
     shrinkage = interval = None
     reason = ""
     if verdict == "none":

@@ -61,11 +61,14 @@ class Search:
     confusable: list[Candidate] = field(default_factory=list)
 
 
-def candidates(bench: Bench, allowed: Sequence[str]) -> list[Candidate]:
-    """Every allowed effect that the model lacks, at each of its locations."""
+def candidates(bench: Bench, allowed: Sequence[str], by_torque: bool = False) -> list[Candidate]:
+    """Every allowed effect that the model lacks, at each of its locations. Where torques are compared, those on the way from the
+    command to the joint are none: a drive that delivers nothing leaves no torque unexplained."""
     b = bench.binding
     out = []
     for effect in b.chain.effects:
+        if by_torque and effect.location != "joint":
+            continue
         if effect.name in allowed and not any(i in b.nominal for i in b.layout.of_effect(effect.name)):
             for place in b.chain.offers(effect):
                 index = tuple(b.layout.of_effect(effect.name, place))

@@ -30,9 +30,13 @@ DECISIVE = 9.0
 SCREEN_SHARE, MINIMUM, MAXIMUM = 0.02, 6, 16
 #: Starts of each refit that come from the screen: two of the best to first order, and the best of all probes as they simulate.
 STARTS = 4
+#: So many hypotheses that explain the torque of the measured motion best are refitted to the end, however they do at first.
+SURE = 3
 #: A hypothesis that leaves less than this share of what the best one on validation data leaves of the fit runs, and less over
 #: both (mean logarithm), is preferred to it: validation runs may go where the fit runs tell little of any hypothesis.
 CONFLICT = 0.5
+#: A law of fewer numbers is as good if it leaves less than so much more: the noise itself is not known better.
+ALIKE = 1.02
 #: An effect must remove at least this share of what is left of the gap on validation data.
 GAIN = 0.02
 #: Timing comes before physics: these are always refitted first, and win a tie. One sample of offset between two channels, or the
@@ -53,6 +57,7 @@ class Searcher:
 
     def __init__(self, bench: Bench, residual: Residual, nominal: Path, progress: Progress | None = None):
         self.bench, self.residual, self.progress = bench, residual, progress
+        self.by_torque = isinstance(residual, InverseDynamics)  # nothing is simulated
         self.accurate = bench  # with steps that no longer matter
         self.benches: list[Bench] = []  # coarser ones, left behind
         self.base_free = list(nominal.problem.free)
@@ -76,13 +81,15 @@ class Searcher:
         """Refits each set of effects from its starts (full parameter vectors), all in one batch; best start of each."""
         starts = self.nominal.path.problem.starts(self.nominal.path.z)
         sets = self._promising(sets)
-        groups = []
-        for (effects, thetas), more in zip(sets, self._torque_starts(sets), strict=True):
+        groups, by_torque = [], self._torque_starts(sets)
+        for (effects, thetas), (_, more) in zip(sets, by_torque, strict=True):
             p = self.problem(effects, thetas[0])
             groups.append(
                 [(p, p.z(theta, starts)) for theta in [thetas[0], *more, *thetas[1:]]]
             )  # the race favours the first two
-        final = race(groups, 20, 1e-6)
+        order = sorted(range(len(sets)), key=lambda k: by_torque[k][0])
+        sure = [k for k in order if np.isfinite(by_torque[k][0])][:SURE]
+        final = race(groups, 20, 1e-6, sure)
         found = self._hypotheses([(effects, path) for (effects, _), path in zip(sets, final, strict=True)])
         for k, h in enumerate(found):
             old = self.known.get(key_of(h.effects))
@@ -106,18 +113,31 @@ class Searcher:
             out.append((effects, [starts[k] for k in dict.fromkeys([*range(min(2, len(starts))), *order])][:STARTS]))
         return out
 
-    def _torque_starts(self, sets: Sequence[tuple[tuple[Candidate, ...], Sequence[np.ndarray]]]) -> list[list[np.ndarray]]:
-        """A start of each set from the torque residual of the measured motion: biased by the noise of derivatives, but free of
-        the free run's local minima (where a nominal term stands in for two missing ones, a descent stays)."""
+    def _torque_starts(
+        self, sets: Sequence[tuple[tuple[Candidate, ...], Sequence[np.ndarray]]]
+    ) -> list[tuple[float, list[np.ndarray]]]:
+        """A start of each set from the torque residual of the measured motion, and its cost: biased by the noise of derivatives,
+        but free of the free run's local minima (where a nominal term stands in for two missing ones, a descent stays). No cost
+        where an effect is on the way of the command: a drive that delivers nothing leaves no torque unexplained."""
         b = self.bench.binding
-        if not b.motions or b.chain.mechanism.hidden_states:
-            return [[] for _ in sets]
-        jobs = []
-        for effects, thetas in sets:
-            free = self.base_free + [i for c in effects for i in c.index]
-            p = self.bench.problem(InverseDynamics(decimate=1), "fit", free, thetas[0])
-            jobs.append((p, p.z(thetas[0])))
-        return [[p.problem.theta(p.z)] if np.isfinite(p.cost) else [] for p in descend(jobs, 6, 1e-3)]
+        if not b.motions or b.chain.mechanism.hidden_states or self.by_torque:
+            return [(np.inf, []) for _ in sets]
+        jobs, owners = [], []
+        for k, (effects, thetas) in enumerate(sets):
+            index = [i for c in effects for i in c.index]
+            own = lambda theta, index=index: tuple(theta[index])
+            p = self.bench.problem(InverseDynamics(decimate=1), "fit", self.base_free + index, thetas[0])
+            for theta in list({own(t): t for t in reversed(thetas)}.values())[-2:]:
+                jobs.append((p, p.z(theta)))
+                owners.append(k)
+        paths = descend(jobs, 6, 1e-3)
+        out: list[tuple[float, list[np.ndarray]]] = []
+        for k, (effects, _) in enumerate(sets):
+            best = min((p for p, owner in zip(paths, owners, strict=True) if owner == k), key=lambda p: p.cost)
+            comparable = all(effect_of(self.bench, c).location == "joint" for c in effects)
+            found = [best.problem.theta(best.z)] if np.isfinite(best.cost) else []
+            out.append((best.cost if comparable else np.inf, found))
+        return out
 
     # ---- screen
 
@@ -129,7 +149,7 @@ class Searcher:
         """The same by the torque that the measured motion lacks. It is blind to what has no place in an inverse (play, springs,
         sensors) and biased by the noise of derivatives, but it does not depend on how far the free run has gone astray."""
         binding = self.bench.binding
-        if not binding.motions or binding.chain.mechanism.hidden_states:
+        if not binding.motions or binding.chain.mechanism.hidden_states or self.by_torque:
             return []
         p = self.bench.problem(InverseDynamics(decimate=1), "fit", h.path.problem.free, h.theta)
         path = descend([(p, p.z(h.theta))], 12, 1e-6)[0]
@@ -140,7 +160,7 @@ class Searcher:
     def run(self, pool: Sequence[Candidate], max_effects: int) -> Search:
         """Forward selection up to `max_effects`, then each accepted effect is questioned again."""
         chosen, tried, singles = self._refined(self.nominal), [], []
-        while len(chosen.effects) < max_effects and not self._at_floor(chosen):
+        while len({c.effect for c in chosen.effects}) < max_effects and not self._at_floor(chosen):
             rest = [c for c in pool if c not in chosen.effects]
             if not rest:
                 break
@@ -160,6 +180,10 @@ class Searcher:
                 better = [h for h in rivals if self._significant(chosen, h) and h.validation.loss < step.validation.loss]
                 step = min([step, *better], key=lambda h: h.validation.loss)
                 tried += rivals
+            if self.by_torque:
+                spread = self._spread(step, pool)
+                tried += spread
+                step = next((h for h in spread if self._significant(step, h)), step)
             chosen = self._refined(step)
             if self._finished(chosen):
                 break
@@ -177,7 +201,7 @@ class Searcher:
         The search itself stays on its steps: what finer ones add to the chosen hypothesis is taken off the data.
         """
         chosen = self._descended(chosen)
-        for _ in range(HALVINGS):
+        for _ in range(0 if self.by_torque else HALVINGS):
             p = self.accurate.problem(self.residual, "fit", chosen.path.problem.free, chosen.theta)
             if step_error(p, self._z(p, chosen), (finer := self._halved()).runs(self.residual, "fit")) <= STEP_SHARE:
                 break
@@ -251,13 +275,16 @@ class Searcher:
             return []
         if self.progress:
             self.progress("screen", len(h.effects), 3, f"{len(ranked or by_torque)} candidates react to the data")
-        blind = not (by_torque or h.effects)  # a model with inner states: all that reacts is tried
+        blind = not (by_torque or h.effects or self.by_torque)  # a model with inner states: all that reacts is tried
         kept = ranked if blind else _head(ranked)
         names = {str(c) for _, c, _ in kept}
-        more = {str(c) for _, c, _ in _head(by_torque)} - names
+        # At the joint first: what is on the way of the command always explains torque, by delivering less of it.
+        at_joint = [f for f in by_torque if effect_of(self.bench, f[1]).location == "joint"]
+        more = [str(c) for _, c, _ in (*_head(at_joint), *_head([f for f in by_torque if f not in at_joint]))]
+        table = {str(f[1]): f for f in ranked or by_torque}
         ranked = ranked or by_torque
         first = [f for f in ranked if f[1].effect in TIMING and not h.effects]
-        others = [f for f in (*kept, *(f for f in ranked if str(f[1]) in more)) if f not in first]
+        others = [f for f in (*kept, *(table[n] for n in more if n in table and n not in names)) if f not in first]
         kept = [*first, *others][: 2 * MAXIMUM if blind else MAXIMUM]
         if self.progress:
             self.progress("refit", len(h.effects), 3, f"{len(kept)} candidates")
@@ -301,10 +328,15 @@ class Searcher:
             top = rival
             good = [h for h in good if CONFLICT * h.fit_loss < top.fit_loss]
         factor = inflation(top.validation)
-        near = [h for h in good if worth(top.validation, h.validation, factor) < DECISIVE]
+        near = [h for h in good if worth(top.validation, h.validation, factor) < DECISIVE or self._simpler(h, top)]
         fewest = min(h.size for h in near)
         physics = lambda h: h.effects[-1].effect not in TIMING
         return min((h for h in near if h.size == fewest), key=lambda h: (physics(h), self._joint(h)))
+
+    def _simpler(self, h: Hypothesis, top: Hypothesis) -> bool:
+        """Whether `h` has a law of fewer numbers of the same kind in the same place, and leaves next to nothing more."""
+        kind = lambda h: (type(effect_of(self.bench, h.effects[-1])).__module__, h.effects[-1].location, h.effects[:-1])
+        return h.size < top.size and kind(h) == kind(top) and h.validation.loss < ALIKE * max(1.0, top.validation.loss)
 
     def _joint(self, h: Hypothesis) -> float:
         """Mean square over fit and validation samples together."""
@@ -324,6 +356,17 @@ class Searcher:
                 if new not in first.effects and sensible((*first.effects, new)):
                     sets.append(((*first.effects, new), [theta, *probes_of(self.bench, new, first.theta)[:2]]))
         return self.refit(sets) if sets else []
+
+    def _spread(self, h: Hypothesis, pool: Sequence[Candidate]) -> list[Hypothesis]:
+        """`h` with its last effect at all other joints too: what one drive of an arm lacks its neighbours may lack as well, and
+        their torques show it one by one."""
+        more = [e for e in pool if e.effect == h.effects[-1].effect and e not in h.effects and sensible((*h.effects, e))]
+        thetas = [h.theta.copy() for _ in range(2)] if more else []
+        for k, theta in enumerate(thetas):
+            for e in more:
+                found = probes_of(self.bench, e, h.theta)
+                theta[list(e.index)] = found[min(k, len(found) - 1)][list(e.index)]
+        return self.refit([((*h.effects, *more), thetas)]) if more else []
 
     def _plain_pairs(self, c: Candidate, pool: Sequence[Candidate]) -> list[Hypothesis]:
         """Two laws of one number each in the place of one of the same kind with several: dry friction and drag, each alone of no
