@@ -83,6 +83,41 @@ def test_a_model_that_lacks_nothing_gets_none():
     assert not d.where
 
 
+def commanded_arm(drag: tuple[float, float]) -> jaxid.Dataset:
+    """A two-link arm along prescribed motion without rests, its torque by the twin's equations with noise: three runs of 6 s."""
+    t, plant = np.arange(1200) / 200, twins.PLANTS["planar_arm"]
+    numbers = {k: np.tile(x, (len(t), 1)) for k, x in {"payload": (0.0, 0.0), "tilt": (0.0, 0.0), **plant.nominal}.items()}
+    taus, qs = [], []
+    for k in range(3):
+        rng = np.random.default_rng(k)
+        a, w, phase = rng.uniform(0.2, 0.5, (3, 2)), 2 * np.pi * rng.uniform(0.3, 1.2, (3, 2)), rng.uniform(0, 6, (3, 2))
+        angle = w * t[:, None, None] + phase
+        q, qd, qdd = (a * np.sin(angle)).sum(1), (a * w * np.cos(angle)).sum(1), -(a * w * w * np.sin(angle)).sum(1)
+        M, bias = plant.matrices(q, qd, numbers)
+        friction = numbers["viscous"] * qd + numbers["coulomb"] * np.sign(qd) + np.array(drag) * np.abs(qd) * qd
+        taus.append(np.einsum("tij,tj->ti", M, qdd) + bias + friction + 0.05 * rng.standard_normal(q.shape))
+        qs.append(q + 1e-6 * rng.standard_normal(q.shape))
+    return jaxid.Dataset.from_arrays(
+        [t] * 3, {f"tau{j + 1}": [x[:, j] for x in taus] for j in (0, 1)}, {f"q{j + 1}": [x[:, j] for x in qs] for j in (0, 1)},
+        split=["fit", "validation", "report"], model="planar_arm",
+    )  # fmt: skip
+
+
+@pytest.mark.parametrize(("drag", "places"), [((0.0, 0.15), {"q2"}), ((0.2, 0.15), {"q1", "q2"})])
+def test_an_arm_is_diagnosed_by_its_torque(drag, places):
+    """Nothing is simulated; an effect that is found at one joint is looked for at the others."""
+    data = commanded_arm(drag)
+    d = jaxid.diagnose(None, data, residual="inverse_dynamics", effects=["quadratic_drag", "spring_torque"])
+    assert d.which.verdict == "named" and d.residual == "inverse_dynamics"
+    assert {(e.effect, e.location) for e in d.which.effects} == {("quadratic_drag", p) for p in places}
+    for e in d.which.effects:
+        found = e.parameters["coefficient"]
+        assert found.std is not None and abs(found.value - drag[int(e.location[1]) - 1]) < 4 * found.std
+    assert set(d.how_far.per_channel) == {"tau1", "tau2"} and d.how_far.gap_after < 1.2 < d.how_far.gap_retuned
+    assert {t.channel for t in d.traces} == {"tau1", "tau2"} and "report" in {t.split for t in d.traces}
+    assert d.where[0].location in places
+
+
 @pytest.mark.slow
 def test_a_nominal_term_taken_out_is_found():
     d = jaxid.diagnose("pendulum", recording("pendulum", 3), without=["coulomb_friction"])
