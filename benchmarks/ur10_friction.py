@@ -31,7 +31,8 @@ CASES = {
 def recordings(load: np.ndarray | None, exponent: np.ndarray, noise: np.ndarray) -> jaxid.Dataset:
     """Two designed motions of 10 s at 125 Hz: one to fit, one to judge."""
     rng, dynamics, t = np.random.default_rng(0), arm_of(load), np.arange(1250) / 125.0
-    motions = [jaxid.excite("ur10", seed=seed).fourier(t) for seed in (0, 1)]
+    designs: list[Any] = [jaxid.excite("ur10", seed=seed) for seed in (0, 1)]
+    motions = [design.fourier(t) for design in designs]
     taus = []
     for q, qd, qdd in motions:
         friction = (LEVEL + VISCOUS * np.abs(qd) ** exponent) * np.sign(qd) + OFFSET

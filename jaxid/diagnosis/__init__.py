@@ -203,9 +203,10 @@ def _starts(bench: Bench, h: Hypothesis) -> np.ndarray | None:
 
 def _where(bench: Bench, nominal: Hypothesis, final: Hypothesis, verdict: str, named, seed: int):
     """Findings, pictures and regime table; no finding where there is no gap."""
-    before = location.missing_forces(bench, nominal.theta, _starts(bench, nominal), seed)
+    starts = _starts(bench, nominal)
+    before = location.missing_forces(bench, nominal.theta, starts, seed)
     if not before:
-        found = [] if verdict == "none" else location.output_findings(bench, nominal.theta, _starts(bench, nominal))
+        found = [] if verdict == "none" or starts is None else location.output_findings(bench, nominal.theta, starts)
         return tuple(found), (), ()
     after = location.missing_forces(bench, final.theta, _starts(bench, final), seed, draws=0)
     joints = bench.binding.chain.signature.joints

@@ -407,7 +407,7 @@ class Searcher:
         for c in chosen.effects:
             others = tuple(e for e in chosen.effects if e is not c)
             missing = [e for e in pool if e not in chosen.effects and key_of((*others, e)) not in self.known | self._stale]
-            if missing and others and key_of(others) in self.known:
+            if missing and others and key_of(others) in self.known and not self.by_torque:
                 self._extend(self.known[key_of(others)], missing)
             self._renew([key_of((*others, e)) for e in pool if e not in chosen.effects], key_of(chosen.effects))
             for e in pool:
