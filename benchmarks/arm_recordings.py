@@ -1,7 +1,7 @@
 """Identification of recorded arms: a UR10e by motor current, a Panda by its torque sensors.
 
 Relative torque error |measured - predicted| / |measured| over all joints, both filtered at 5 Hz without phase, as published with
-the recordings (the Panda's figures there with 20 Hz, its test part is the last third of one run). The friction law is the simplest
+the recordings (the Panda with 20 Hz, its test part is the last third of one run). The friction law is the simplest
 that no richer one beats on every held-out recording; each law that was tried is listed.
 """
 
