@@ -40,7 +40,7 @@ notebooks: .venv/installed-dev
 # The site with all notebooks executed in full; warnings are errors. Outputs are kept in out/docs_cache until a notebook
 # or the budgets change; for those of changed library code `make clean` first.
 docs: .venv/installed-dev
-	$(BIN)/python -m sphinx -W --keep-going -b html docs out/site
+	$(BIN)/python -m sphinx -E -W --keep-going -b html docs out/site
 	@echo "The site: out/site/index.html"
 
 clean:
