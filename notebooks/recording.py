@@ -112,7 +112,7 @@ figure, (top, bottom) = plt.subplots(2, 1, sharex=True, figsize=(8, 4), layout="
 top.plot(run.t, run.u[:, 0])
 top.set_ylabel("torque asked for (N m)")
 bottom.plot(run.t, run.y[:, 0], color="C1")
-bottom.set(xlabel="time (s)", ylabel="angle (rad)")
+_ = bottom.set(xlabel="time (s)", ylabel="angle (rad)")
 
 # %%
 servo_diagnosis = jaxid.diagnose(None, data, effects=candidates)
