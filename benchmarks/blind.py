@@ -272,7 +272,9 @@ def run(
         data = recordings(cases, seed)
         for k in keep:
             case = cases[k]
-            label = " + ".join(f"{e} at {p}" for e, p in case["effects"]) or f"nothing, {k}"
+            label = " + ".join(f"{e} at {p}" for e, p in case["effects"]) or "nothing"
+            if case["kind"] in ("control", "outsider"):  # several of a kind
+                label += f", {k}"
             key = (model, case["kind"], label, seed)
             if key not in done:
                 groups = classes(model, tuple(case["without"]))
