@@ -288,7 +288,7 @@ def linearise(jobs: Sequence[tuple[AbstractProblem, np.ndarray]], share: float =
     out = [[0.0, np.zeros(p.size), np.zeros((p.size, p.size)), 0] for p, _ in jobs]
     with np.errstate(all="ignore"):
         for part in rows(jobs, share):
-            job, r, J = out[part.job], part.r.ravel(), part.J.reshape(part.r.size, -1)
+            job, r, J = out[part.job], part.r.ravel(), part.J.reshape(part.r.size, len(part.z_columns))
             job[0] += float(r @ r)
             job[1][part.z_columns] += J.T @ r
             job[2][np.ix_(part.z_columns, part.z_columns)] += J.T @ J
@@ -300,7 +300,8 @@ def expand(jobs: Sequence[tuple[AbstractProblem, np.ndarray]], share: float = 1.
     """`linearise` for any loss: twice the loss, its gradient, and the curvature of the reweighted least-squares problem that has
     the same gradient (Lawson's reweighting: e^2 / |e| for absolute values, |e_c|^2 / |e|_c for the norm of a channel)."""
     if all(p.loss_name == "sum_of_squares" for p, _ in jobs):
-        return [Linear(2 * c / n, 2 * g / n, 2 * H / n, n) for c, g, H, n in map(_parts, linearise(jobs, share))]
+        parts = [(*_parts(at)[:3], max(1, at.count), at.count) for at in linearise(jobs, share)]
+        return [Linear(2 * c / n, 2 * g / n, 2 * H / n, count) for c, g, H, n, count in parts]
     columns = [len(p.data.norm) for p, _ in jobs]
     cost = [np.zeros(c) for c in columns]
     gradient = [np.zeros((c, p.size)) for c, (p, _) in zip(columns, jobs, strict=True)]

@@ -41,7 +41,7 @@ def covariance(problem: Problem, z: np.ndarray) -> Covariance:
     scores: list[tuple[list[int], np.ndarray]] = []
     series: list[np.ndarray] = []
     for part in rows([(problem.precise(), z)]):
-        J = part.J.reshape(part.r.size, -1)
+        J = part.J.reshape(part.r.size, len(part.z_columns))
         index = np.ix_(part.z_columns, part.z_columns)
         H[index] += J.T @ J
         S_white += float(np.sum(part.r**2))

@@ -126,7 +126,7 @@ def _settled(
         at = np.r_[0:n, start:end]
         places.append(at)
         prior[start:end, start:end] = information
-        S = S.reshape(r.size, -1)
+        S = S.reshape(r.size, at.size)
         G[np.ix_(at, at)] += S.T @ S
         g[at] += S.T @ r.ravel()
     if not g.size:

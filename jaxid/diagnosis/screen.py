@@ -67,7 +67,7 @@ class Retuning:
         J = np.zeros((sum(part.r.size for part in parts), size))
         k = 0
         for part in parts:
-            J[k : k + part.r.size, part.z_columns] = part.J.reshape(part.r.size, -1)
+            J[k : k + part.r.size, part.z_columns] = part.J.reshape(part.r.size, len(part.z_columns))
             k += part.r.size
         norm = np.linalg.norm(J, axis=0)
         self._kept = np.flatnonzero(norm > 0)

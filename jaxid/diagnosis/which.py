@@ -160,7 +160,7 @@ class Searcher:
     def run(self, pool: Sequence[Candidate], max_effects: int) -> Search:
         """Forward selection up to `max_effects`, then each accepted effect is questioned again."""
         chosen, tried, singles = self._refined(self.nominal), [], []
-        while len({c.effect for c in chosen.effects}) < max_effects and not self._at_floor(chosen):
+        while self._named(chosen) < max_effects and not self._at_floor(chosen):
             rest = [c for c in pool if c not in chosen.effects]
             if not rest:
                 break
@@ -193,6 +193,10 @@ class Searcher:
         mates = self._mates(chosen, pool)
         chosen = self._settled(chosen)
         return Search(self.nominal, chosen, tried, mates)
+
+    def _named(self, h: Hypothesis) -> int:
+        """How many effects a hypothesis names; by torque one at several joints counts once."""
+        return len({c.effect for c in h.effects}) if self.by_torque else len(h.effects)
 
     def _refined(self, chosen: Hypothesis) -> Hypothesis:
         """The chosen hypothesis descended to the end, with steps so fine that they no longer matter against the noise: what the
