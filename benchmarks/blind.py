@@ -300,17 +300,17 @@ def main() -> dict[str, Any]:
     rows = [json.loads(line) for line in lines]
     text = (
         "Recordings of separately written twins (benchmarks/twins.py); the key was read afterwards. The search was tuned "
-        "on seeds 1 and 3 and on two real recordings. Single effects of joint and pendulum are of seed 4, run once with "
-        "the rules as they are; on seed 3, before its four plain misses (dry, Stribeck and power-law friction, a flexible"
-        " mode) were mended, joint had 26 of 31 right and 2 wrong names. Joint on seed 3, with the rules of that time: "
-        "controls 25 of 25 `none`, 4 outsiders 0 named, 2 partly, 2 unknown, 4 of 10 pairs right, 6 in the set. Servo and"
-        " flexible link (18 of 30 cases) are of seed 2 and of older rules, controls and outsiders too. Planar arm and "
-        "tracker were run on seed 1 alone, in part: planar arm 9 cases, 6 right, 1 in the set, 2 unknown (power law, "
-        "right since; backlash), tracker 5 cases, all right. `right`: exactly the withheld effects, or equals of them on "
-        "that model, were named; `in set`: they are among those named or reported as not to be told apart; `wrong`: a "
-        "name outside the set. Effects that a model's parameters absorb count as `nothing missing`. The servo's voltage "
-        "limit is reached in some validation runs alone: what the fit runs cannot tell of it was then taken for an effect"
-        " (payload, reflected inertia)."
+        "on seeds 1 and 3 and on two real recordings. Single effects of joint and pendulum are of seed 4, everything else is of "
+        "seed 5, each case run once with the rules as they were. Two rules came after seed 5 and are not counted in its rows: a "
+        "law that ends at its bound gives way to a simpler one (the link's quadratic drag is named right with it), and report "
+        "data withdraw a verdict that does not hold on them (of the rows here: one `named` outsider and seven `partly` would be "
+        "`unknown`, one `named` effect of the servo would be `partly`). Tracker: every second case, planar arm: one, for time "
+        "(30 and 370 CPU s a case on a busy machine; on seed 1 nine cases of the planar arm: 6 right, 1 in the set, 2 unknown). "
+        "`right`: exactly the withheld effects, or equals of them on that model, were named; `in set`: they are among those "
+        "named or reported as not to be told apart; `wrong`: a name outside the set. Effects that a model's parameters absorb "
+        "count as `nothing missing`; the tracker's torque_scale and the link's reflected_inertia are absorbed to within the "
+        "noise and count as missed. Of single effects of seed 5 named alone 62 of 64 have the right place. Two outsiders were "
+        "`named`: damping that changes at half time as friction that warms up, a push of 0.6 s as a scale of the torque."
     )
     return {"title": "Blind cases", "rows": summary(rows), "text": text}
 

@@ -43,7 +43,7 @@ def study(seeds: int, memory: float) -> dict[str, np.ndarray]:
     data = jaxid.Dataset.from_arrays(
         [t], {"tau": [u[:, 0]]}, {"q": [q]}, at_rest=True, noise_std={"q": NOISE}, model="joint", split=["fit"], check_model=False
     )
-    binding = bind(None, data)
+    binding = bind(None, data, splits=False)
     problem = Bench(binding, STEP).problem(OutputError(), "fit", binding.free, binding.theta)
     names = problem.names[: problem.free.size]
     exact = np.array([TRUTH[n] for n in names])
