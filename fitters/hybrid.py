@@ -7,9 +7,9 @@ from typing import ClassVar
 import jax
 import numpy as np
 
-from jaxid.fitter import AbstractFitter, AbstractPopulation, Course, Log
-from jaxid.fitters.ade import RandToBestDE
+from jaxid.fitter import AbstractFitter, AbstractPopulation, answered, Course, Log
 from jaxid.fitters.lm import problem_clip, search
+from jaxid.fitters.shade import Shade
 from jaxid.objective import AbstractProblem
 
 
@@ -17,19 +17,19 @@ class Hybrid(AbstractFitter):
     """A population, then bounded Levenberg-Marquardt on its `descents` best distinct points and on the start values, all as one
     batch; recommended where nothing is known of the start. Works on every loss.
 
-    The population takes at most `share` of the budget. A second of the `rounds` starts anew; rounds that end in the same minimum
-    are enough.
+    The population takes at most `share` of what is left of the budget. Every round starts anew, until one ends in the lowest
+    minimum so far once more, or after `rounds`.
     """
 
     name: ClassVar[str] = "hybrid"
     source: ClassVar[str] = "this library; population and descent as their own fitters"
 
-    population: AbstractPopulation = RandToBestDE(popsize=24, generations=30)
+    population: AbstractPopulation = Shade(popsize=32, generations=40)
     descents: int = 6
     iterations: int = 60
     tolerance: float = 1e-10
     share: float = 0.6
-    rounds: int = 2
+    rounds: int = 8
 
     def minimise(self, problem, starts, key, budget=None, progress=None, seconds=None):
         log = Log(problem, self.name, budget, seconds, progress)
@@ -39,7 +39,8 @@ class Hybrid(AbstractFitter):
             if number and log.left < 2 * self.population.popsize:
                 break
             most = None if budget is None else max(1, int(self.share * log.left / self.population.popsize))
-            course, _, why = self.population.search(problem, given, jax.random.fold_in(key, number), log, most=most)
+            searching = self.population.searching(problem, given, jax.random.fold_in(key, number), log, most=most)
+            course, _, why = answered(searching, problem)
             ends = [(course.best[0], False, why)]
             if not log.exhausted:
                 points = basins(problem, course, self.descents) + given

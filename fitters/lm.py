@@ -41,12 +41,10 @@ class LevenbergMarquardt(AbstractFitter):
         log = Log(problem, self.name, budget, seconds, progress)
         return self._search([(problem, starts, key)], [log])[0]
 
-    def minimise_each(
-        self, jobs: Sequence[tuple[AbstractProblem, Sequence[np.ndarray], Any]], budget: int | None
-    ) -> list[Minimum]:
+    def minimise_each(self, jobs, budget=None, progress=None):
         """`minimise` of several (problem, starts, key) on the same runs, each with the budget: the same bits as one by one, with
         all linearisations in the same batches."""
-        return self._search(jobs, [Log(problem, self.name, budget) for problem, _, _ in jobs])
+        return self._search(jobs, [Log(problem, self.name, budget, None, progress) for problem, _, _ in jobs])
 
     def path(
         self, problem: AbstractProblem, starts: Sequence[np.ndarray], key: Any, progress: Progress | None = None

@@ -350,7 +350,7 @@ class Chain(eqx.Module):
         moved = body.port(body.close(h, x, free, correction, w, shift))[0] - q
         x = body.close(h, x, free, correction, w, shift - jnp.where(sticks & (v == 0), moved, 0.0))
         _, _, _, z = self.friction(s._replace(qd=(v + w) / 2), after)
-        return Carry(x, z, dry, (w - v) / h), correction - F - lam
+        return Carry(x, z, dry, (w - v) * (1 / h)), correction - F - lam
 
     def _linearised(self, law: Callable, qd: Float[Array, " nq"]) -> tuple[Array, Array, Array, Array]:
         """The law at qd, and its slope: [nq] where each joint's torque depends on its own speed alone, else [nq nq]."""

@@ -21,6 +21,7 @@ import numpy as np
 from jaxtyping import Array, Float, Int
 
 from jaxid.chain import Carry, Chain, Command
+from jaxid.lanes import loop_over_time, over_lanes
 from jaxid.layout import Layout
 from jaxid.mechanism import Mechanism
 from jaxid.precision import float64
@@ -78,13 +79,14 @@ def simulate_lane(
     reach: int,
     burn: bool,
     body: Mechanism | None = None,
+    wanted: tuple[int, ...] | None = None,
 ) -> Float[Array, "length ny"]:
     """Outputs of one model on one record, at every step of the buffer (`steps` of them, then zeros).
 
     `where` holds the first step of the lane, the bounds of its run, and the burn-in: for so many steps the mechanism follows
     the measured motion, so that effects bring their states to the record's beginning; then it starts from `start`.
     The loop runs over blocks, their count is data: one program serves every length. `body` is the mechanism with its effects,
-    prepared, where that has been done.
+    prepared, where that has been done; of outputs that are not `wanted` zeros are returned.
     """
     nq = chain.nq
     begin, first, last, lead = where
@@ -98,7 +100,8 @@ def simulate_lane(
             x = body.start(forced[:nq], forced[nq:])
             carry = carry._replace(x=jax.tree.map(lambda a, b: jnp.where(k <= lead, a, b), x, carry.x))
         command = command_at(samples, i, first, last, reach)
-        return chain.step(body, carry, command)
+        carry, y = chain.step(body, carry, command)
+        return carry, y if wanted is None else jnp.stack([y[i] if i in wanted else jnp.zeros(()) for i in range(len(y))])
 
     y = _blocks_of(step, chain.start(start[:nq], start[nq:], samples.u[begin]), steps, length, len(chain.signature.outputs))
     k = jnp.arange(length)
@@ -138,7 +141,7 @@ def _blocks_of(step: Callable, carry: Any, steps: Array, length: int, width: int
         return k + BLOCK, carry, jax.lax.dynamic_update_slice_in_dim(out, y, k, 0)
 
     state = (jnp.zeros((), jnp.asarray(steps).dtype), carry, jnp.zeros((length, width)))
-    return jax.lax.while_loop(lambda s: s[0] < steps, block, state)[2]
+    return loop_over_time(lambda: jax.lax.while_loop(lambda s: s[0] < steps, block, state)[2])
 
 
 def reach_of(samples: Samples, record: Record) -> int:
@@ -160,7 +163,7 @@ _COMPILERS = ThreadPoolExecutor(max_workers=os.cpu_count() or 1, thread_name_pre
 
 
 class Programs(NamedTuple):
-    """The compiled functions of one kind of model: pure batch prediction, and jitted outputs and tangents."""
+    """The functions of one kind of model: pure prediction of one lane, and jitted outputs and tangents of many."""
 
     predict: Callable[..., Array]
     outputs: Callable[..., Any]
@@ -184,11 +187,11 @@ def programs_for(layout: Layout, lane: Lane, length: int, reach: int, burn: bool
             f = lambda theta, start: predict(theta, start, where, samples, steps)
             return jax.jvp(f, (theta, start), (dtheta, dstart))
 
-        batch = jax.vmap(predict, (0, 0, 0, None, None))
-        tangents = jax.vmap(tangent, (0, 0, 0, 0, 0, None, None))
+        batch = over_lanes(predict, (0, 0, 0, None, None))
+        tangents = over_lanes(tangent, (0, 0, 0, 0, 0, None, None))
         about = key_of(lane, layout.model(jnp.zeros(len(layout))), layout.names, length, reach, burn)
         traced = lambda f, name: Traced(f, about and f"{name}\n{about}")
-        _PROGRAMS[key] = Programs(batch, traced(batch, "outputs"), traced(tangents, "tangents"), {}, set())
+        _PROGRAMS[key] = Programs(predict, traced(batch, "outputs"), traced(tangents, "tangents"), {}, set())
     return _PROGRAMS[key]
 
 
@@ -242,8 +245,6 @@ class Engine:
         self._families = {} if whole else families(layout)
         self._neutral = np.array([e.spec.value for e in layout.entries])
         self._restricted: dict[frozenset[str], tuple[Programs, np.ndarray]] = {}
-        programs = programs_for(layout, *self._kind)
-        self.predict, self.programs = programs.predict, programs.losses
         self.where = np.array([[r.offset - r.lead, r.first, r.last, r.lead] for r in self.records], np.int32)
         self.steps = np.array([r.count + r.lead for r in self.records], np.int32)
 
@@ -315,17 +316,24 @@ class Engine:
         return self._restricted[kept]
 
     def predictor(self, theta: np.ndarray, free: np.ndarray) -> tuple[Callable[..., Array], dict[Any, Any]]:
-        """`predict` for numbers that equal theta but in `free`: only with the effects that can then be at work; and the compiled
-        losses made of it."""
+        """How one lane runs whose numbers equal theta but in `free`, and the compiled losses made of it.
+
+        (values of the free numbers, which of them the record leaves open, all numbers fixed on the record, start, where,
+        samples, steps) -> prediction. Only effects that can then be at work take part, and what the fixed numbers determine
+        does not depend on the candidate.
+        """
         could = np.zeros(len(theta), bool)
         could[free] = True
         could |= (theta != self._neutral) | np.any(~np.isnan(self.overrides), 0)
         kept = frozenset(name for name, index in self._families.items() if could[index].any())
-        if len(kept) == len(self._families):
-            return self.predict, self.programs
         programs, index = self._programs_of(kept)
-        predict = lambda theta, *others: programs.predict(theta[:, index], *others)
-        return predict, self.programs.setdefault(kept, {})
+        place = {int(i): k for k, i in enumerate(free)}
+
+        def predict(values, still_open, fixed, start, where, samples, steps):
+            own = lambda i: jnp.where(still_open[place[i]], values[place[i]], fixed[i]) if i in place else fixed[i]
+            return programs.predict([own(int(i)) for i in index], start, where, samples, steps)
+
+        return predict, programs.losses.setdefault((tuple(index), tuple(place)), {})
 
     def _call(self, name: str, numbers, states, record: np.ndarray, share: float) -> list[np.ndarray]:
         results: list[np.ndarray] = []

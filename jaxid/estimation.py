@@ -40,9 +40,13 @@ class Bench:
         self._runs: dict[tuple[str, str], Runs] = {}
         # One shape for all splits, and for the half step that a search may go over to: one program.
         room = min(self.step, samples.STEP / 2)
-        steps = {e.name: samples.step_count(e, room) for e in self.binding.dataset.experiments}
+        self._shape = self._largest({e.name: samples.step_count(e, room) for e in self.binding.dataset.experiments})
+        self._rows = self._largest({e.name: len(e.t) for e in self.binding.dataset.experiments})
+
+    def _largest(self, steps: dict[str, int]) -> tuple[int, int]:
+        """Steps of the largest split, and of the longest experiment."""
         totals = [sum(steps[e.name] for e in self.binding.experiments(s)) for s in ("fit", "validation", "report")]
-        self._shape = max(totals), max(steps.values(), default=0)
+        return max(totals), max(steps.values(), default=0)
 
     def runs(self, residual: Residual, split: str) -> Runs:
         key = (repr(residual), split)
@@ -61,6 +65,8 @@ class Bench:
         return self._runs[key]
 
     def _shape_of(self, residual: Residual) -> tuple[int, int]:
+        if isinstance(residual, InverseDynamics):  # at the samples, whatever the step of simulations
+            return self._rows
         return (self._shape[0], 0) if isinstance(residual, MultipleShooting) else self._shape
 
     def problem(

@@ -8,9 +8,9 @@ from __future__ import annotations
 
 import abc
 import time
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass, field
-from typing import Any, ClassVar, NamedTuple
+from collections.abc import Callable, Generator, Sequence
+from dataclasses import dataclass, field, fields
+from typing import Any, ClassVar, NamedTuple, TypeVar
 
 import equinox as eqx
 import jax
@@ -65,6 +65,15 @@ class AbstractFitter(eqx.Module):
     ) -> Minimum:
         """The best z found. `starts` are guesses, best first; `budget` bounds the number of loss evaluations, `seconds` the
         time without compiling. A fitter that knows no limit of time leaves the last argument out."""
+
+    def minimise_each(
+        self,
+        jobs: Sequence[tuple[Any, Sequence[np.ndarray], PRNGKeyArray]],
+        budget: int | None = None,
+        progress: Progress | None = None,
+    ) -> list[Minimum]:
+        """`minimise` of each (problem, starts, key), with the same results. A fitter that can take several side by side does."""
+        return [self.minimise(problem, starts, key, budget, progress) for problem, starts, key in jobs]
 
 
 class Log:
@@ -190,6 +199,11 @@ class AbstractPopulation(AbstractFitter):
     def spread(self, state: Any) -> Float[Array, ""]:
         """Largest extent of the population; zero once it has collapsed."""
 
+    @property
+    def _settings(self) -> tuple:
+        """What tells the programs of this method and settings apart."""
+        return type(self), *(repr(getattr(self, f.name)) for f in fields(self))
+
     #: Whether `informed` is called before every generation.
     guided: ClassVar[bool] = False
 
@@ -212,14 +226,24 @@ class AbstractPopulation(AbstractFitter):
         return self
 
     def minimise(self, problem, starts, key, budget=None, progress=None, seconds=None):
-        log = Log(problem, self.name, budget, seconds, progress)
+        return answered(self._minimising(problem, starts, key, Log(problem, self.name, budget, seconds, progress)), problem)
+
+    def minimise_each(self, jobs, budget=None, progress=None):
+        """`minimise` of each (problem, starts, key), with the same results; searches on one problem evaluate their generations
+        together, which fills all cores."""
+        searches = [self._minimising(p, starts, key, Log(p, self.name, budget, None, progress)) for p, starts, key in jobs]
+        return answered_together(searches, [p for p, _, _ in jobs])
+
+    def _minimising(
+        self, problem: AbstractProblem, starts: Sequence[np.ndarray], key: PRNGKeyArray, log: Log
+    ) -> Searching[Minimum]:
         best, converged, stopped = (np.clip(starts[0], problem.lower, problem.upper), float("inf")), False, ""
         fitter: AbstractPopulation = self
         for attempt in range(self.restarts + 1):
             if log.exhausted or (attempt and log.left < 2 * fitter.popsize):
                 break
             own = starts if attempt == 0 else starts[:1]
-            course, converged, stopped = fitter.search(problem, own, jax.random.fold_in(key, attempt), log)
+            course, converged, stopped = yield from fitter.searching(problem, own, jax.random.fold_in(key, attempt), log)
             agree = abs(course.best[1] - best[1]) <= 1e-6 * abs(best[1]) + 1e-300
             best = min(best, course.best, key=lambda pair: pair[1])
             if attempt and agree and converged:
@@ -228,7 +252,7 @@ class AbstractPopulation(AbstractFitter):
             fitter = fitter.again()
         return log.minimum(best[0], converged, stopped)
 
-    def search(
+    def searching(
         self,
         problem: AbstractProblem,
         starts: Sequence[np.ndarray],
@@ -236,75 +260,119 @@ class AbstractPopulation(AbstractFitter):
         log: Log,
         course: Course | None = None,
         most: int | None = None,
-    ) -> tuple[Course, bool, str]:
+    ) -> Searching[tuple[Course, bool, str]]:
         """One run of the method until a stopping rule holds: (course, converged, why it stopped). With a `course` it goes on
-        from there; `most` generations, if that is less than the method's own. Every evaluation is counted in the log."""
-        lower, upper, data = problem.lower, problem.upper, problem.data
-        with float64():
-            key = jnp.asarray(key)
-            now = self.begin(problem, starts, key, log) if course is None else course
-            wanted = self.generations if most is None else min(self.generations, most)
-            generations = int(min(wanted, log.left // self.cost(problem)))
-            whole = not self.guided and problem.work * self.offspring < LARGE
-            done, chunk = 0, 1
-            while done < generations and not log.exhausted:
-                began = log.elapsed
-                if whole:
-                    args = (now, key, np.int32(done + 1), np.int32(min(chunk, generations - done)), lower, upper, data)
-                    program = problem.compiled((type(self), repr(self), "advance"), _advance(self, problem.pure), *args)
-                    began = log.elapsed
-                    now, series, count, spread = program(*args)
-                    count, series = int(count), np.asarray(series)
-                    spent = log.elapsed - began
-                    for i in range(count):
-                        log.add(self.offspring, float(series[i]), began + spent * (i + 1) / count)
-                    limit = 0.7 if log.limit is None else min(0.7, 0.3 * max(log.limit - log.elapsed, 1e-3))
-                    chunk = int(np.clip(count * min(8.0, limit / max(spent, 1e-6)), 1, CHUNK))
-                else:
-                    now, spread = self._generation(problem, now, key, done + 1, log)
-                    count = 1
-                done += count
-                log.show(done, generations)
-                if self.stall and int(now.since) >= self.stall:
-                    return now, True, f"no gain in {self.stall} generations"
-                if float(spread) <= 1e-9 * float(np.max(upper - lower)):
-                    return now, True, "the population has collapsed to one point"
+        from there; `most` generations, if that is less than the method's own. Every evaluation is counted in the log. `answered`
+        takes it to its end."""
+        now = (yield from self._begin(problem, starts, key, log)) if course is None else course
+        wanted = self.generations if most is None else min(self.generations, most)
+        generations = int(min(wanted, log.left // self.cost(problem)))
+        whole = not self.guided and problem.work * self.offspring < LARGE
+        done, chunk = 0, 1
+        while done < generations and not log.exhausted:
+            if whole:
+                count = min(chunk, generations - done)
+                now, spread, count, chunk = self._several(problem, now, key, done + 1, count, log)
+            else:
+                now, spread = yield from self._generation(problem, now, key, done + 1, log)
+                count = 1
+            done += count
+            log.show(done, generations)
+            if self.stall and int(now.since) >= self.stall:
+                return now, True, f"no gain in {self.stall} generations"
+            if spread <= 1e-9 * float(np.max(problem.upper - problem.lower)):
+                return now, True, "the population has collapsed to one point"
         full = generations < wanted
         return now, False, log.exhausted or ("the budget of evaluations is used up" if full else "all generations done")
 
-    def begin(self, problem: AbstractProblem, starts: Sequence[np.ndarray], key: PRNGKeyArray, log: Log) -> Course:
+    def _begin(self, problem: AbstractProblem, starts: Sequence[np.ndarray], key: PRNGKeyArray, log: Log) -> Searching[Course]:
         """First population: the starts, and random points of the sampling box. With less budget than that, the rest of it is
         not evaluated."""
         low, high = sampling_box(problem, starts[0])
         guesses = np.clip(np.array(starts[: max(1, self.popsize // 4)]), problem.lower, problem.upper)
-        k0, k1 = jax.random.split(jax.random.fold_in(key, 0))
-        points = low + (high - low) * np.asarray(jax.random.uniform(k0, (self.popsize, low.size)))
+        with float64():
+            k0, k1 = jax.random.split(jax.random.fold_in(key, 0))
+            points = low + (high - low) * np.asarray(jax.random.uniform(k0, (self.popsize, low.size)))
         points[: len(guesses)] = guesses
         losses = np.full(self.popsize, PENALTY)
         count = int(min(self.popsize, log.left))
-        losses[:count] = problem.losses(points[:count])
+        losses[:count] = yield points[:count]
         log.add(count, float(losses.min()))
         return self.course(problem, k1, points, losses)
 
     def course(self, problem: AbstractProblem, key: PRNGKeyArray, points: np.ndarray, losses: np.ndarray) -> Course:
         """A course that begins with this evaluated population."""
         with float64():
-            program = problem.compiled((type(self), repr(self), "init"), self.init, key, points, losses, own=False)
+            program = problem.compiled((*self._settings, "init"), self.init, key, points, losses, own=False)
             return Course(program(key, points, losses), points, losses, np.float64(losses.min()), np.int32(0))
+
+    def _several(
+        self, problem: AbstractProblem, course: Course, key: PRNGKeyArray, first: int, count: int, log: Log
+    ) -> tuple[Course, float, int, int]:
+        """At most `count` generations as one program: (course, spread, generations done, how many to ask for next)."""
+        with float64():
+            args = course, jnp.asarray(key), np.int32(first), np.int32(count), problem.lower, problem.upper, problem.data
+            program = problem.compiled((*self._settings, "advance"), _advance(self, problem.pure), *args)
+            began = log.elapsed
+            course, series, done, spread = program(*args)
+            done, series, spread = int(done), np.asarray(series), float(spread)
+        spent = log.elapsed - began
+        for i in range(done):
+            log.add(self.offspring, float(series[i]), began + spent * (i + 1) / done)
+        limit = 0.7 if log.limit is None else min(0.7, 0.3 * max(log.limit - log.elapsed, 1e-3))
+        return course, spread, done, int(np.clip(done * min(8.0, limit / max(spent, 1e-6)), 1, CHUNK))
 
     def _generation(
         self, problem: AbstractProblem, course: Course, key: PRNGKeyArray, number: int, log: Log
-    ) -> tuple[Course, Float[Array, ""]]:
-        """One generation whose candidates are evaluated on all cores."""
-        course = course._replace(state=self.informed(problem, course.state, log))
-        name = (type(self), repr(self))
-        args = key, np.int32(number), course.state, problem.lower, problem.upper
-        candidates = np.asarray(problem.compiled((*name, "ask"), _proposal(self), *args, own=False)(*args))
-        losses = problem.losses(candidates)
-        args = course, candidates, losses
-        course, spread = problem.compiled((*name, "tell"), _selection(self), *args, own=False)(*args)
+    ) -> Searching[tuple[Course, float]]:
+        """One generation, its candidates handed out."""
+        name = self._settings
+        with float64():
+            course = course._replace(state=self.informed(problem, course.state, log))
+            args = jnp.asarray(key), np.int32(number), course.state, problem.lower, problem.upper
+            candidates = np.asarray(problem.compiled((*name, "ask"), _proposal(self), *args, own=False)(*args))
+        losses = yield candidates
+        with float64():
+            args = course, candidates, losses
+            course, spread = problem.compiled((*name, "tell"), _selection(self), *args, own=False)(*args)
         log.add(self.offspring, float(np.min(losses)))
-        return course, spread
+        return course, float(spread)
+
+
+Result = TypeVar("Result")
+#: A search that hands out candidates [n size], takes their losses [n], and ends with a result.
+Searching = Generator[np.ndarray, np.ndarray, Result]
+
+
+def answered(searching: Searching[Result], problem: AbstractProblem) -> Result:
+    """A search taken to its end, its candidates evaluated on all cores."""
+    return answered_together([searching], [problem])[0]
+
+
+def answered_together(searches: Sequence[Searching[Result]], problems: Sequence[AbstractProblem]) -> list[Result]:
+    """Several searches taken to their ends side by side; what those on one problem hand out is evaluated as one batch."""
+    results: dict[int, Result] = {}
+    asked: dict[int, np.ndarray] = {}
+
+    def go_on(number: int, losses: np.ndarray | None) -> None:
+        asked.pop(number, None)
+        try:
+            asked[number] = searches[number].send(losses)  # pyright: ignore[reportArgumentType] # None begins a generator
+        except StopIteration as end:
+            results[number] = end.value
+
+    for number in range(len(searches)):
+        go_on(number, None)
+    while asked:
+        groups: dict[int, list[int]] = {}
+        for number in asked:
+            groups.setdefault(id(problems[number]), []).append(number)
+        for group in groups.values():
+            losses = problems[group[0]].losses(np.concatenate([asked[number] for number in group]))
+            ends = np.cumsum([len(asked[number]) for number in group])[:-1]
+            for number, own in zip(group, np.split(losses, ends), strict=True):
+                go_on(number, own)
+    return [results[number] for number in range(len(searches))]
 
 
 def _proposal(fitter: AbstractPopulation) -> Callable[..., Array]:

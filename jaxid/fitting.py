@@ -5,7 +5,6 @@ from __future__ import annotations
 import time
 from collections.abc import Sequence
 from dataclasses import replace
-from typing import Any
 
 import jax
 import numpy as np
@@ -45,8 +44,8 @@ def fit_seeds(
     progress: Progress | None = None,
     benches: Benches | None = None,
 ) -> list[Fit]:
-    """A fit of each seed, the same as each alone. What does not depend on the seed is done once, and Levenberg-Marquardt takes
-    all seeds in the same batches; each fit states its share of the time. `benches` keeps runs from call to call."""
+    """A fit of each seed, the same as each alone. What does not depend on the seed is done once, and fitters take all seeds in
+    the same batches where they can; each fit states its share of the time. `benches` keeps runs from call to call."""
     began = time.perf_counter()
     residual = residual or default_residual(binding)
     if isinstance(residual, InverseDynamics) and binding.dataset.inputs and not binding.chain.direct:
@@ -60,12 +59,15 @@ def fit_seeds(
     step = samples.STEP
     while level:
         bench, finer = benches.of(step), {}
-        jobs = []
+        jobs, common = [], {}
         for seed, theta in level.items():
             guesses = benches.starts(bench, residual, loss, seed) if theta is None else [theta]
-            problem = bench.problem(residual, "fit", binding.free, guesses[0], loss=loss)
+            if (key := guesses[0].tobytes()) not in common:
+                common[key] = bench.problem(residual, "fit", binding.free, guesses[0], loss=loss)
+            problem = common[key]
             jobs.append((problem, [problem.z(g) for g in guesses], jax.random.key(seed)))
-        for seed, job, result in zip(level, jobs, _minimise(fitter, jobs, budget, progress), strict=True):
+        found = fitter.minimise_each(jobs, budget, progress)
+        for seed, job, result in zip(level, jobs, found, strict=True):
             problem = job[0]
             ended[seed] = bench, problem, result
             if result.failed or not simulated or step <= samples.STEP / 8:
@@ -83,17 +85,6 @@ def fit_seeds(
     fits = [assemble(*ended[seed], residual, fitter.name, seed, 0.0, 0.0, notes[seed]) for seed in seeds]
     compiling, wall = share * (benches.compile_time() - compiled), share * (time.perf_counter() - began)
     return [replace(fit, compile_time_s=compiling, wall_time_s=wall) for fit in fits]
-
-
-def _minimise(
-    fitter: AbstractFitter,
-    jobs: Sequence[tuple[Problem, Sequence[np.ndarray], Any]],
-    budget: int | None,
-    progress: Progress | None,
-) -> list[Minimum]:
-    if isinstance(fitter, LevenbergMarquardt) and len(jobs) > 1:
-        return fitter.minimise_each(jobs, budget)
-    return [fitter.minimise(problem, starts, key, budget, progress) for problem, starts, key in jobs]
 
 
 class Benches:

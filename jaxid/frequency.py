@@ -176,7 +176,7 @@ def record_lane(magnitude: bool, linear: bool, output: int, timed: tuple[int, ..
     def lane(chain, samples, where, start, steps, length, reach, burn):
         begin, _, last, _ = where
         body = chain.body().prepare(samples.h[begin] if reach == EVEN else None)
-        y = simulate_lane(chain, samples, where, start, steps, length, reach, burn, body)
+        y = simulate_lane(chain, samples, where, start, steps, length, reach, burn, body, timed if linear else None)
         size = min(room, length)
         if linear:
             response = _of_lines(chain, samples, begin, last, size, magnitude, body)

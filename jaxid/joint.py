@@ -90,6 +90,7 @@ def solve_dry(
         return first
 
     scale = jnp.max(jnp.abs(free - v0)) + 1e-300
+    diagonal = jnp.stack([A[j, j] for j in range(nq)])
 
     def unsettled(carry):
         count, _, change = carry
@@ -98,7 +99,7 @@ def solve_dry(
     def again(carry):
         count, old, _ = carry
         new = sweep(free, A, old[0])
-        return count + 1, new, jnp.max(jnp.abs(jnp.diagonal(A) * (new[0] - old[0])))
+        return count + 1, new, jnp.max(jnp.abs(diagonal * (new[0] - old[0])))
 
     solved = jax.lax.while_loop(unsettled, again, (1, first, jnp.full((), jnp.inf)))[1]
     if smoothing_velocity != 0:
@@ -116,7 +117,7 @@ def solve_dry(
         new = jnp.where(held, dot(hold, free - dot(A, jnp.where(held, 0.0, new))), new)
         slips = held & ((new > level_plus) | (new < -level_minus))
         new = jnp.where(slips, jnp.clip(new, -level_minus, level_plus), new)
-        change = jnp.where(jnp.any(slips), jnp.inf, jnp.max(jnp.abs(jnp.diagonal(A) * (new - old[0]))))
+        change = jnp.where(jnp.any(slips), jnp.inf, jnp.max(jnp.abs(diagonal * (new - old[0]))))
         return count + 1, (new, jnp.where(held, 0.0, w), jnp.where(held, 0.0, mean)), held & ~slips, change, jnp.any(slips)
 
     held = (v0 == 0) & (solved[1] == 0)

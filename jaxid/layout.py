@@ -6,6 +6,7 @@ from collections.abc import Sequence
 from typing import Any, NamedTuple
 
 import equinox as eqx
+import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
@@ -50,12 +51,13 @@ class Layout:
     def __len__(self) -> int:
         return len(self.entries)
 
-    def model(self, theta: Float[Array, " size"]) -> Chain:
-        """The same chain with these numbers (works on tracers)."""
+    def model(self, theta: Float[Array, " size"] | Sequence[Any]) -> Chain:
+        """The same chain with these numbers (works on tracers, and on numbers one by one)."""
         values: list[Any] = []
         position = 0
         for owner, name, width in self._leaves:
-            values.append(theta[position : position + width] if width else theta[position])
+            own = theta[position : position + (width or 1)]
+            values.append((jnp.stack(own) if isinstance(own, list) else own) if width else own[0])
             position += width or 1
 
         def leaves(chain: Chain) -> list[Any]:

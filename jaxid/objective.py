@@ -41,14 +41,21 @@ def penalised(value: Array) -> Array:
     return jnp.minimum(jnp.where(jnp.isfinite(value), value, PENALTY), PENALTY)
 
 
-#: (sums [pop 3 columns], samples [columns], sum of squares of the measured signal [columns]) -> loss [pop].
-LOSSES: dict[str, Callable[[Array, Any, Any], Array]] = {
+class Loss(NamedTuple):
+    """A loss from residuals: what is summed over the samples of a column, of the error e in its unit and of r = e / noise; and
+    (sums [pop columns], samples [columns], sum of squares of the measured signal [columns]) -> loss [pop]."""
+
+    summed: Callable[[Array, Array], Array]
+    total: Callable[[Array, Any, Any], Array]
+
+
+LOSSES: dict[str, Loss] = {
     # mean square of residual / noise: 1.0 is down to the noise
-    "sum_of_squares": lambda sums, count, norm: jnp.sum(sums[:, 0], -1) / jnp.sum(count),
+    "sum_of_squares": Loss(lambda e, r: r**2, lambda sums, count, norm: jnp.sum(sums, -1) / jnp.sum(count)),
     # paper 002, equation (6): sum over channels of |e| / |y|
-    "sum_of_norms": lambda sums, count, norm: jnp.sum(jnp.sqrt(sums[:, 1] / jnp.maximum(norm, 1e-300)), -1),
+    "sum_of_norms": Loss(lambda e, r: e**2, lambda sums, count, norm: jnp.sum(jnp.sqrt(sums / jnp.maximum(norm, 1e-300)), -1)),
     # paper 003, equation (7): sum of absolute errors, in the channel's unit
-    "sum_of_abs": lambda sums, count, norm: jnp.sum(sums[:, 2], -1),
+    "sum_of_abs": Loss(lambda e, r: jnp.abs(e), lambda sums, count, norm: jnp.sum(sums, -1)),
 }
 
 
@@ -231,13 +238,12 @@ class FunctionProblem(AbstractProblem):
 
     @property
     def pure(self) -> Losses:
-        residual, total = self._residual, LOSSES[self.loss_name]
+        residual, loss = self._residual, LOSSES[self.loss_name]
 
         def losses(z: Array, data: Weighted) -> Array:
             w = data.w[:, None]
             e = jnp.where(w > 0, jax.vmap(residual)(z), 0.0)
-            sums = jnp.stack([jnp.sum((w * e) ** 2, 1), jnp.sum(e**2, 1), jnp.sum(jnp.abs(e), 1)], 1)
-            return penalised(total(sums, data.count, data.norm))
+            return penalised(loss.total(jnp.sum(loss.summed(e, w * e), 1), data.count, data.norm))
 
         return losses
 
@@ -300,8 +306,8 @@ def expand(jobs: Sequence[tuple[AbstractProblem, np.ndarray]], share: float = 1.
     """`linearise` for any loss: twice the loss, its gradient, and the curvature of the reweighted least-squares problem that has
     the same gradient (Lawson's reweighting: e^2 / |e| for absolute values, |e_c|^2 / |e|_c for the norm of a channel)."""
     if all(p.loss_name == "sum_of_squares" for p, _ in jobs):
-        parts = [(*_parts(at)[:3], max(1, at.count), at.count) for at in linearise(jobs, share)]
-        return [Linear(2 * c / n, 2 * g / n, 2 * H / n, count) for c, g, H, n, count in parts]
+        means = lambda at, n: Linear(2 * at.cost / n, 2 * at.gradient / n, 2 * at.hessian / n, at.count)
+        return [means(at, max(1, at.count)) for at in linearise(jobs, share)]
     columns = [len(p.data.norm) for p, _ in jobs]
     cost = [np.zeros(c) for c in columns]
     gradient = [np.zeros((c, p.size)) for c, (p, _) in zip(columns, jobs, strict=True)]
@@ -327,7 +333,3 @@ def expand(jobs: Sequence[tuple[AbstractProblem, np.ndarray]], share: float = 1.
                 cost[j] = np.sqrt(cost[j] / np.maximum(p.data.norm, 1e-300))
                 gradient[j], hessian[j] = gradient[j] * scale[:, None], hessian[j] * scale[:, None, None]
     return [Linear(2 * float(c.sum()), g.sum(0), H.sum(0), n) for c, g, H, n in zip(cost, gradient, hessian, count, strict=True)]
-
-
-def _parts(at: Linear) -> tuple[float, np.ndarray, np.ndarray, int]:
-    return at.cost, at.gradient, at.hessian, at.count

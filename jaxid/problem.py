@@ -17,7 +17,8 @@ from jaxtyping import Array, Float
 
 from jaxid.engine import LANES
 from jaxid.errors import UsageError
-from jaxid.objective import AbstractProblem, expand, Linear, linearise, LOSSES, Losses, penalised, PENALTY, Rows, rows
+from jaxid.lanes import over_lanes
+from jaxid.objective import AbstractProblem, expand, Linear, linearise, Loss, LOSSES, Losses, penalised, PENALTY, Rows, rows
 from jaxid.residual import Runs
 from jaxid.samples import Samples
 
@@ -32,13 +33,12 @@ class Data(NamedTuple):
     """Arguments of the compiled loss."""
 
     samples: Samples
-    base: Any
-    free: Any
+    fixed: Any
+    open: Any
     log: Any
     start0: Any
     start_rows: Any
     start_columns: Any
-    stated: Any
     where: Any
     counts: Any
     steps: Any
@@ -160,17 +160,18 @@ class Problem(AbstractProblem):
             count, norm = self._scales()
             own = self.weights is not self.runs.weights
             samples = engine.samples._replace(w=self.weights) if own else engine.samples
+            stated = engine.overrides[records]
             self._data = Data(
-                samples, self.base, self.free, self.log, self.start0, self.start_rows, self.start_columns,
-                engine.overrides[records], engine.where[records],
-                np.array([self.runs.record(r).count for r in records], np.int32), engine.steps[records].max(), count, norm,
+                samples, np.where(np.isnan(stated), self.base, stated), np.isnan(stated[:, self.free]), self.log,
+                self.start0, self.start_rows, self.start_columns, engine.where[records],
+                np.array([self.runs.record(r).count for r in records], np.int32), engine.steps[records], count, norm,
             )  # fmt: skip
         return self._data
 
     @property
     def pure(self) -> Losses:
-        predict, length, total = self.predict, self.runs.engine.length, LOSSES[self.loss_name]
-        return lambda z, data: penalised(total(sums(predict, length, z, data), data.count, data.norm))
+        predict, length, loss = self.predict, self.runs.engine.length, LOSSES[self.loss_name]
+        return lambda z, data: penalised(loss.total(sums(predict, length, loss, z, data), data.count, data.norm))
 
     @property
     def compile_time_s(self) -> float:
@@ -230,38 +231,39 @@ class Problem(AbstractProblem):
         return [self.weights[k] * (y - self.targets[k]) for k, y in zip(at, self.predictions(z), strict=True)]
 
 
-def sums(predict: Callable, length: int, z: Float[Array, "pop size"], data: Data) -> Float[Array, "pop 3 columns"]:
-    """Per candidate and residual column: sum of (r / noise)^2, of e^2 and of |e| in units. Pure; one flat lane axis."""
-    pop, R, nfree = z.shape[0], data.where.shape[0], data.free.shape[0]
+def sums(predict: Callable, length: int, loss: Loss, z: Float[Array, "pop size"], data: Data) -> Float[Array, "pop columns"]:
+    """What a loss sums, per candidate and residual column. Pure.
+
+    Blocks of candidates on one record each: what depends neither on the candidate nor on the step is worked out once.
+    """
+    pop, R, nfree = z.shape[0], data.where.shape[0], data.log.shape[0]
     part = z[:, :nfree]
     values = jnp.where(data.log, jnp.exp(jnp.where(data.log, part, 0.0)), part)
-    theta = jnp.broadcast_to(data.base, (pop, data.base.shape[0])).at[:, data.free].set(values)
     starts = jnp.broadcast_to(data.start0, (pop, *data.start0.shape))
     starts = starts.at[:, data.start_rows, data.start_columns].set(z[:, nfree:])
-    stated = jnp.isnan(data.stated)
-    theta = jnp.where(stated, theta[:, None], jnp.where(stated, 0.0, data.stated)).reshape(pop * R, -1)
-    starts = starts.reshape(pop * R, -1)
-    where, counts = jnp.tile(data.where, (pop, 1)), jnp.tile(data.counts, pop)
+    blocks = -(-pop // LANES)
+    pad = lambda a: jnp.concatenate([a, jnp.broadcast_to(a[-1:], (blocks * LANES - pop, *a.shape[1:]))])
+    values, starts = (pad(a).reshape(blocks, LANES, *a.shape[1:]) for a in (values, starts))
     k = jnp.arange(length)
 
-    def lane(prediction, where, count):
-        begin, _, last, lead = where
+    def block(number):
+        r = number % R
+        (begin, first, last, lead), count = data.where[r], data.counts[r]
         at = jnp.minimum(begin + k, last)
         inside = ((k >= lead) & (k < lead + count))[:, None]
         w = jnp.where(inside, data.samples.w[at], 0.0)
-        e = jnp.where(w > 0, prediction - data.samples.y[at], 0.0)
-        totals = jnp.stack([jnp.sum((w * e) ** 2, 0), jnp.sum(e**2, 0), jnp.sum(jnp.abs(e), 0)])
-        return totals
+        y = data.samples.y[at]
 
-    def block(arrays):
-        theta, starts, where, counts = arrays
-        return jax.vmap(lane)(predict(theta, starts, where, data.samples, data.steps), where, counts)
+        def lane(values, start):
+            where = jnp.stack([begin, first, last, lead])
+            prediction = predict(values, data.open[r], data.fixed[r], start, where, data.samples, data.steps[r])
+            e = jnp.where(w > 0, prediction - y, 0.0)
+            return jnp.sum(loss.summed(e, w * e), 0)
 
-    blocks = -(-pop * R // LANES)
-    pad = lambda a: jnp.concatenate([a, jnp.broadcast_to(a[-1:], (blocks * LANES - a.shape[0], *a.shape[1:]))])
-    shaped = [pad(a).reshape(blocks, LANES, *a.shape[1:]) for a in (theta, starts, where, counts)]
-    totals = jax.lax.map(block, tuple(shaped))
-    return jnp.sum(totals.reshape(blocks * LANES, 3, -1)[: pop * R].reshape(pop, R, 3, -1), 1)
+        return over_lanes(lane)(values[number // R], starts[number // R, :, r])
+
+    totals = jax.lax.map(block, jnp.arange(blocks * R)).reshape(blocks, R, LANES, -1)
+    return jnp.sum(totals, 1).reshape(blocks * LANES, -1)[:pop]
 
 
 def _lanes(jobs: Sequence[tuple[Problem, np.ndarray]], share: float) -> Iterator[Rows]:

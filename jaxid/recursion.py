@@ -18,7 +18,7 @@ import numpy as np
 from jaxtyping import PRNGKeyArray
 
 from jaxid.errors import UsageError
-from jaxid.fitter import AbstractPopulation, Course, Log, Minimum
+from jaxid.fitter import AbstractPopulation, answered, Course, Log, Minimum
 from jaxid.objective import AbstractProblem
 
 
@@ -60,13 +60,14 @@ def follow(
         own = jax.random.fold_in(key, number)
         log = Log(problem, fitter.name)
         if course is None:
-            course, converged, stopped = fitter.search(problem, starts, own, log)
+            course, converged, stopped = answered(fitter.searching(problem, starts, own, log), problem)
         else:
             points = carried(np.asarray(course.points), names, problem)
             losses = problem.losses(points)
             log.add(len(points), float(losses.min()))
             course = online.course(problem, jax.random.fold_in(own, 1), points, losses)
-            course, converged, stopped = online.search(problem, starts, own, log, course, generations)
+            going_on = online.searching(problem, starts, own, log, course, generations)
+            course, converged, stopped = answered(going_on, problem)
         names = problem.names
         yield log.minimum(course.best[0], converged, stopped)
 

@@ -2,16 +2,37 @@
 
 from __future__ import annotations
 
-from typing import Any, ClassVar
+from typing import Any, ClassVar, NamedTuple
 
 import equinox as eqx
 import jax.numpy as jnp
-from jaxtyping import Array
+from jaxtyping import Array, Float
 
 from jaxid.beam import Beam, decay, matrices, Modes, modes
 from jaxid.mechanism import Free, Mechanism, Signature
 from jaxid.models.effects import CoulombFriction, ViscousFriction
 from jaxid.parameter import constant, param, setting, with_fields
+
+
+class ModalStep(NamedTuple):
+    """A step of length h of the clamped modes: e' = a e + b z, z' = d z - c e; what a change of the hub's speed takes off both;
+    the inertia that the modes bear in the meantime, and how far the hub gives way to an impulse."""
+
+    a: Float[Array, " modes"]
+    b: Float[Array, " modes"]
+    c: Float[Array, " modes"]
+    d: Float[Array, " modes"]
+    bent: Float[Array, " modes"]
+    pushed: Float[Array, " modes"]
+    borne: Float[Array, ""]
+    compliance: Float[Array, ""]
+
+    @classmethod
+    def of(cls, kept: Modes, damping: Array, inertia: Array, h: Any) -> ModalStep:
+        exact, G = decay(kept.squares, damping, h), kept.participation
+        bent, pushed = (1 - exact.a) / kept.squares * G / h, exact.b * G / h
+        borne = jnp.sum(G * pushed)
+        return cls(exact.a, exact.b, kept.squares * exact.b, exact.d, bent, pushed, borne, 1 / (inertia - borne))
 
 
 class FlexibleLink(Mechanism):
@@ -63,11 +84,13 @@ class FlexibleLink(Mechanism):
         return Beam(self.L, self.E * self.b * self.h**3 / 12, self.rho * area, self.m_p, self.J_p)
 
     def prepare(self, h):
-        m = matrices(self.beam(), self.n_elements)
+        beam = self.beam()
+        m = matrices(beam._replace(stiffness=1.0), self.n_elements)  # a stiffer beam has the same shapes
         kept = modes(m, min(self.n_modes or 2 * self.n_elements, 2 * self.n_elements))
+        kept = kept._replace(squares=beam.stiffness * kept.squares)
         damping = self.alpha + self.beta * kept.squares
         inertia = self.I_m + m.inertia
-        exact = None if h is None else decay(kept.squares, damping, h)
+        exact = None if h is None else ModalStep.of(kept, damping, inertia, h)
         return eqx.tree_at(lambda s: s.prepared, self, (kept, damping, inertia, exact), is_leaf=lambda x: x is None)
 
     def _parts(self) -> tuple[Modes, Array, Array, Any]:
@@ -105,8 +128,8 @@ class FlexibleLink(Mechanism):
         pull = self.pull(w, e, z)
         if self.nonlinear:
             turned = self._rotation(e)
-            inertia, tau = inertia + jnp.dot(e, turned), tau - 2 * w * jnp.dot(turned, z)
-        phidd = (tau - jnp.dot(kept.participation, pull)) / (inertia - jnp.dot(kept.participation, kept.participation))
+            inertia, tau = inertia + jnp.sum(e * turned), tau - 2 * w * jnp.sum(turned * z)
+        phidd = (tau - jnp.sum(kept.participation * pull)) / (inertia - jnp.sum(kept.participation * kept.participation))
         return phidd, pull - kept.participation * phidd
 
     def vector_field(self, t, x, tau):
@@ -114,35 +137,35 @@ class FlexibleLink(Mechanism):
         return x[1], phidd, x[3], edd
 
     def free(self, h, x, tau):
-        kept, damping, inertia, exact = self._parts()
-        exact = decay(kept.squares, damping, h) if exact is None else exact
-        _, w, e, z = x
-        push, bend = exact.b, (1 - exact.a) / kept.squares  # answer of velocity and deflection to a held modal force
-
-        def homogeneous(force):
-            return exact.a * e + exact.b * z + bend * force, exact.d * z - kept.squares * exact.b * e + push * force
-
+        kept, damping, inertia, step = self._parts()
+        step = ModalStep.of(kept, damping, inertia, h) if step is None else step
         G = kept.participation
-
-        def hub(force, momentum, moving):
-            """Change of the hub's speed: moving w' + G z' = momentum + G z + h tau, where z' = z1 - push G (w' - w) / h."""
-            e1, z1 = homogeneous(force)
-            effective = moving - jnp.dot(G * G, push) / h
-            return (momentum - moving * w - jnp.dot(G, z1 - z) + h * tau) / effective, effective, e1, z1
-
-        force, momentum, moving = jnp.zeros_like(e), inertia * w, inertia
-        if self.nonlinear:
+        _, w, e, z = x
+        e1, z1 = step.a * e + step.b * z, step.d * z - step.c * e
+        # Momentum of hub and beam, moving w + G z, grows by h tau. A change of w moves the modes by -bent and -pushed of it.
+        if not self.nonlinear:
+            compliance = step.compliance
+            change = (h * tau - jnp.sum(G * (z1 - z))) * compliance
+        else:
             # The deflection's rotation as a force held at its middle value; the hub's inertia at both ends. Values from a
             # first pass with those of the beginning.
+            bend, push = (1 - step.a) / kept.squares, step.b
             turned = self._rotation(e)
-            moving = inertia + jnp.dot(e, turned)
+            moving = inertia + jnp.sum(e * turned)
             momentum = moving * w
-            change, _, e1, _ = hub(w * w * turned, momentum - 2 * h * w * jnp.dot(turned, z), moving)
-            e1 = e1 - bend * G * change / h
-            force = (w + change / 2) ** 2 * self._rotation((e + e1) / 2)
-            moving = inertia + jnp.dot(e1, self._rotation(e1))
-        change, effective, e1, z1 = hub(force, momentum, moving)
-        return Free(w + change, (h / effective)[None, None], (e1, z1, bend * G / h, push * G / h))
+
+            def hub(force, momentum, moving):
+                compliance = 1 / (moving - step.borne)
+                gained = momentum - moving * w - jnp.sum(G * (z1 + push * force - z)) + h * tau
+                return gained * compliance, compliance
+
+            force = w * w * turned
+            change, _ = hub(force, momentum - 2 * h * w * jnp.sum(turned * z), moving)
+            after = e1 + bend * force - step.bent * change
+            force = (w + change / 2) ** 2 * self._rotation((e + after) / 2)
+            change, compliance = hub(force, momentum, inertia + jnp.sum(after * self._rotation(after)))
+            e1, z1 = e1 + bend * force, z1 + push * force
+        return Free(w + change, (h * compliance)[None, None], (e1, z1, step.bent, step.pushed))
 
     def close(self, h, x, free, dtau, qd, shift):
         e, z, bend, push = free.aux
@@ -184,7 +207,7 @@ class FlexibleLink(Mechanism):
         _, w, e, z = x
         phidd, edd = self.acceleration(x, tau)
         phidd, edd = jnp.where(rests, 0.0, phidd), jnp.where(rests, self.pull(w, e, z), edd)
-        tip = self.L * phidd + jnp.dot(kept.tip, edd)
+        tip = self.L * phidd + jnp.sum(kept.tip * edd)
         if self.rotating_sensor:
-            tip = tip - jnp.dot(kept.tip, e) * w * w
+            tip = tip - jnp.sum(kept.tip * e) * w * w
         return jnp.concatenate([x[0], tip])

@@ -11,8 +11,10 @@ import numpy as np
 import pytest
 
 import jaxid
-from jaxid.diagnosis.evidence import HeldOut, inflation, memory
+from jaxid.diagnosis import upheld
+from jaxid.diagnosis.evidence import HeldOut, inflation, memory, shifted
 from jaxid.diagnosis.how_far import bootstrap, shrink
+from jaxid.results import HowFar
 from reference import multisine
 
 
@@ -211,3 +213,21 @@ def test_free_pendulum_has_dry_friction_and_drag_for_its_viscous_term():
     assert {"quadratic_drag", "coulomb_friction"} <= named
     assert d.final.parameters["viscous"].value < 0.02 * d.nominal.parameters["viscous"].value
     assert d.final.scores["fit"]["q"].rmse <= 3.0e-3
+
+
+def test_a_run_that_diverges_is_held_against_no_other():
+    """Held-out residuals beyond any number: nothing is taken off them, and nothing fails."""
+    r = [np.full((5, 1), 1e12), np.ones((5, 1))]
+    slopes = [np.full((5, 1, 2), 1e12), np.ones((5, 1, 2))]
+    for about in (np.full((1, 1), np.inf), np.eye(1)):
+        moved, price = shifted(r, slopes, about, [np.eye(1), np.eye(1)])
+        assert np.isfinite(price) and all(np.isfinite(m).all() for m in moved)
+
+
+@pytest.mark.parametrize(
+    "retuned, after, verdict", [(10.0, 1.0, "named"), (10.0, 8.0, "partly"), (10.0, 12.0, "unknown"), (1.1, 1.15, "named")]
+)
+def test_report_data_withdraw_what_does_not_hold_on_them(retuned, after, verdict):
+    far = HowFar(retuned, retuned, after, 1.0, None, None, "", {}, "")
+    found, text = upheld("named", "The model lacks drag.", far)
+    assert found == verdict and text.startswith("The model lacks drag.")

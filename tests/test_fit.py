@@ -146,6 +146,14 @@ def test_several_experiments_with_constants_of_their_own():
     assert "gravity_torque" not in fit.parameters
     near(fit, {k: v for k, v in PENDULUM.items() if k != "gravity_torque"})
 
+    # Free in the fit, the number is the record's own where the record states it.
+    binding = bind(None, data)
+    free = [*binding.free, binding.layout.index("gravity_torque")]
+    problem = Bench(binding).problem(OutputError(), "fit", free, binding.theta)
+    z = 0.9 * problem.z(binding.theta)
+    residual = np.concatenate(problem.residuals(z))
+    assert problem.loss(z) == pytest.approx(np.mean(residual**2), rel=1e-12)
+
 
 def test_residuals_agree(swing):
     for residual in ("multiple_shooting", "inverse_dynamics"):

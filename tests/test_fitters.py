@@ -119,6 +119,18 @@ def test_budget_bounds_and_repetition(kind, budget):
 
 
 @each_search
+@pytest.mark.parametrize("make", [quadratic, valley], ids=lambda f: f.__name__)
+def test_searches_side_by_side_are_those_alone(kind, make):
+    problem, _ = make()
+    jobs = [(problem, [np.linspace(-0.5, 0.5, problem.size)], jax.random.key(seed)) for seed in range(3)]
+    alone = [fitter_for(kind).minimise(*job, 500) for job in jobs]
+    together = fitter_for(kind).minimise_each(jobs, 500)
+    for a, b in zip(alone, together, strict=True):
+        assert np.array_equal(a.z, b.z) and a.loss == b.loss
+        assert a.history == b.history and a.stopped_because == b.stopped_because
+
+
+@each_search
 def test_survives_nan(kind):
     """A third of the box gives nan, the start too; the minimum lies close to the edge of that region."""
     residual = lambda z: jnp.where(z[0] > 0.5, jnp.nan, 1.0) * jnp.stack([z[0] - 0.45, 3 * (z[1] + 0.2), z[0] * z[1] + 0.09])

@@ -64,7 +64,7 @@ def elements(n: int = 4, J_p: float = 0.0):
     return M[2:, 2:], K[2:, 2:], (M @ rigid)[2:], rigid @ M @ rigid, G[2:, 2:]
 
 
-def full(E=DE["E"], I_m=DE["I_m"], alpha=DE["alpha"], beta=DE["beta"], n=4):
+def full(E=DE["E"], I_m=DE["I_m"], alpha=DE["alpha"], beta=DE["beta"], *, n=4):
     """M, C, K of (phi, psi)."""
     Mp, Kp, c, J, _ = elements(n)
     size = len(c) + 1
@@ -75,9 +75,9 @@ def full(E=DE["E"], I_m=DE["I_m"], alpha=DE["alpha"], beta=DE["beta"], n=4):
     return M, C, K
 
 
-def zero_order_hold(u: np.ndarray, h: float, parts: int, v: float, tau_c: float) -> np.ndarray:
+def zero_order_hold(u: np.ndarray, h: float, parts: int, v: float, tau_c: float, *body: float) -> np.ndarray:
     """(phi, tip acceleration) by the matrix exponential of all states, with Coulomb friction projected at every fine step."""
-    M, C, K = full()
+    M, C, K = full(*body)
     C[0, 0] += v
     W = np.linalg.inv(M)
     n = len(M)

@@ -64,11 +64,11 @@ def tracker(J_theta: float, J_alpha: float, rotor: float = 0.0):
 
 
 @cache
-def space(floating: bool) -> Any:
-    """Base (x, y, turn), link 1, last body, all in the inertial plane; parameters below."""
+def space(floating: bool, share: float = 1.0) -> Any:
+    """Base (x, y, turn), link 1, last body (a `share` of it), all in the inertial plane; parameters below."""
     x, y, th, q1, q2 = q = sp.symbols("x y th q1 q2")
     qd = sp.symbols("xd yd thd q1d q2d")
-    p = SPACE
+    p = SPACE | {k: share * SPACE[k] for k in ("m2", "hx", "hy", "I2")}
     turn = lambda a: sp.Matrix([[sp.cos(a), -sp.sin(a)], [sp.sin(a), sp.cos(a)]])
     rate: Any = lambda e: sum((sp.diff(e, c) * v for c, v in zip(q, qd, strict=True)), sp.zeros(2, 1))
     centre = sp.Matrix([x, y])

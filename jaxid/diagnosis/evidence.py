@@ -103,15 +103,15 @@ def _free(bench: Bench, split: str, thetas: Sequence[np.ndarray], known: Sequenc
         keep = [scored(runs.experiments[i], split) for i in range(per)]
         own = parts[k * per : (k + 1) * per]
         residual = [_finite(part.r[inside]) for part, inside in zip(own, keep, strict=True)]
-        slopes = [np.nan_to_num(part.J[inside]) for part, inside in zip(own, keep, strict=True)]
-        settled, price = _settled(residual, slopes, about, from_heads[k])
+        slopes = [np.clip(np.nan_to_num(part.J[inside]), -1e12, 1e12) for part, inside in zip(own, keep, strict=True)]
+        settled, price = shifted(residual, slopes, about, from_heads[k])
         total = price + sum(float(np.sum(r**2)) for r in settled)
         count = sum(r.size for r in residual)
         out.append(HeldOut(residual, settled, total / max(count, 1), count))
     return out
 
 
-def _settled(
+def shifted(
     residual: list[np.ndarray], slopes: list[np.ndarray], about: np.ndarray, starts: list[np.ndarray]
 ) -> tuple[list[np.ndarray], float]:
     """Residuals after the shift of parameters (common) and starts (of each run) that is likeliest by these residuals and by what
@@ -129,7 +129,7 @@ def _settled(
         S = S.reshape(r.size, at.size)
         G[np.ix_(at, at)] += S.T @ S
         g[at] += S.T @ r.ravel()
-    if not g.size:
+    if not g.size or not np.isfinite(G + prior).all():  # nothing is known of a run that diverges
         return residual, 0.0
     size = np.sqrt(np.maximum(np.diag(G + prior), 1e-300))
     shift = -np.linalg.lstsq((G + prior) / size / size[:, None], g / size, rcond=1e-12)[0] / size

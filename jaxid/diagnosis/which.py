@@ -7,14 +7,14 @@ of the true effect; runs that were not fitted do not.
 
 from __future__ import annotations
 
-import itertools
 from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
 
 from jaxid.diagnosis.evidence import held_out, inflation, knowledge, memory, worth
-from jaxid.diagnosis.hypothesis import Candidate, effect_of, Hypothesis, key_of, probes_of, Search, sensible
+from jaxid.diagnosis.hypothesis import Candidate, effect_of, Hypothesis, key_of, Search, sensible
+from jaxid.diagnosis.proposals import at_all_joints, least_missed, pairs, plain_pairs
 from jaxid.diagnosis.screen import probe_residuals, Screened, screened
 from jaxid.estimation import Bench, estimate_starts
 from jaxid.fitter import Progress
@@ -42,8 +42,6 @@ GAIN = 0.02
 #: Timing comes before physics: these are always refitted first, and win a tie. One sample of offset between two channels, or the
 #: wrong hold of the command, is soon made and looks like lag, friction or inertia.
 TIMING = ("input_hold", "input_delay", "sensor_delay")
-#: Pairs are made of so many of the best single effects.
-PAIRED = 4
 #: How often the step may be halved, and how often its defect is worked out anew for a chosen hypothesis.
 HALVINGS, CORRECTIONS = 3, 2
 #: Near the floor: nothing worth another effect is left below this mean square on validation data.
@@ -79,6 +77,8 @@ class Searcher:
 
     def refit(self, sets: Sequence[tuple[tuple[Candidate, ...], Sequence[np.ndarray]]]) -> list[Hypothesis]:
         """Refits each set of effects from its starts (full parameter vectors), all in one batch; best start of each."""
+        if not sets:
+            return []
         starts = self.nominal.path.problem.starts(self.nominal.path.z)
         sets = self._promising(sets)
         groups, by_torque = [], self._torque_starts(sets)
@@ -108,10 +108,17 @@ class Searcher:
         found = iter(probe_residuals(nominal.problem, nominal.z, thetas))
         out = []
         for effects, starts in sets:
-            cost = np.nan_to_num([float(r @ r) for _, r in zip(starts, found, strict=False)], nan=np.inf)
+            with np.errstate(over="ignore"):  # a start that diverges
+                cost = np.nan_to_num([float(r @ r) for _, r in zip(starts, found, strict=False)], nan=np.inf)
             order = [int(k) for k in np.argsort(cost, kind="stable")]
             out.append((effects, [starts[k] for k in dict.fromkeys([*range(min(2, len(starts))), *order])][:STARTS]))
         return out
+
+    @property
+    def _torque_tells(self) -> bool:
+        """Whether the torque of the measured motion says something beside the residual."""
+        b = self.bench.binding
+        return bool(b.motions) and not b.chain.mechanism.hidden_states and not self.by_torque
 
     def _torque_starts(
         self, sets: Sequence[tuple[tuple[Candidate, ...], Sequence[np.ndarray]]]
@@ -119,8 +126,7 @@ class Searcher:
         """A start of each set from the torque residual of the measured motion, and its cost: biased by the noise of derivatives,
         but free of the free run's local minima (where a nominal term stands in for two missing ones, a descent stays). No cost
         where an effect is on the way of the command: a drive that delivers nothing leaves no torque unexplained."""
-        b = self.bench.binding
-        if not b.motions or b.chain.mechanism.hidden_states or self.by_torque:
+        if not self._torque_tells:
             return [(np.inf, []) for _ in sets]
         jobs, owners = [], []
         for k, (effects, thetas) in enumerate(sets):
@@ -148,8 +154,7 @@ class Searcher:
     def torque_screen(self, h: Hypothesis, pool: Sequence[Candidate]) -> list[Screened]:
         """The same by the torque that the measured motion lacks. It is blind to what has no place in an inverse (play, springs,
         sensors) and biased by the noise of derivatives, but it does not depend on how far the free run has gone astray."""
-        binding = self.bench.binding
-        if not binding.motions or binding.chain.mechanism.hidden_states or self.by_torque:
+        if not self._torque_tells:
             return []
         p = self.bench.problem(InverseDynamics(decimate=1), "fit", h.path.problem.free, h.theta)
         path = descend([(p, p.z(h.theta))], 12, 1e-6)[0]
@@ -166,24 +171,25 @@ class Searcher:
                 break
             found = self._extend(chosen, rest)
             if len(chosen.effects) == 1:  # two others may explain more than the first choice and one beside it
-                found += self._pairs(singles)
+                found += self.refit(pairs(self.bench, singles))
             singles = found
             tried += found
             step = self._best(chosen, found)
             if step is None and len(chosen.effects) + 2 <= max_effects:
-                step = self._best(chosen, self._pairs(found))
+                step = self._best(chosen, self.refit(pairs(self.bench, found)))
                 tried += [step] if step else []
             if step is None:
                 break
             if not chosen.effects and max_effects > 1:
-                rivals = self._plain_pairs(step.effects[0], pool)
+                rivals = self.refit(plain_pairs(self.bench, step.effects[0], pool, self.nominal.theta))
                 better = [h for h in rivals if self._significant(chosen, h) and h.validation.loss < step.validation.loss]
                 step = min([step, *better], key=lambda h: h.validation.loss)
                 tried += rivals
             if self.by_torque:
-                spread = self._spread(step, pool)
+                shown = [h for h in (step, *found) if self._significant(chosen, h)]
+                spread = self.refit(at_all_joints(self.bench, shown, pool))
                 tried += spread
-                step = next((h for h in spread if self._significant(step, h)), step)
+                step = self._best(chosen, [step, *spread]) or step
             chosen = self._refined(step)
             if self._finished(chosen):
                 break
@@ -338,60 +344,27 @@ class Searcher:
         return min((h for h in near if h.size == fewest), key=lambda h: (physics(h), self._joint(h)))
 
     def _simpler(self, h: Hypothesis, top: Hypothesis) -> bool:
-        """Whether `h` has a law of fewer numbers of the same kind in the same place, and leaves next to nothing more."""
-        kind = lambda h: (type(effect_of(self.bench, h.effects[-1])).__module__, h.effects[-1].location, h.effects[:-1])
-        return h.size < top.size and kind(h) == kind(top) and h.validation.loss < ALIKE * max(1.0, top.validation.loss)
+        """Whether `h` has a law of fewer numbers in the same place, of the same kind or where the larger law ended at a bound
+        (as another one's limit), and leaves next to nothing more."""
+        place = lambda h: (h.effects[-1].location, h.effects[:-1])
+        kind = lambda h: type(effect_of(self.bench, h.effects[-1])).__module__
+        p = top.path.problem
+        own = np.flatnonzero(np.isin(p.free, top.effects[-1].index))
+        at_bound = np.any((top.path.z[own] <= p.lower[own]) | (top.path.z[own] >= p.upper[own]))
+        alike = place(h) == place(top) and (kind(h) == kind(top) or at_bound)
+        return bool(h.size < top.size and alike and h.validation.loss < ALIKE * max(1.0, top.validation.loss))
 
     def _joint(self, h: Hypothesis) -> float:
         """Mean square over fit and validation samples together."""
         total = h.fit_loss * h.path.count + h.validation.loss * h.validation.count
         return total / (h.path.count + h.validation.count)
 
-    def _pairs(self, found: Sequence[Hypothesis]) -> list[Hypothesis]:
-        """Two effects at once, where one alone brings nothing (a nominal term may stand in for both)."""
-        singles = sorted(found, key=lambda h: h.fit_loss)[:PAIRED]
-        sets = []
-        for a in range(len(singles)):
-            for b in range(a):
-                first, second = singles[b], singles[a]
-                theta = first.theta.copy()
-                new = second.effects[-1]
-                theta[list(new.index)] = second.theta[list(new.index)]
-                if new not in first.effects and sensible((*first.effects, new)):
-                    sets.append(((*first.effects, new), [theta, *probes_of(self.bench, new, first.theta)[:2]]))
-        return self.refit(sets) if sets else []
-
-    def _spread(self, h: Hypothesis, pool: Sequence[Candidate]) -> list[Hypothesis]:
-        """`h` with its last effect at all other joints too: what one drive of an arm lacks its neighbours may lack as well, and
-        their torques show it one by one."""
-        more = [e for e in pool if e.effect == h.effects[-1].effect and e not in h.effects and sensible((*h.effects, e))]
-        thetas = [h.theta.copy() for _ in range(2)] if more else []
-        for k, theta in enumerate(thetas):
-            for e in more:
-                found = probes_of(self.bench, e, h.theta)
-                theta[list(e.index)] = found[min(k, len(found) - 1)][list(e.index)]
-        return self.refit([((*h.effects, *more), thetas)]) if more else []
-
-    def _plain_pairs(self, c: Candidate, pool: Sequence[Candidate]) -> list[Hypothesis]:
-        """Two laws of one number each in the place of one of the same kind with several: dry friction and drag, each alone of no
-        use beside a viscous term that stands in for both, look like friction that remembers."""
-        if len(c.index) < 2:
-            return []
-        kind = lambda e: type(effect_of(self.bench, e)).__module__
-        plain = [e for e in pool if e.location == c.location and len(e.index) == 1 and kind(e) == kind(c)]
-        sets = []
-        for a, b in itertools.combinations(plain, 2):
-            if sensible((a, b)):
-                both = [probes_of(self.bench, b, theta) for theta in probes_of(self.bench, a, self.nominal.theta)]
-                sets.append(((a, b), [theta for thetas in both for theta in thetas]))
-        return self.refit(sets) if sets else []
-
     def _questioned(self, h: Hypothesis) -> Hypothesis:
         """Takes out effects that are no longer needed beside the others; the smaller set gets every chance, starting from
         where the larger one ended."""
         while len(h.effects) > 1:
             sets = []
-            for c in h.effects:
+            for c in least_missed(h, self.bench.binding.theta) if self.by_torque else h.effects:
                 if not sensible([e for e in h.effects if e is not c]):
                     continue
                 theta = h.theta.copy()

@@ -1,0 +1,83 @@
+"""What to refit next: sets of effects made of the hypotheses at hand, each with its starts (full parameter vectors)."""
+
+from __future__ import annotations
+
+import itertools
+from collections.abc import Sequence
+
+import numpy as np
+
+from jaxid.diagnosis.hypothesis import Candidate, effect_of, Hypothesis, probes_of, sensible
+from jaxid.estimation import Bench
+
+
+#: Pairs are made of so many of the best single effects.
+PAIRED = 4
+#: By torque: kinds of effects tried at all joints at once, and effects whose removal is tried.
+SPREAD = 4
+
+Proposal = tuple[tuple[Candidate, ...], Sequence[np.ndarray]]
+
+
+def pairs(bench: Bench, found: Sequence[Hypothesis]) -> list[Proposal]:
+    """Two effects at once, where one alone brings nothing (a nominal term may stand in for both)."""
+    singles = sorted(found, key=lambda h: h.fit_loss)[:PAIRED]
+    sets: list[Proposal] = []
+    for a in range(len(singles)):
+        for b in range(a):
+            first, second = singles[b], singles[a]
+            theta = first.theta.copy()
+            new = second.effects[-1]
+            theta[list(new.index)] = second.theta[list(new.index)]
+            if new not in first.effects and sensible((*first.effects, new)):
+                sets.append(((*first.effects, new), [theta, *probes_of(bench, new, first.theta)[:2]]))
+    return sets
+
+
+def plain_pairs(bench: Bench, c: Candidate, pool: Sequence[Candidate], theta: np.ndarray) -> list[Proposal]:
+    """Two laws of one number each in the place of one of the same kind with several: dry friction and drag, each alone of no
+    use beside a viscous term that stands in for both, look like friction that remembers. `theta` is the nominal model's."""
+    if len(c.index) < 2:
+        return []
+    kind = lambda e: type(effect_of(bench, e)).__module__
+    plain = [e for e in pool if e.location == c.location and len(e.index) == 1 and kind(e) == kind(c)]
+    sets: list[Proposal] = []
+    for a, b in itertools.combinations(plain, 2):
+        if sensible((a, b)):
+            both = [probes_of(bench, b, start) for start in probes_of(bench, a, theta)]
+            sets.append(((a, b), [start for starts in both for start in starts]))
+    return sets
+
+
+def at_all_joints(bench: Bench, found: Sequence[Hypothesis], pool: Sequence[Candidate]) -> list[Proposal]:
+    """The best hypotheses, one for each kind of their last effect, with that effect at all other joints too: what one drive of an
+    arm lacks its neighbours may lack as well, and a law is best judged by all of them."""
+    kinds: dict[str, Hypothesis] = {}
+    for h in sorted(found, key=lambda h: h.validation.loss):
+        kinds.setdefault(h.effects[-1].effect, h)
+    sets: list[Proposal] = []
+    for kind, h in list(kinds.items())[:SPREAD]:
+        more = [e for e in pool if e.effect == kind and e not in h.effects and sensible((*h.effects, e))]
+        thetas = [h.theta.copy(), h.theta.copy()]
+        for e in more:
+            probes, index = probes_of(bench, e, h.theta), list(e.index)
+            thetas[0][index], thetas[1][index] = probes[0][index], probes[min(1, len(probes) - 1)][index]
+        sets += [((*h.effects, *more), thetas)] if more else []
+    return sets
+
+
+def least_missed(h: Hypothesis, neutral: np.ndarray) -> list[Candidate]:
+    """The effects of a hypothesis that would be missed least, to second order (torque is nearly quadratic in its laws); `neutral`
+    holds the numbers of effects that do nothing."""
+    p, H = h.path.problem, h.path.hessian
+    if H is None:
+        return list(h.effects)
+    price = []
+    for c in h.effects:
+        without = h.theta.copy()
+        without[list(c.index)] = neutral[list(c.index)]
+        own = np.isin(np.arange(p.size), np.flatnonzero(np.isin(p.free, c.index)))
+        d = (h.path.z - p.z(without))[own]
+        rest = H[np.ix_(own, ~own)] @ np.linalg.pinv(H[np.ix_(~own, ~own)], hermitian=True) @ H[np.ix_(~own, own)]
+        price.append(float(d @ (H[np.ix_(own, own)] - rest) @ d))
+    return [h.effects[k] for k in np.argsort(price, kind="stable")[:SPREAD]]

@@ -1,1 +1,0 @@
-from fitters.ade import *

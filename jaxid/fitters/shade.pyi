@@ -1,0 +1,1 @@
+from fitters.shade import *

@@ -1,0 +1,102 @@
+"""Many lanes at once against `jax.vmap`, which lays them out otherwise."""
+
+from __future__ import annotations
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from jaxid import lanes
+from jaxid.chain import Chain
+from jaxid.engine import EVEN, simulate_lane
+from jaxid.lanes import loop_over_time, over_lanes
+from jaxid.layout import Layout
+from jaxid.models import Joint, PlanarArm
+from jaxid.models.effects import Backlash, DeadZone, StribeckFriction
+from jaxid.precision import float64
+from jaxid.samples import Samples
+
+
+def looped(A, x, table, steps):
+    """A loop with what a step may contain: small matrices, a loop that each lane leaves at its own time, a table."""
+    shift = jnp.sum(A, 0)
+
+    def step(carry, k):
+        x, total, seen = carry
+        y = A @ x + jnp.tanh(shift) * table[k] + jnp.stack([x[1], x[0]])
+        y = jnp.where(jnp.max(jnp.abs(y)) > 1, y / jnp.linalg.norm(y), y)
+        y, count = jax.lax.while_loop(lambda s: jnp.sum(s[0] ** 2) > 0.3, lambda s: (0.7 * s[0], s[1] + 1), (y, 0))
+        B = jnp.concatenate([A, jnp.outer(y, y)], 1)[:, ::-1].T.reshape(2, 4)
+        total = total + jnp.min(B) * jnp.prod(y) + jnp.any(y > 0.2) + count
+        return (y, total, seen.at[1].set(y[0])), jnp.append(y, total)
+
+    def block(state):
+        k, carry, out = state
+        carry, y = jax.lax.scan(step, carry, k + jnp.arange(8))
+        return k + 8, carry, jax.lax.dynamic_update_slice_in_dim(out, y, k, 0)
+
+    state = jnp.zeros((), int), (x, jnp.zeros(()), jnp.ones(2)), jnp.zeros((64, 3))
+    return loop_over_time(lambda: jax.lax.while_loop(lambda s: s[0] < steps, block, state)[2])
+
+
+def numbers(count: int = 6):
+    rng = np.random.default_rng(0)
+    return rng.standard_normal((count, 2, 2)), rng.standard_normal((count, 2)), rng.standard_normal(64), 43
+
+
+AXES = (0, 0, None, None)
+
+
+def test_lanes_equal_vmap_in_values_and_tangents():
+    A, x, table, steps = numbers()
+    slope = lambda A, x, table, steps: jax.jvp(lambda A, x: looped(A, x, table, steps), (A, x), (jnp.ones_like(A), x))
+    with float64():
+        for f in (looped, slope):
+            expected = jax.jit(jax.vmap(f, AXES))(A, x, table, steps)
+            for name in ("jit", "plain"):
+                run = over_lanes(f, AXES)
+                found = (jax.jit(run) if name == "jit" else run)(A, x, table, steps)
+                jax.tree.map(lambda a, b: np.testing.assert_allclose(a, b, rtol=1e-11, atol=1e-12), found, expected)
+    assert np.all(np.asarray(expected[0])[:, 48:] == 0) and np.ptp(np.asarray(expected[0])[:, :48]) > 1
+
+
+def test_a_lane_does_not_depend_on_its_neighbours():
+    A, x, table, steps = numbers()
+    with float64():
+        run = jax.jit(over_lanes(looped, AXES))
+        before = np.asarray(run(A, x, table, steps))
+        A[1:], x[1] = np.nan, 1e300
+        assert np.array_equal(np.asarray(run(A, x, table, steps))[0], before[0])
+
+
+def test_a_large_step_is_left_to_vmap(monkeypatch):
+    A, x, table, steps = numbers()
+    size = lambda: str(jax.make_jaxpr(over_lanes(looped, AXES))(A, x, table, steps)).count("f64[6] ")
+    with float64():
+        apart = size()
+        monkeypatch.setattr(lanes, "LARGEST_STEP", 10)
+        assert size() < apart / 4
+
+
+@pytest.mark.parametrize(
+    "mechanism, effects", [(Joint, (StribeckFriction(), Backlash())), (PlanarArm, (DeadZone(), StribeckFriction()))]
+)
+def test_models_move_alike(mechanism, effects):
+    chain = Chain(mechanism()).with_effects(*effects)
+    layout, n, rng = Layout(chain), 400, np.random.default_rng(1)
+    nu, nq = len(chain.signature.inputs), chain.nq
+    theta = np.array([e.spec.value for e in layout.entries]) * rng.uniform(0.8, 1.2, (3, len(layout)))
+    with float64():
+        t = jnp.arange(n) * 5e-3
+        u = jnp.asarray(3 * np.sin(np.arange(n)[:, None] / 40 + np.arange(nu)))
+        samples = Samples(t=t, h=jnp.full(n, 5e-3), u=u, total=jnp.cumsum(u, 0), x=jnp.zeros((n, 3 * nq)),
+                          other=jnp.zeros((n, 0)), y=jnp.zeros((n, nq)), w=jnp.ones((n, nq)))  # fmt: skip
+        where = np.tile(np.array([0, 0, n - 1, 0], np.int32), (3, 1))
+        run = lambda theta, start, where, samples, steps: simulate_lane(
+            layout.model(theta), samples, where, start, steps, 512, EVEN, False
+        )
+        args = theta, np.zeros((3, 2 * nq)), where, samples, n
+        found, expected = (jax.jit(f(run, (0, 0, 0, None, None)))(*args) for f in (over_lanes, jax.vmap))
+    assert np.ptp(np.asarray(expected)) > 0.1
+    np.testing.assert_allclose(found, expected, rtol=0, atol=1e-9)
