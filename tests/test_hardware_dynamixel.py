@@ -83,13 +83,14 @@ def test_ping_errors_action_and_reboot(three):
     bus.put(1, x.TORQUE_ENABLE, 1)
     assert sdk.write1ByteTxRx(port, 1, x.OPERATING_MODE.address, 3)[1] == 7  # access: locked while torque is on
     assert sdk.write2ByteTxRx(port, 1, x.GOAL_CURRENT.address, 1500)[1] == 6  # limit
-    assert sdk.read2ByteTxRx(port, 1, 160)[2] == 4  # range
+    assert sdk.readTxRx(port, 1, 160, 2)[2] == 4  # range
     assert sdk.write2ByteTxRx(port, 1, x.TICK.address, 1)[1] == 7  # read only
     assert sdk.regWriteTxRx(port, 1, x.GOAL_CURRENT.address, 2, [9, 0]) == (0, 0)
     assert bus.get(1, x.GOAL_CURRENT) == 0
     sdk.action(port, 1)
-    bus.settle()
-    assert bus.get(1, x.GOAL_CURRENT) == 9
+    assert bus.get(1, x.GOAL_CURRENT) == 9  # the empty answer to `action`, unread so far, comes first
+    sdk.action(port, 1)
+    assert bus.ping(1) == 1020
     assert sdk.reboot(port, 1) == (0, 0) and bus.get(1, x.TORQUE_ENABLE) == 0
     bus.put(1, x.OPERATING_MODE, 3)
     bus.port.closePort()

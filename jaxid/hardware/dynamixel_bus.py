@@ -45,8 +45,17 @@ class Bus:
                     select.select([self.ser], [], [], 1e-3)
                 return super().readPort(length)
 
+        class Packets(dynamixel_sdk.Protocol2PacketHandler):
+            """Leaves the checksum out of an answer; the SDK alone takes it for the content of one that has none."""
+
+            def rxPacket(self, port: Any, fast_option: bool) -> tuple[list[int], int]:
+                packet, result = super().rxPacket(port, fast_option)
+                if result == dynamixel_sdk.COMM_SUCCESS and not fast_option:
+                    packet = packet[: 5 + (packet[5] | packet[6] << 8)]
+                return packet, result
+
         self.port = Port(port)
-        self.packets: Any = dynamixel_sdk.PacketHandler(2.0)
+        self.packets: Any = Packets()
         self.lost: dict[str, int] = {}
         self.alerts: set[int] = set()
         try:
@@ -88,9 +97,12 @@ class Bus:
     def ping(self, identity: int) -> int | None:
         """The model number, or None."""
         for _ in range(2):
-            model, result, _ = self.packets.ping(self.port, identity)
-            if result == 0:
-                return model
+            try:
+                model, result, _ = self.packets.ping(self.port, identity)
+                if result == 0:
+                    return model
+            except IndexError:  # an empty answer, of another question
+                pass
             self.settle()
         return None
 
