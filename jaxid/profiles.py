@@ -12,14 +12,18 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from jaxid.autoregression import Autoregression
 from jaxid.fitters import descend
 from jaxid.problem import Problem, rows
-from jaxid.uncertainty import _whiteness, covariance
+from jaxid.uncertainty import covariance
 
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
+
+#: Samples that a resampled series runs before it counts.
+BURN_IN = 1000
 
 #: Steps of a profile to either side, in standard deviations.
 STEPS = (0.5, 1.0, 1.5, 2.0, 2.5, 3.0, 4.0)
@@ -158,7 +162,7 @@ class Bootstrap:
 
     names: tuple[str, ...]
     samples: np.ndarray
-    block: int  # samples that stay together
+    memory: float  # samples that share one piece of noise
     failed: int
 
     @property
@@ -172,36 +176,36 @@ class Bootstrap:
 
 
 def bootstrap(problem: Problem, z: np.ndarray, replicas: int = 200, seed: int = 0) -> Bootstrap:
-    """Block bootstrap of the residuals at the minimum z of a sum of squares, all refits as one batch.
+    """Bootstrap of the residuals at the minimum z of a sum of squares, all refits as one batch.
 
-    Residuals are resampled in blocks that cover their correlation (Kunsch 1989), so coloured residuals keep their colour, and
-    scaled by what the fit took from them. All columns of a block stay together.
+    Coloured residuals are taken for stationary noise with a memory (`jaxid.autoregression`): its innovations are resampled and
+    run through it anew (the sieve of Bühlmann 1997), scaled up where a record holds few independent ones. White residuals are
+    resampled themselves. All columns of a sample stay together.
     """
     parts = list(rows([(problem, z)]))
-    _, memory = _whiteness([column for p in parts for column in p.r.T])
-    block = 1 if memory <= 1 else 3 * memory
-    count, dof = sum(p.r.size for p in parts), sum(p.r.size for p in parts) - problem.size
-    inflate = np.sqrt(count / max(dof, 1))
+    cov = covariance(problem, z)
+    count = np.array([max(1, sum(np.count_nonzero(p.r[:, c]) for p in parts)) for c in range(parts[0].r.shape[1])])
+    noise = cov.noise or [Autoregression(np.zeros(0), np.nan)] * len(count)
+    first = max(len(n.ar) for n in noise)
+    innovations = [np.stack([n.whitened(r) for n, r in zip(noise, p.r.T, strict=True)], 1)[first:] for p in parts]
+    size = np.sqrt(sum(np.sum(e**2, 0) for e in innovations) / count)
+    if cov.noise:
+        scale = cov.widened * np.array([n.innovation for n in noise]) / np.maximum(size, 1e-300)
+    else:
+        scale = np.full(len(count), np.sqrt(count.sum() / max(count.sum() - problem.size, 1)))
     rng = np.random.default_rng(seed)
     predicted = problem.predictions(z)
     jobs = []
     for _ in range(replicas):
         targets = problem.targets.copy()
-        for part, y in zip(parts, predicted, strict=True):
+        for part, e, y in zip(parts, innovations, predicted, strict=True):
             at = problem.runs.record(part.record).samples
-            w = np.where(part.w > 0, part.w, np.inf)
-            error = (part.r - part.r.mean(0)) / w * inflate
-            targets[at] = y - _resampled(error, min(block, len(error)), rng)
+            drawn = (e - e.mean(0))[rng.integers(0, len(e), len(at) + BURN_IN)]
+            series = np.stack([n.coloured(d)[BURN_IN:] for n, d in zip(noise, drawn.T, strict=True)], 1)
+            targets[at] = y - scale * series / np.where(part.w > 0, part.w, np.inf)
         jobs.append((problem.with_targets(targets), z))
     paths = descend(jobs, 8, 1e-8)
     good = [p.z for p in paths if np.isfinite(p.cost)]
+    memory = max(n.memory() for n in noise) if cov.noise else 1.0
     theta = np.array([problem.theta(p)[problem.free] for p in good])
-    return Bootstrap(tuple(problem.names[: problem.free.size]), theta, block, replicas - len(good))
-
-
-def _resampled(error: np.ndarray, block: int, rng: np.random.Generator) -> np.ndarray:
-    """A series of the same length from blocks drawn with replacement, wrapped around the end."""
-    n = len(error)
-    starts = rng.integers(0, n, -(-n // block))
-    index = (starts[:, None] + np.arange(block)).ravel()[:n] % n
-    return error[index]
+    return Bootstrap(tuple(problem.names[: problem.free.size]), theta, memory, replicas - len(good))

@@ -1,8 +1,10 @@
 """How well the data determine the parameters: covariance, directions that they do not determine, parameters at a bound.
 
 White residuals: cov = s^2 (J'J)^-1. Coloured ones (any model error, any disturbance with a memory): the sandwich
-(J'J)^-1 S (J'J)^-1 with S the long-run covariance of the scores J'r (Newey and West 1987, Bartlett weights; the bandwidth
-covers the residual's own correlation time). Ordinary least-squares intervals are too narrow there by large factors.
+(J'J)^-1 S (J'J)^-1 with S the covariance of the scores J'r, the wider of two: that of stationary noise with a memory
+(`jaxid.autoregression`), and the long-run covariance of the scores themselves (Newey and West 1987, Bartlett weights; the
+bandwidth covers the residual's own correlation time), which also holds for a model error that follows the motion. Ordinary
+least-squares intervals are too narrow there by large factors.
 """
 
 from __future__ import annotations
@@ -11,6 +13,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from jaxid.autoregression import Autoregression, autoregressions, Part, score_covariance, student
 from jaxid.problem import Problem, rows
 
 
@@ -20,7 +23,8 @@ NULL = 1e-12
 
 @dataclass(frozen=True)
 class Covariance:
-    """`std` per entry of z (nan where not determined), correlation groups as positions in z."""
+    """`std` per entry of z (nan where not determined), correlation groups as positions in z. With few independent samples a
+    standard deviation is stated so wide that 1.96 of them still hold 95 % (Student's t)."""
 
     matrix: np.ndarray
     std: np.ndarray
@@ -29,6 +33,8 @@ class Covariance:
     groups: tuple[tuple[int, ...], ...]
     white: bool
     statement: str
+    noise: tuple[Autoregression, ...] = ()  # of each column, where residuals are coloured
+    widened: float = 1.0  # by Student's t
 
 
 def covariance(problem: Problem, z: np.ndarray) -> Covariance:
@@ -38,6 +44,7 @@ def covariance(problem: Problem, z: np.ndarray) -> Covariance:
     near = 1e-9 * np.maximum(np.abs(z), problem.scale)  # a descent ends exactly at a bound, up to rounding
     at_bound = (z - problem.lower <= near) | (problem.upper - z <= near)
     H, S_white, count = np.zeros((n, n)), 0.0, 0
+    parts: list[Part] = []
     scores: list[tuple[list[int], np.ndarray]] = []
     series: list[np.ndarray] = []
     for part in rows([(problem.precise(), z)]):
@@ -48,6 +55,9 @@ def covariance(problem: Problem, z: np.ndarray) -> Covariance:
         count += part.r.size
         scores.append((part.z_columns, np.einsum("tc,tck->tk", part.r, part.J)))
         series += list(part.r.T)
+        whole = np.zeros((*part.r.shape, n))
+        whole[:, :, part.z_columns] = part.J
+        parts.append(Part(part.r, whole))
 
     scale = np.sqrt(np.maximum(np.diag(H), 1e-300))
     scaled = H / scale / scale[:, None]
@@ -62,6 +72,7 @@ def covariance(problem: Problem, z: np.ndarray) -> Covariance:
     white, memory = _whiteness(series)
     dof = max(1, count - int(inside.sum()))
     s2 = max(S_white / dof, 1e-300)
+    noise, widened = (), 1.0
     for kept in (inside, ~blind):  # those at a bound get their own figures from the full matrix
         index = np.flatnonzero(kept)
         if not index.size:
@@ -70,9 +81,13 @@ def covariance(problem: Problem, z: np.ndarray) -> Covariance:
         if white:
             cov = max(s2, 1.0) * inverse
         else:
+            own = [Part(p.r, p.J[:, :, index]) for p in parts]
+            noise = noise or tuple(autoregressions(own, inverse))
+            widened = student(own, noise, len(index))
+            cov = inverse @ score_covariance(own, noise) @ inverse * widened**2
             S = _long_run(scores, n, memory)[np.ix_(index, index)]
-            cov = inverse @ S @ inverse * count / dof
-            floor = max(1.0, s2) * np.diag(inverse)  # never narrower than white residuals of that size
+            # Never narrower than white residuals of that size.
+            floor = np.maximum(np.diag(inverse @ S @ inverse) * count / dof, max(1.0, s2) * np.diag(inverse))
             stretch = np.sqrt(np.maximum(1.0, floor / np.maximum(np.diag(cov), 1e-300)))
             cov = cov * stretch * stretch[:, None]
         target = np.ix_(index, index)
@@ -83,9 +98,9 @@ def covariance(problem: Problem, z: np.ndarray) -> Covariance:
     statement = (
         "residuals are white: standard deviations from the Gauss-Newton matrix"
         if white
-        else f"residuals are coloured (memory {memory} samples): standard deviations from the sandwich covariance"
+        else f"residuals are coloured (memory {memory} samples): standard deviations count it"
     )
-    return Covariance(matrix, std, identifiable, at_bound, groups, white, statement)
+    return Covariance(matrix, std, identifiable, at_bound, groups, white, statement, noise, widened)
 
 
 def _null_directions(scaled: np.ndarray, kept: np.ndarray) -> tuple[np.ndarray, tuple[tuple[int, ...], ...]]:

@@ -76,7 +76,7 @@ def test_bootstrap_agrees_with_the_covariance_of_white_residuals(fitted):
 
 
 def test_bootstrap_of_coloured_residuals_keeps_their_colour(fitted):
-    """Residuals with a memory widen the intervals as the sandwich covariance does; independent draws would not."""
+    """Residuals with a memory widen the intervals as the covariance does; independent draws would not."""
     problem, z = fitted
     rng = np.random.default_rng(0)
     at = problem.runs.record(problem.records[0]).samples
@@ -90,6 +90,6 @@ def test_bootstrap_of_coloured_residuals_keeps_their_colour(fitted):
     cov, slope = covariance(coloured, end), problem.dtheta(end)
     assert not cov.white
     found = bootstrap(coloured, end, 150)
-    assert found.block > 5
+    assert found.memory > 5
     ratio = np.array([found.std[n] for n in found.names]) / (cov.std * 1.0)[: len(found.names)] / slope
     assert np.all(ratio > 0.4) and np.all(ratio < 1.8)
