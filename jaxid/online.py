@@ -8,6 +8,7 @@ sum |tau - Y theta|^2 / X + |theta - prior|^2 / P0. A true forgetting factor is 
 from __future__ import annotations
 
 import functools
+from collections.abc import Sequence
 from typing import Any, NamedTuple
 
 import jax
@@ -47,14 +48,31 @@ def ridge_rls(
     watched: Any = slice(None),
     change: float = Rule().change,
 ) -> Recursion:
-    """One sample (pure; jit and scan it). `noise_var` [n] (N m)^2; `forgetting` in (0, 1], 1 forgets nothing."""
-    PY = state.P @ Y.T
-    S = forgetting * jnp.diag(noise_var) + Y @ PY
-    K = jax.scipy.linalg.cho_solve((jnp.linalg.cholesky(S), True), PY.T).T
-    step = K @ (tau - Y @ state.theta)
-    P = (state.P - K @ PY.T) / forgetting
+    """One sample (pure; jit and scan it). `noise_var` [n] (N m)^2; `forgetting` in (0, 1], 1 forgets nothing.
+
+    With X + Y P Y' = L L' and V = P Y' L'^-1, K (tau - Y theta) = V L^-1 (tau - Y theta) and K Y P = V V', so P stays symmetric.
+    """
+    P = state.P / forgetting
+    PY = P @ Y.T
+    columns, errors = _whitened(jnp.diag(noise_var) + Y @ PY, [*PY.T], [*(tau - Y @ state.theta)])
+    step = sum(e * v for e, v in zip(errors, columns, strict=True))
+    P = P - sum(v[:, None] * v[None] for v in columns)
     still = jnp.where(jnp.max(jnp.abs(step[watched])) < change, state.still + 1, 0)
-    return Recursion(state.theta + step, (P + P.T) / 2, still, state.seen + 1)
+    return Recursion(state.theta + step, P, still, state.seen + 1)
+
+
+def _whitened(S: Float[Array, "n n"], *rows: Sequence[Array]) -> list[list[Array]]:
+    """L^-1 times lists of n rows, with S = L L', written out: in one sample's time calls of LAPACK would be dear."""
+    n, L = S.shape[0], {}
+    for i in range(n):
+        for j in range(i + 1):
+            rest = S[i, j] - sum(L[i, k] * L[j, k] for k in range(j))
+            L[i, j] = jnp.sqrt(rest) if i == j else rest / L[j, j]
+    out: list[list[Array]] = [[] for _ in rows]
+    for given, made in zip(rows, out, strict=True):
+        for i in range(n):
+            made.append((given[i] - sum(L[i, k] * made[k] for k in range(i))) / L[i, i])
+    return out
 
 
 @functools.partial(jax.jit, static_argnums=(6,))
@@ -114,20 +132,36 @@ def regressor_row(arm: Any, kept: np.ndarray, q: Array, qd: Array, qdd: Array, e
     return jnp.concatenate([Y, jnp.diag(jnp.tanh(qd / REST)), jnp.diag(power), jnp.eye(n)], 1)
 
 
-@functools.partial(jax.jit, static_argnums=(0, 1, 2, 3))
-def _update(structure, shapes, kept, watched, numbers, state, sample):
-    """All numbers of the arm and the settings come in one array, and so does the sample: few arguments, little overhead."""
-    leaves, at = [], 0
-    for shape in shapes:
-        size = int(np.prod(shape))
-        leaves.append(numbers[at : at + size].reshape(shape))
-        at += size
-    n = sample.shape[1]
-    exponent, noise_var = numbers[at : at + n], numbers[at + n : at + 2 * n]
-    forgetting, change = numbers[at + 2 * n], numbers[at + 2 * n + 1]
-    q, qd, qdd, tau = sample
-    Y = regressor_row(jax.tree.unflatten(structure, leaves), np.array(kept), q, qd, qdd, exponent)
-    return ridge_rls(state, Y, tau, noise_var, forgetting, np.array(watched), change)
+@functools.cache
+def _program(structure, shapes, kept: tuple[int, ...], watched: tuple[int, ...]):
+    """The compiled update of arms of one structure: (numbers, packed state, sample) -> packed state. All numbers of the arm and
+    the settings come in one array, and so do the state and the sample: few arguments, little overhead."""
+
+    def update(numbers, packed, sample):
+        leaves, at = [], 0
+        for shape in shapes:
+            size = int(np.prod(shape))
+            leaves.append(numbers[at : at + size].reshape(shape))
+            at += size
+        n = sample.shape[1]
+        exponent, noise_var = numbers[at : at + n], numbers[at + n : at + 2 * n]
+        forgetting, change = numbers[at + 2 * n], numbers[at + 2 * n + 1]
+        q, qd, qdd, tau = sample
+        Y = regressor_row(jax.tree.unflatten(structure, leaves), np.array(kept), q, qd, qdd, exponent)
+        return _packed(ridge_rls(_unpacked(packed), Y, tau, noise_var, forgetting, np.array(watched), change))
+
+    return jax.jit(update)
+
+
+def _packed(state: Recursion) -> Array:
+    """P row by row, theta, still, seen: p^2 + p + 2 numbers."""
+    counts = jnp.stack([state.still, state.seen]).astype(state.P.dtype)
+    return jnp.concatenate([state.P.ravel(), state.theta, counts])
+
+
+def _unpacked(packed: Any) -> Recursion:
+    p = int((packed.size - 2) ** 0.5)  # p^2 + p + 2 numbers
+    return Recursion(packed[p * p : -2], packed[: p * p].reshape(p, p), packed[-2], packed[-1])
 
 
 class OnlineIdentification:
@@ -165,16 +199,21 @@ class OnlineIdentification:
             settings = [np.broadcast_to(exponent, n), np.broadcast_to(noise_var, n), [forgetting, rule.change]]
             numbers = np.concatenate([np.ravel(np.asarray(a, np.float64)) for a in (*leaves, *settings)])
             self.watched = watched_of(self.base, n)
-            self._static = structure, shapes, tuple(int(i) for i in self.base.kept), self.watched
+            self._update = _program(structure, shapes, tuple(int(i) for i in self.base.kept), self.watched)
             self._numbers = jnp.asarray(numbers)
-            zero = jnp.zeros((), jnp.int32)
-            self.state = Recursion(jnp.asarray(self.prior), jnp.diag(full(prior_var, p)), zero, zero)
+            zero = jnp.zeros(())
+            self._state = _packed(Recursion(jnp.asarray(self.prior), jnp.diag(full(prior_var, p)), zero, zero))
         self.converged_at: int | None = None
 
     def update(self, q: np.ndarray, qd: np.ndarray, qdd: np.ndarray, tau: np.ndarray) -> None:
         """One sample: joint motion [n] (rad, m and their rates) and torque [n]. Nothing recompiles after the first."""
         with float64():
-            self.state = _update(*self._static, self._numbers, self.state, np.array((q, qd, qdd, tau), np.float64))
+            self._state = self._update(self._numbers, self._state, np.array((q, qd, qdd, tau), np.float64))
+
+    @property
+    def state(self) -> Recursion:
+        """As NumPy arrays; waits for the last update."""
+        return _unpacked(np.asarray(self._state))
 
     def check(self) -> bool:
         """Whether the rule has been met; remembers at which sample it first was. Waits for the last update."""

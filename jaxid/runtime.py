@@ -30,6 +30,8 @@ def prepare() -> None:
     if os.environ.get("JAXID_XLA") != "0" and "xla_backend_extra_options" not in flags:
         os.environ["XLA_FLAGS"] = f"{flags} {LOOP_FLAG}".strip()
     os.environ.setdefault("JAX_PLATFORMS", "cpu")
+    # Every result is waited for, by a thread of its own where there are several: handing calls to JAX's threads only costs time.
+    os.environ.setdefault("JAX_CPU_ENABLE_ASYNC_DISPATCH", "0")
     # NumPy's matrices are small here; more threads only wait for each other (measured: 3 to 5 times the CPU time).
     os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
     folder = cache_folder()

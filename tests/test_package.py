@@ -121,13 +121,14 @@ def test_lazy_submodules():
 def test_prepare_sets_the_environment(tmp_path):
     code = "import json, os; from jaxid.runtime import prepare; prepare(); prepare(); print(json.dumps(dict(os.environ)))"
     plain = {"XLA_FLAGS": "--xla_x=1", "JAXID_CACHE_DIR": str(tmp_path / "cache"), "JAXID_XLA": "1"}
-    for name in ("JAX_COMPILATION_CACHE_DIR", "JAX_PLATFORMS"):
+    names = ("JAX_COMPILATION_CACHE_DIR", "JAX_PLATFORMS", "JAX_CPU_ENABLE_ASYNC_DISPATCH")
+    for name in names:
         plain[name] = os.environ.get(name, "")
-    code = "import os; [os.environ.pop(n) for n in ('JAX_COMPILATION_CACHE_DIR', 'JAX_PLATFORMS')];" + code
+    code = f"import os; [os.environ.pop(n) for n in {names}];" + code
     after = json.loads(run(code, **plain))
     assert after["XLA_FLAGS"].startswith("--xla_x=1 --xla_backend_extra_options=")
     assert after["XLA_FLAGS"].count("xla_backend_extra_options") == 1
-    assert after["JAX_PLATFORMS"] == "cpu"
+    assert after["JAX_PLATFORMS"] == "cpu" and after["JAX_CPU_ENABLE_ASYNC_DISPATCH"] == "0"
     assert after["JAX_COMPILATION_CACHE_DIR"] == str(tmp_path / "cache")
     assert (tmp_path / "cache").is_dir()
 
