@@ -30,7 +30,7 @@ def motion(t: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
 
 
 def wait_until(due: float, awake: float) -> None:
-    """Sleeps, and stays awake for the last `awake` seconds: time to come back from sleep, with cold caches, is not the update's."""
+    """Sleeps, and stays awake for the last `awake` seconds: coming back from sleep, with cold caches, takes time of its own."""
     wait = due - awake - time.perf_counter()
     if wait > 0:
         time.sleep(wait)

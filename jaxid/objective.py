@@ -19,7 +19,6 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from jaxid.engine import LANES
 from jaxid.errors import UsageError
 from jaxid.precision import float64
 
@@ -39,6 +38,10 @@ Losses = Callable[[Array, Any], Array]
 def penalised(value: Array) -> Array:
     """What is not finite gets PENALTY, nothing is larger."""
     return jnp.minimum(jnp.where(jnp.isfinite(value), value, PENALTY), PENALTY)
+
+
+#: Most candidates that are evaluated side by side by one call of a program.
+CANDIDATES = 64
 
 
 class Loss(NamedTuple):
@@ -172,17 +175,17 @@ class AbstractProblem(abc.ABC):
         """Loss of each row of z [pop size], on all cores; the same program and numbers for every fitter."""
         z = np.atleast_2d(np.asarray(z, np.float64))
         data = self.data
-        part = np.resize(z[:1], (LANES, z.shape[1]))
+        part = np.resize(z[:1], (CANDIDATES, z.shape[1]))
         with float64():
             program = self.compiled("losses", self.pure, part, data)
 
         def block(k: int) -> np.ndarray:
-            part = z[k : k + LANES]  # one shape, hence one program and the same bits, for any population
-            padded = np.concatenate([part, np.repeat(part[-1:], LANES - len(part), 0)])
+            part = z[k : k + CANDIDATES]  # one shape, hence one program and the same bits, for any population
+            padded = np.concatenate([part, np.repeat(part[-1:], CANDIDATES - len(part), 0)])
             with float64():  # the setting belongs to the thread
                 return np.asarray(program(padded, data))[: len(part)]
 
-        blocks = range(0, len(z), LANES)
+        blocks = range(0, len(z), CANDIDATES)
         return np.concatenate(list(_POOL.map(block, blocks) if len(blocks) > 1 else map(block, blocks)))
 
     def loss(self, z: np.ndarray) -> float:

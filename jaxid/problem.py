@@ -15,10 +15,22 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from jaxid.engine import LANES
 from jaxid.errors import UsageError
 from jaxid.lanes import over_lanes
-from jaxid.objective import AbstractProblem, expand, Linear, linearise, Loss, LOSSES, Losses, penalised, PENALTY, Rows, rows
+from jaxid.objective import (
+    AbstractProblem,
+    CANDIDATES,
+    expand,
+    Linear,
+    linearise,
+    Loss,
+    LOSSES,
+    Losses,
+    penalised,
+    PENALTY,
+    Rows,
+    rows,
+)
 from jaxid.residual import Runs
 from jaxid.samples import Samples
 
@@ -234,16 +246,18 @@ class Problem(AbstractProblem):
 def sums(predict: Callable, length: int, loss: Loss, z: Float[Array, "pop size"], data: Data) -> Float[Array, "pop columns"]:
     """What a loss sums, per candidate and residual column. Pure.
 
-    Blocks of candidates on one record each: what depends neither on the candidate nor on the step is worked out once.
+    Blocks of candidates, of like size, on one record each: what depends neither on the candidate nor on the step is worked out
+    once.
     """
     pop, R, nfree = z.shape[0], data.where.shape[0], data.log.shape[0]
     part = z[:, :nfree]
     values = jnp.where(data.log, jnp.exp(jnp.where(data.log, part, 0.0)), part)
     starts = jnp.broadcast_to(data.start0, (pop, *data.start0.shape))
     starts = starts.at[:, data.start_rows, data.start_columns].set(z[:, nfree:])
-    blocks = -(-pop // LANES)
-    pad = lambda a: jnp.concatenate([a, jnp.broadcast_to(a[-1:], (blocks * LANES - pop, *a.shape[1:]))])
-    values, starts = (pad(a).reshape(blocks, LANES, *a.shape[1:]) for a in (values, starts))
+    blocks = -(-pop // CANDIDATES)
+    lanes = 4 * -(-pop // (4 * blocks))
+    pad = lambda a: jnp.concatenate([a, jnp.broadcast_to(a[-1:], (blocks * lanes - pop, *a.shape[1:]))])
+    values, starts = (pad(a).reshape(blocks, lanes, *a.shape[1:]) for a in (values, starts))
     k = jnp.arange(length)
 
     def block(number):
@@ -262,8 +276,8 @@ def sums(predict: Callable, length: int, loss: Loss, z: Float[Array, "pop size"]
 
         return over_lanes(lane)(values[number // R], starts[number // R, :, r])
 
-    totals = jax.lax.map(block, jnp.arange(blocks * R)).reshape(blocks, R, LANES, -1)
-    return jnp.sum(totals, 1).reshape(blocks * LANES, -1)[:pop]
+    totals = jax.lax.map(block, jnp.arange(blocks * R)).reshape(blocks, R, lanes, -1)
+    return jnp.sum(totals, 1).reshape(blocks * lanes, -1)[:pop]
 
 
 def _lanes(jobs: Sequence[tuple[Problem, np.ndarray]], share: float) -> Iterator[Rows]:

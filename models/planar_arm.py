@@ -73,4 +73,4 @@ class PlanarArm(Rigid):
 
     def tilted(self, angle):
         """On a base turned by angle[0] about the first joint's axis."""
-        return turned(self, angle.at[1:].set(0.0))
+        return turned(self, jnp.asarray(angle).at[1:].set(0.0))

@@ -11,9 +11,11 @@ import numpy as np
 import pytest
 
 import jaxid
-from jaxid.diagnosis import upheld
+from jaxid.binding import bind
+from jaxid.diagnosis import growth, upheld
 from jaxid.diagnosis.evidence import HeldOut, inflation, memory, shifted
 from jaxid.diagnosis.how_far import bootstrap, shrink
+from jaxid.estimation import Bench
 from jaxid.results import HowFar
 from reference import multisine
 
@@ -76,6 +78,41 @@ def test_windows_name_the_same_effect():
     data = recording("pendulum", 1, load=0.1)
     d = jaxid.diagnose("pendulum", data, residual="multiple_shooting", effects=CHOICE)
     assert [e.effect for e in d.which.effects] == ["load_dependent_friction"] and d.residual == "multiple_shooting"
+
+
+@pytest.mark.parametrize(("angle", "least", "most"), [(np.pi - 0.02, 60.0, 1e4), (0.3, 0.0, 3.0)])
+def test_growth_of_a_difference_at_the_start(angle, least, most):
+    """A pendulum that falls from the top multiplies it, one that swings below does not."""
+    t = np.arange(800) / 200
+    data = jaxid.Dataset.from_arrays(
+        [t, t], {"tau": [0 * t] * 2}, {"q": [angle + 0.1 * np.sin(t)] * 2}, units={"tau": "N m", "q": "rad"},
+        split=["fit", "validation"], initial={"q": angle, "qd": 0.0}, noise_std={"q": NOISE}, model="pendulum",
+    )  # fmt: skip
+    binding = bind("pendulum", data)
+    theta = binding.theta.copy()
+    theta[binding.layout.index("coulomb")] = 0.0
+    assert least < growth(Bench(binding), theta) < most
+
+
+@pytest.mark.slow
+def test_where_free_runs_cannot_be_followed_windows_answer():
+    """A two-link arm that is thrown over the top; its command has another scale than the model's at joint 2."""
+    t, rng = np.arange(1200) / 200, np.random.default_rng(3)
+    plant = dataclasses.replace(twins.PLANTS["planar_arm"], rate=200)
+    lines = 2 * np.pi * rng.uniform(0.3, 1.5, (4, 2, 6)), rng.uniform(0, 6, (4, 2, 6))
+    u = np.array([22.0, 7.0]) * np.sin(lines[0][:, None] * t[:, None, None] + lines[1][:, None]).sum(3) / np.sqrt(6)
+    numbers = plant.nominal | {"scale": (0.0, 0.07)}
+    every = {k: np.tile(numbers.get(k, (twins.NEUTRAL.get(k, 0.0),) * 2), (4, 1)) for k in {**twins.NEUTRAL, **numbers}}
+    y = twins.recorded(plant, u, every, rng)
+    data = jaxid.Dataset.from_arrays(
+        [t] * 4, {f"tau{j + 1}": list(u[:, :, j]) for j in (0, 1)}, {f"q{j + 1}": list(y[:, :, j]) for j in (0, 1)},
+        split=["fit", "fit", "validation", "report"], at_rest=True, noise_std={f"q{j}": plant.noise for j in (1, 2)},
+        resolution={f"q{j}": plant.resolution for j in (1, 2)}, model="planar_arm",
+    )  # fmt: skip
+    assert np.ptp(y[:, :, 0], axis=1).max() > 2 * np.pi
+    d = jaxid.diagnose(None, data, effects=["torque_scale", "supply_droop", "back_emf", "torque_ripple", "sensor_bias"])
+    assert d.which.verdict == "named" and [str(e) for e in d.which.effects] == ["torque_scale at tau2"]
+    assert d.residual == "multiple_shooting" and any("windows" in n for n in d.notes)
 
 
 def test_a_model_that_lacks_nothing_gets_none():
