@@ -70,8 +70,10 @@ def run_diagnosis(
         raise UsageError("a diagnosis needs recorded runs; this dataset holds frequency responses alone: fit it")
     found, grown = _diagnosed(binding, residual or default_residual(binding), allowed, max_effects, seed, progress)
     if residual is None and grown > SENSITIVE and found.which.verdict in ("unknown", "partly"):
-        windows = MultipleShooting()
-        again, _ = _diagnosed(binding, windows, allowed, max_effects, seed, progress)
+        try:
+            again, _ = _diagnosed(binding, MultipleShooting(), allowed, max_effects, seed, progress)
+        except Interrupted as stop:
+            raise Interrupted(found) from stop
         if again.which.verdict in {"unknown": ("none", "partly", "named"), "partly": ("named",)}[found.which.verdict]:
             note = (
                 f"a difference at the start of a run grows {grown:.2g} times within it, and by free runs the answer was "
