@@ -262,7 +262,16 @@ def test_a_run_that_diverges_is_held_against_no_other():
 
 
 @pytest.mark.parametrize(
-    "retuned, after, verdict", [(10.0, 1.0, "named"), (10.0, 8.0, "partly"), (10.0, 12.0, "unknown"), (1.1, 1.15, "named")]
+    "retuned, after, verdict",
+    [
+        (10.0, 1.0, "named"),
+        (10.0, 8.0, "partly"),
+        (10.0, 12.0, "unknown"),
+        (1.1, 1.15, "named"),
+        (100.0, 40.0, "partly"),
+        (100.0, 9.0, "named"),
+        (3.0, 1.4, "named"),
+    ],
 )
 def test_report_data_withdraw_what_does_not_hold_on_them(retuned, after, verdict):
     far = HowFar(retuned, retuned, after, 1.0, None, None, "", {}, "")

@@ -39,6 +39,8 @@ from jaxid.uncertainty import covariance
 NAMED, PARTLY = 0.97, 0.5
 #: Gap of the re-tuned model on report data, times the noise, above which they can withdraw a verdict.
 SEEN = 1.2
+#: What is `named` closes this share of the gap on report data, or leaves no more than so many times the noise.
+HELD, LEFT = 0.9, 1.5
 #: Free runs in which a difference at the start (rad, m) grows by more than this are not trusted where they find no answer.
 SENSITIVE, DIFFERENCE = 50.0, 1e-7
 
@@ -227,7 +229,7 @@ def upheld(verdict: str, text: str, how_far: HowFar) -> tuple[str, str]:
         return "unknown", (
             f"{text} On the report data that model is {after:.3g} times the noise away, {retuned:.3g} without: nothing claimed."
         )
-    if verdict == "named" and closed < PARTLY:
+    if verdict == "named" and (closed < PARTLY or (closed < HELD and after > LEFT)):
         return "partly", f"{text} On the report data it explains only {100 * closed:.0f} % of the gap."
     return verdict, text
 
