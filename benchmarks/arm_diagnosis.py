@@ -19,6 +19,7 @@ DATA = Path(os.environ.get("JAXID_DATA", Path(__file__).resolve().parents[2] / "
 #: The laws that are offered: those of a joint's speed and load alone.
 LAWS = ["coulomb_friction", "viscous_friction", "power_law_friction", "asymmetric_friction", "load_dependent_friction",
         "stribeck_friction", "quadratic_drag"]  # fmt: skip
+MODELS = {"ur10e": "ur10e", "panda_exciting": "panda"}
 #: Recording -> the terms its model is robbed of, and the filter's frequency (Hz).
 RECORDINGS = {"ur10e": (["coulomb_friction", "power_law_friction"], 5.0), "panda_exciting": ([], 15.0)}
 
@@ -49,7 +50,7 @@ def diagnosed(name: str) -> list[dict[str, Any]]:
         raise FileNotFoundError(f"{name} is not in {DATA.name}; set JAXID_DATA")
     without, cutoff = RECORDINGS[name]
     data = jaxid.load_dataset(DATA / name)
-    own = jaxid.Chain(catalogue.model_class(data.model.name)()).contents
+    own = jaxid.Chain(catalogue.model_class(MODELS[name])()).contents
     laws = [e for e in LAWS if e not in own or e in without]
     began = time.process_time()
     d = jaxid.diagnose(None, data, without=without, residual="inverse_dynamics", effects=laws, max_effects=3, seed=0)

@@ -17,8 +17,6 @@ from jaxid.rigid_body import regressor
 
 
 SAMPLES = 30_000
-AWAKE = 3e-4  # s
-HOW = {False: ", straight out of sleep", True: f", awake for {1e3 * AWAKE:g} ms before"}
 
 
 def motion(t: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
@@ -29,16 +27,7 @@ def motion(t: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     return (a * np.sin(angle)).sum(1), (a * w * np.cos(angle)).sum(1), -(a * w * w * np.sin(angle)).sum(1)
 
 
-def wait_until(due: float, awake: float) -> None:
-    """Sleeps, and stays awake for the last `awake` seconds: coming back from sleep, with cold caches, takes time of its own."""
-    wait = due - awake - time.perf_counter()
-    if wait > 0:
-        time.sleep(wait)
-    while time.perf_counter() < due:
-        pass
-
-
-def streamed(seconds: float, awake: float, rate: float = 500.0) -> dict[str, Any]:
+def streamed(seconds: float, rate: float = 500.0) -> dict[str, Any]:
     """Updates in real time; each is waited for."""
     t = np.arange(round(seconds * rate)) / rate
     q, qd, qdd = motion(t)
@@ -49,7 +38,9 @@ def streamed(seconds: float, awake: float, rate: float = 500.0) -> dict[str, Any
     programs, spent, late = update._cache_size(), [], 0
     cpu, began = time.process_time(), time.perf_counter()
     for k in range(1, len(t)):
-        wait_until(began + k / rate, awake)
+        wait = began + k / rate - time.perf_counter()
+        if wait > 0:
+            time.sleep(wait)
         start = time.perf_counter()
         online.update(q[k], qd[k], qdd[k], tau[k])
         online.state  # waits for the update
@@ -57,7 +48,7 @@ def streamed(seconds: float, awake: float, rate: float = 500.0) -> dict[str, Any
         spent.append(now - start)
         late += now > began + (k + 1) / rate
     return {
-        "what": f"online update, 58 parameters, {seconds:g} s at {rate:g} Hz in real time{HOW[awake > 0]}",
+        "what": f"online update, 58 parameters, {seconds:g} s at {rate:g} Hz in real time",
         "jaxid": f"median {1e3 * np.median(spent):.3f} ms, 99 % {1e3 * np.percentile(spent, 99):.2f} ms",
         "beside it": f"CPU {1e3 * (time.process_time() - cpu) / len(spent):.3f} ms a sample with the waiting; "
         f"{late} of {len(spent)} finished after the next one was due",
@@ -65,18 +56,20 @@ def streamed(seconds: float, awake: float, rate: float = 500.0) -> dict[str, Any
     }
 
 
-def empty(seconds: float, awake: float, rate: float = 500.0) -> dict[str, Any]:
+def empty(seconds: float, rate: float = 500.0) -> dict[str, Any]:
     """What this computer takes for a compiled program that adds one number, called at the same pace."""
     with float64():
         add = jax.jit(lambda P, x: P + x[0, 0])
         P, spent, began = jnp.zeros((58, 58)), [], time.perf_counter()
         for k in range(round(seconds * rate)):
-            wait_until(began + k / rate, awake)
+            wait = began + k / rate - time.perf_counter()
+            if wait > 0:
+                time.sleep(wait)
             start = time.perf_counter()
             P = jax.block_until_ready(add(P, np.zeros((4, 6))))
             spent.append(time.perf_counter() - start)
     return {
-        "what": f"a compiled program that adds one number, {seconds:g} s at {rate:g} Hz in real time{HOW[awake > 0]}",
+        "what": f"a compiled program that adds one number, {seconds:g} s at {rate:g} Hz in real time",
         "jaxid": f"median {1e3 * np.median(spent):.3f} ms, 99 % {1e3 * np.percentile(spent, 99):.2f} ms",
         "beside it": "what the pace and the computer cost by themselves",
         "ratio": "",
@@ -169,7 +162,7 @@ def mjcf(arm: Any) -> str:
 
 def main() -> dict:
     """Latency of the stream, then batches."""
-    rows = [row for awake in (0.0, AWAKE) for row in (streamed(60.0, awake), empty(10.0, awake))] + batches()
+    rows = [streamed(60.0), empty(10.0), *batches()]
     text = f"UR10, float64. Batches of {SAMPLES} samples (regressor 3000), best of several, CPU time of the whole process."
     return {"title": "Speed of arm dynamics and of the recursion", "text": text, "rows": rows}
 

@@ -48,13 +48,13 @@ class Autoregression:
         """The innovations of a series."""
         from scipy.signal import lfilter
 
-        return lfilter(np.concatenate([[1.0], -self.ar]), [1.0], series)
+        return np.asarray(lfilter(np.concatenate([[1.0], -self.ar]), [1.0], series))
 
     def coloured(self, innovations: np.ndarray) -> np.ndarray:
         """The series that these innovations make."""
         from scipy.signal import lfilter
 
-        return lfilter([1.0], np.concatenate([[1.0], -self.ar]), innovations)
+        return np.asarray(lfilter([1.0], np.concatenate([[1.0], -self.ar]), innovations))
 
 
 @dataclass(frozen=True)

@@ -55,8 +55,8 @@ def ridge_rls(
     P = state.P / forgetting
     PY = P @ Y.T
     columns, errors = _whitened(jnp.diag(noise_var) + Y @ PY, [*PY.T], [*(tau - Y @ state.theta)])
-    step = sum(e * v for e, v in zip(errors, columns, strict=True))
-    P = P - sum(v[:, None] * v[None] for v in columns)
+    step = sum((e * v for e, v in zip(errors, columns, strict=True)), jnp.zeros(()))
+    P = P - sum((v[:, None] * v[None] for v in columns), jnp.zeros(()))
     still = jnp.where(jnp.max(jnp.abs(step[watched])) < change, state.still + 1, 0)
     return Recursion(state.theta + step, P, still, state.seen + 1)
 

@@ -48,7 +48,7 @@ class Bus:
         class Packets(dynamixel_sdk.Protocol2PacketHandler):
             """Leaves the checksum out of an answer; the SDK alone takes it for the content of one that has none."""
 
-            def rxPacket(self, port: Any, fast_option: bool) -> tuple[list[int], int]:
+            def rxPacket(self, port: Any, fast_option: bool) -> Any:
                 packet, result = super().rxPacket(port, fast_option)
                 if result == dynamixel_sdk.COMM_SUCCESS and not fast_option:
                     packet = packet[: 5 + (packet[5] | packet[6] << 8)]
