@@ -95,6 +95,7 @@ def test_growth_of_a_difference_at_the_start(angle, least, most):
 
 
 @pytest.mark.slow
+@pytest.mark.timeout(900)
 def test_where_free_runs_cannot_be_followed_windows_answer():
     """A two-link arm that is thrown over the top; its command has another scale than the model's at joint 2."""
     t, rng = np.arange(1200) / 200, np.random.default_rng(3)
