@@ -5,6 +5,7 @@ import functools
 import os
 import sys
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -96,7 +97,7 @@ def test_growth_of_a_difference_at_the_start(angle, least, most):
 
 @pytest.mark.slow
 @pytest.mark.timeout(900)
-def test_where_free_runs_cannot_be_followed_windows_answer():
+def test_an_arm_thrown_over_the_top():
     """A two-link arm that is thrown over the top; its command has another scale than the model's at joint 2."""
     t, rng = np.arange(1200) / 200, np.random.default_rng(3)
     plant = dataclasses.replace(twins.PLANTS["planar_arm"], rate=200)
@@ -113,7 +114,34 @@ def test_where_free_runs_cannot_be_followed_windows_answer():
     assert np.ptp(y[:, :, 0], axis=1).max() > 2 * np.pi
     d = jaxid.diagnose(None, data, effects=["torque_scale", "supply_droop", "back_emf", "torque_ripple", "sensor_bias"])
     assert d.which.verdict == "named" and [str(e) for e in d.which.effects] == ["torque_scale at tau2"]
-    assert d.residual == "multiple_shooting" and any("windows" in n for n in d.notes)
+
+
+@dataclasses.dataclass(frozen=True)
+class Answer:
+    which: Any
+    notes: tuple[str, ...] = ()
+    wall_time_s: float = 0.0
+
+
+@pytest.mark.parametrize(
+    ("given", "first", "grown", "second", "expected"),
+    [
+        (None, "unknown", 900.0, "named", "named"), (None, "unknown", 900.0, "unknown", "unknown"),
+        (None, "partly", 900.0, "none", "partly"), (None, "named", 900.0, "", "named"), (None, "unknown", 9.0, "", "unknown"),
+        ("output_error", "unknown", 900.0, "", "unknown"),
+    ],
+)  # fmt: skip
+def test_windows_are_asked_where_chaotic_free_runs_find_nothing(monkeypatch, given, first, grown, second, expected):
+    asked = []
+
+    def answer(binding, residual, *rest):
+        asked.append(residual.name)
+        return Answer(SimpleNamespace(verdict=second if len(asked) > 1 else first)), grown
+
+    monkeypatch.setattr(jaxid.diagnosis, "_diagnosed", answer)
+    d = jaxid.diagnose("pendulum", recording("pendulum", 2), residual=given)
+    assert d.which.verdict == expected and asked == ["output_error", "multiple_shooting"][: 2 if second else 1]
+    assert bool(d.notes) == (second == expected != first)
 
 
 def test_a_model_that_lacks_nothing_gets_none():
