@@ -282,26 +282,45 @@ def _typical(problem: AbstractProblem, z: np.ndarray) -> np.ndarray:
 
 
 def _step(path: Path) -> np.ndarray:
-    """The next trial: the model's minimum within radius and bounds."""
+    """The next trial: the model's minimum within radius and bounds.
+
+    Variables that come to a bound are held there one after the other, which is no minimum where many do: a smaller radius that
+    lowers the model by more is taken instead.
+    """
+    assert path.gradient is not None and path.hessian is not None
+    z, g, H = path.z, path.gradient, path.hessian
+    gain = lambda dz: -(g @ dz + dz @ H @ dz / 2)
+    dz, bounded = _bounded(path, path.radius)
+    while bounded:
+        less, bounded = _bounded(path, path.radius / 4)
+        if gain(less) <= gain(dz):
+            break
+        dz, path.radius = less, path.radius / 4
+    return np.clip(z + dz, path.problem.lower, path.problem.upper)
+
+
+def _bounded(path: Path, radius: float) -> tuple[np.ndarray, bool]:
+    """A step within radius and bounds, and whether it came to a bound."""
     assert path.gradient is not None and path.hessian is not None and path.scale is not None
     z, g, H, scale = path.z, path.gradient, path.hessian, path.scale
     lower, upper = path.problem.lower, path.problem.upper
     free = ~(((z <= lower) & (g > 0)) | ((z >= upper) & (g < 0)))
-    dz = np.zeros_like(z)
+    dz, bounded = np.zeros_like(z), False
     for _ in range(z.size + 1):  # a variable that would leave its bounds goes to the bound, and the rest is solved again
         index = np.flatnonzero(free)
         if not index.size:
             break
         pull = (g + H @ np.where(free, 0.0, dz))[index] / scale[index]
         held = float(np.sum((scale * np.where(free, 0.0, dz)) ** 2))
-        left = np.sqrt(max(path.radius**2 - held, (0.1 * path.radius) ** 2))
+        left = np.sqrt(max(radius**2 - held, (0.1 * radius) ** 2))
         dz[index] = _within(H[np.ix_(index, index)] / scale[index] / scale[index][:, None], pull, left) / scale[index]
         out = free & ((z + dz < lower) | (z + dz > upper))
         if not out.any():
             break
+        bounded = True
         dz = np.where(out, np.clip(z + dz, lower, upper) - z, dz)
         free &= ~out
-    return np.clip(z + dz, lower, upper)
+    return np.clip(z + dz, lower, upper) - z, bounded
 
 
 def _within(A: np.ndarray, b: np.ndarray, radius: float) -> np.ndarray:

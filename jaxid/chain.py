@@ -131,12 +131,15 @@ class OutputEffect(Effect):
 
 
 class RecordEffect(Effect):
-    """Between sensor and file: (times [time], series [time ny]) -> series. The motion knows nothing of it."""
+    """Between sensor and file: (times [time], series [time ny], the step's length where all are equal) -> series. The motion knows
+    nothing of it."""
 
     location: ClassVar[str] = "output"
 
     @abc.abstractmethod
-    def __call__(self, t: Float[Array, " time"], y: Float[Array, "time ny"]) -> Float[Array, "time ny"]: ...
+    def __call__(
+        self, t: Float[Array, " time"], y: Float[Array, "time ny"], h: Float[Array, ""] | None
+    ) -> Float[Array, "time ny"]: ...
 
 
 def neutral(kind: Callable[..., Effect]) -> Effect:
@@ -145,6 +148,10 @@ def neutral(kind: Callable[..., Effect]) -> Effect:
 
 
 Port = TypeVar("Port", bound=Effect)
+
+
+#: Structure of a chain -> whether it has states: tracing takes a fifth of a second.
+_REMEMBERING: dict[Any, bool] = {}
 
 
 class Carry(NamedTuple):
@@ -260,8 +267,11 @@ class Chain(eqx.Module):
 
     def has_states(self) -> bool:
         """Whether any effect remembers something between steps."""
-        z = jax.eval_shape(lambda: self.start(jnp.zeros(self.nq), jnp.zeros(self.nq), jnp.zeros(len(self.signature.inputs))).z)
-        return bool(jax.tree.leaves(z))
+        key = jax.tree.structure(self)
+        if key not in _REMEMBERING:
+            zero, u = jnp.zeros(self.nq), jnp.zeros(len(self.signature.inputs))
+            _REMEMBERING[key] = bool(jax.tree.leaves(jax.eval_shape(lambda: self.start(zero, zero, u).z)))
+        return _REMEMBERING[key]
 
     def start(self, q: Float[Array, " nq"], qd: Float[Array, " nq"], u: Float[Array, " nu"]) -> Carry:
         """State at the beginning of a run that has seen the input `u` for long."""
@@ -360,10 +370,12 @@ class Chain(eqx.Module):
         F, minus, plus = law(qd)
         return F, minus, plus, jax.jacfwd(lambda qd: law(qd)[0])(qd)
 
-    def recorded(self, t: Float[Array, " time"], y: Float[Array, "time ny"]) -> Float[Array, "time ny"]:
-        """The sensors' series as the file holds it; times strictly increasing."""
+    def recorded(
+        self, t: Float[Array, " time"], y: Float[Array, "time ny"], h: Float[Array, ""] | None = None
+    ) -> Float[Array, "time ny"]:
+        """The sensors' series as the file holds it; times strictly increasing, by equal steps `h` where that is given."""
         for _, e in self.at(RecordEffect):
-            y = e(t, y)
+            y = e(t, y, h)
         return y
 
     # ---- the same objects without integration

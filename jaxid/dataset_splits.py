@@ -12,6 +12,8 @@ from jaxid.experiment import Dataset, Experiment
 
 TAIL = 0.3
 GUARD_SAMPLES, GUARD_S = 20, 0.1
+#: What a later part knows of the samples before it, by time and at most so many: an effect that remembers starts from them.
+PAST_S, PAST_SAMPLES = 1.0, 500
 
 
 def with_splits(dataset: Dataset) -> Dataset:
@@ -56,7 +58,8 @@ def _cut(runs: list[Experiment], first: str, second: str, share: float, rule: st
         base = run.name.removesuffix(f"#{first}")
         name = run.name if run.name.endswith(f"#{first}") else f"{base}#{first}"
         cut.append(run.piece(0, stop, name=name, split=first))
-        cut.append(run.piece(start, len(run), name=f"{base}#{second}", split=second))
+        past = min(start - int(np.searchsorted(run.t, run.t[start] - PAST_S)), PAST_SAMPLES)
+        cut.append(run.piece(start, len(run), name=f"{base}#{second}", split=second, past=past))
         told.append(
             f"{base} cut at {run.t[stop]:.6g} s, {start - stop} samples ({run.t[start] - run.t[stop]:.3g} s) left out, "
             f"{len(run) - start} samples for {second}"

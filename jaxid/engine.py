@@ -106,7 +106,7 @@ def simulate_lane(
     y = _blocks_of(step, chain.start(start[:nq], start[nq:], samples.u[begin]), steps, length, len(chain.signature.outputs))
     k = jnp.arange(length)
     beyond = jnp.maximum(begin + k - last, 0) * samples.h[last]  # the loop goes on to the end of its block, and so does time
-    return chain.recorded(samples.t[jnp.minimum(begin + k, last)] + beyond, y)
+    return chain.recorded(samples.t[jnp.minimum(begin + k, last)] + beyond, y, samples.h[begin] if reach == EVEN else None)
 
 
 def torque_lane(
@@ -231,17 +231,18 @@ class Engine:
         lane: Lane,
         length: int = 0,
         whole: bool = False,
+        burn: bool = False,
     ):
         """`overrides` [records size]: numbers that a record's experiment states itself, nan elsewhere. `length` is the least
         size of a lane's output, so that engines on other records share one program. `whole` runs every lane in the program of
-        all effects, also those that do nothing."""
+        all effects, also those that do nothing; `burn` takes the program for records with a lead, also if none of these has one."""
         self.layout, self.records, self.overrides, self.lane = layout, list(records), overrides, lane
         self.length = bucket(max(length, *(r.count + r.lead for r in records)), BLOCK)
         self.compile_time_s = 0.0
         with float64():
             self.samples = Samples(*(jnp.asarray(a) for a in samples))
         reach = max(reach_of(samples, r) for r in self.records)
-        self._kind = lane, self.length, reach, any(r.lead for r in self.records)
+        self._kind = lane, self.length, reach, burn or any(r.lead for r in self.records)
         self._families = {} if whole else families(layout)
         self._neutral = np.array([e.spec.value for e in layout.entries])
         self._restricted: dict[frozenset[str], tuple[Programs, np.ndarray]] = {}

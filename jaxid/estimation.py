@@ -40,7 +40,7 @@ class Bench:
         self._runs: dict[tuple[str, str], Runs] = {}
         # One shape for all splits, and for the half step that a search may go over to: one program.
         room = min(self.step, samples.STEP / 2)
-        self._shape = self._largest({e.name: samples.step_count(e, room) for e in self.binding.dataset.experiments})
+        self._shape = self._largest({e.name: samples.step_count(e.whole, room) for e in self.binding.dataset.experiments})
         self._rows = self._largest({e.name: len(e.t) for e in self.binding.dataset.experiments})
 
     def _largest(self, steps: dict[str, int]) -> tuple[int, int]:

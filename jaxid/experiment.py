@@ -80,7 +80,8 @@ class Experiment:
 
     `t [time]` s, strictly increasing; `u [time nu]` inputs; `y [time ny]` outputs; `auxiliary` channel -> `[time]`.
     `initial` (state -> value) or `at_rest` fix the initial state; with neither it is estimated.
-    `source` says where the samples stand, for messages.
+    `past` samples before the first of `t` belong to the same recording and to none of its splits: delays, lags and friction
+    that remember bring their state from there. `source` says where the samples stand, for messages.
     """
 
     name: str
@@ -93,6 +94,7 @@ class Experiment:
     at_rest: bool = False
     constants: dict[str, float] = field(default_factory=dict)
     initial_window_s: float | None = None
+    past: Experiment | None = None
     source: str = ""
 
     def __post_init__(self):
@@ -128,9 +130,25 @@ class Experiment:
         """Seconds from the first sample to the last."""
         return float(self.t[-1] - self.t[0])
 
-    def piece(self, start: int, stop: int, *, name: str, split: str) -> Experiment:
-        """Samples `start:stop` as a run of its own, at their times; only one from sample 0 keeps the initial state."""
+    @property
+    def whole(self) -> Experiment:
+        """The samples with their past."""
+        if self.past is None:
+            return self
+        join = lambda a, b: np.concatenate([a, b])
+        both = {k: join(getattr(self.past, k), getattr(self, k)) for k in ("t", "u", "y")}
+        return replace(self, **both, auxiliary={k: join(v, self.auxiliary[k]) for k, v in self.past.auxiliary.items()}, past=None)
+
+    def piece(self, start: int, stop: int, *, name: str, split: str, past: int = 0) -> Experiment:
+        """Samples `start:stop` as a run of its own, at their times, that knows up to `past` samples before them; only one from
+        sample 0 keeps the initial state."""
         first = start == 0
+        if past and not first:
+            whole = self.whole
+            begin = start + len(whole) - len(self)
+            before = whole.piece(max(0, begin - past), begin, name=name, split=split)
+        else:
+            before = self.past if first else None
         return replace(
             self,
             name=name,
@@ -141,6 +159,7 @@ class Experiment:
             auxiliary={k: v[start:stop] for k, v in self.auxiliary.items()},
             initial=self.initial if first else None,
             at_rest=self.at_rest if first else False,
+            past=before,
             source=f"{self.source}, samples {start + 1} to {stop} of it",
         )
 

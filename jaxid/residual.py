@@ -92,20 +92,25 @@ class Residual(abc.ABC):
 
 @dataclass(frozen=True)
 class OutputError(Residual):
-    """Free run of the whole experiment."""
+    """Free run of the whole experiment. Where it was cut from a longer one, effects follow the measured motion before it."""
 
     name: ClassVar[str] = "output_error"
 
     def runs(self, dataset, experiments, layout, noise, motions, step=recorded.STEP, shape=(0, 0)):
-        samples, positions = recorded.build(dataset, experiments, layout.chain, noise, step, size=shape[0])
+        chain = layout.chain
+        every = [e.whole for e in experiments]
+        remembers = motions is not None and any(e.past for e in dataset.experiments) and chain.has_states()
+        smooth = [recorded.motion(dataset, e, chain, noise) for e in every] if remembers else []
+        measured = [np.concatenate([m.q, m.qd], 1) for m in smooth] if remembers else None
+        samples, positions = recorded.build(dataset, every, chain, noise, step, measured, shape[0])
         records, heads = [], []
-        for number, e in enumerate(experiments):
-            p = positions[number]
-            records.append(_record(number, e, p, 0, len(e.t), dataset, layout.chain, False))
-            nested = dict.fromkeys(max(6, head_samples(e) // k) for k in (1, 2, 4, 8, 16))
-            heads.append([_record(number, e, p, 0, n, dataset, layout.chain, False) for n in nested])
-        every = [*records, *(h for nested in heads for h in nested)]
-        engine = Engine(layout, samples, every, overrides(layout, experiments, every), simulate_lane, shape[1])
+        for number, (e, own) in enumerate(zip(every, experiments, strict=True)):
+            p, a, n = positions[number], len(e) - len(own), head_samples(own)
+            record = lambda b, number=number, e=e, p=p, a=a: _record(number, e, p, a, b, dataset, chain, remembers)
+            records.append(record(len(e)))
+            heads.append([record(a + k) for k in dict.fromkeys(max(6, n // k) for k in (1, 2, 4, 8, 16))])
+        lanes = [*records, *(h for nested in heads for h in nested)]
+        engine = Engine(layout, samples, lanes, overrides(layout, every, lanes), simulate_lane, shape[1], burn=remembers)
         n = len(records)
         ends = np.cumsum([n, *(len(nested) for nested in heads)])
         return Runs(

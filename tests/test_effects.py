@@ -6,8 +6,10 @@ from collections.abc import Iterator
 from typing import Any
 
 import jax
+import jax.numpy as jnp
 import numpy as np
 import pytest
+from hypothesis import given, settings as limits, strategies as st
 
 import jaxid
 import reference as ref
@@ -20,6 +22,7 @@ from jaxid.fitters import LevenbergMarquardt
 from jaxid.layout import Layout
 from jaxid.models import Joint, Pendulum, PlanarArm
 from jaxid.models.effects import LIBRARY
+from jaxid.models.effects.sensor import interpolated, shifted
 from jaxid.residual import OutputError
 from jaxid.uncertainty import covariance
 from simulated import REFERENCE, relative, Simulator, within_bounds
@@ -345,3 +348,13 @@ def test_an_effect_is_found_again(effect):
         assert s < 0.5 * abs(value), (name, s)
         bias = 0.03 * abs(value) if effect == "backlash" else 0.0  # contacts shorter than the step
         assert abs(values[i] - value) < 3 * s + bias, (name, value, values[i], s)
+
+
+@given(steps=st.floats(0.0, 80.0), seed=st.integers(0, 100))
+@limits(max_examples=50, deadline=None)
+def test_delay_on_equal_steps_is_the_same_interpolation(steps, seed):
+    t = 2.0 + 0.004 * np.arange(64)
+    y = np.cumsum(np.random.default_rng(seed).normal(size=64))
+    with jax.enable_x64(True):
+        by_search = interpolated(jnp.asarray(t), jnp.asarray(y), jnp.asarray(t - 0.004 * steps))
+        np.testing.assert_allclose(shifted(jnp.asarray(y), jnp.asarray(steps)), by_search, atol=1e-9)

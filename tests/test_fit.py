@@ -303,3 +303,21 @@ def test_a_float32_program_beside_a_fit_is_unchanged(swing):
     assert jnp.linspace(0, 1, 3).dtype == jnp.float32
     assert f(x).dtype == jnp.float32 and np.array_equal(first, f(x))
     assert before == {k: getattr(jax.config, k) for k in before}
+
+
+def test_a_part_cut_from_a_run_starts_with_what_effects_remember():
+    """A slow drive under a steep command: what it still delivers at the cut is nothing that the part's own samples show."""
+    t = np.arange(801) * 0.005
+    u = ref.multisine(t, [1.5], 3, periods=3, lines=12)
+    u[:20] = 0.0
+    q, _ = ref.simulate(ref.joint(JOINT["inertia"]), ref.Truth(viscous=JOINT["viscous"], lag_s=0.06), t, u)
+    noise = 2e-5
+    data = jaxid.Dataset.from_arrays(
+        t, {"tau": u[:, 0]}, {"q": ref.measured(q[:, 0], noise, 1)}, at_rest=True, noise_std={"q": noise}, model="joint"
+    )
+    found = jaxid.fit(None, data, effects=["actuator_lag"])
+    assert found.effects[0].parameters["lag"].value == pytest.approx(0.06, rel=0.01)
+    assert all(found.scores[split]["q"].rmse < 3 * noise for split in ("fit", "validation", "report"))
+    blind = [dataclasses.replace(e, past=None) for e in data.with_splits().experiments]
+    without = jaxid.fit(None, dataclasses.replace(data, experiments=tuple(blind)), effects=["actuator_lag"])
+    assert without.scores["validation"]["q"].rmse > 100 * noise  # the test sees the difference

@@ -30,7 +30,8 @@ from jaxid.fitters import (
     RandToBestDE,
     RecursiveDE,
 )
-from jaxid.objective import expand, FunctionProblem, PENALTY, rows
+from jaxid.fitters.lm import _accept, _step, Path
+from jaxid.objective import expand, FunctionProblem, Linear, PENALTY, rows
 from jaxid.recursion import follow, stretches
 from jaxid.residual import OutputError
 
@@ -389,3 +390,19 @@ def test_penalty_is_above_every_loss():
     assert all(issubclass(k, AbstractPopulation) or k.name in ("lm", "hybrid", "bfgs") for k in SEARCHES)
     problem = FunctionProblem(lambda z: z * 1e200, [-1], [1])
     assert problem.loss(np.ones(1)) == PENALTY
+
+
+@given(seed=st.integers(0, 10**6), size=st.integers(2, 14), flat=st.floats(0.0, 8.0))
+@settings(max_examples=200, deadline=None)
+def test_a_step_lowers_the_model_within_bounds(seed, size, flat):
+    """Nearly flat valleys that leave the box: variables held one after the other led uphill, which passed for convergence."""
+    rng = np.random.default_rng(seed)
+    J = rng.normal(size=(size + 3, size)) @ (np.eye(size) + rng.normal(size=(size, size))) * 10 ** -rng.uniform(0, flat, size)
+    box = FunctionProblem(lambda z: z, -np.ones(size), np.ones(size))
+    z = np.clip(rng.normal(size=size), -1, 1)
+    path = Path(box, z, history=[])
+    _accept(path, z, Linear(2.0, J.T @ rng.normal(size=size + 3), J.T @ J, size), 1e-9, lambda path, trial, new: new.hessian)
+    dz = _step(path) - z
+    held = ((z <= -1) & (path.gradient > 0)) | ((z >= 1) & (path.gradient < 0))
+    assert np.all(np.abs(z + dz) <= 1)
+    assert -(path.gradient @ dz + dz @ path.hessian @ dz / 2) > 0 or np.all(held | (np.abs(path.gradient) < 1e-12))

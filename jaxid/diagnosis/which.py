@@ -46,6 +46,8 @@ TIMING = ("input_hold", "input_delay", "sensor_delay")
 HALVINGS, CORRECTIONS = 3, 2
 #: Near the floor: nothing worth another effect is left below this mean square on validation data.
 NEAR_FLOOR = 1.02
+#: Tolerance of the loss of a nominal model that something better is compared with: its gap is told to three digits.
+SETTLED = 1e-5
 #: Residuals of fit runs at the noise, and white: their sums of squares count as they are.
 WHITE = 1.5
 
@@ -220,7 +222,7 @@ class Searcher:
             for _ in range(CORRECTIONS):
                 self._take_off(chosen)
                 chosen = self._descended(chosen)
-            self.nominal = self._descended(self.nominal) if chosen.effects else chosen
+            self.nominal = self._descended(self.nominal, SETTLED) if chosen.effects else chosen
             self._inflations.clear()
             self._stale |= self.known
             self.known = {frozenset(): self.nominal, key_of(chosen.effects): chosen}
@@ -232,10 +234,10 @@ class Searcher:
     def _z(self, p: Problem, h: Hypothesis) -> np.ndarray:
         return p.z(h.theta, h.path.problem.starts(h.path.z))
 
-    def _descended(self, h: Hypothesis) -> Hypothesis:
+    def _descended(self, h: Hypothesis, tolerance: float = 1e-9) -> Hypothesis:
         """The hypothesis at its minimum on the bench as it is now."""
         p = self.problem(h.effects, h.theta)
-        end = descend([(p, self._z(p, h))], 20, 1e-9)[0]
+        end = descend([(p, self._z(p, h))], 20, tolerance)[0]
         self._inflations.pop(key_of(h.effects), None)
         self.known[key_of(h.effects)] = self._hypotheses([(h.effects, end)])[0]
         return self.known[key_of(h.effects)]
@@ -259,7 +261,7 @@ class Searcher:
         if self.accurate is not self.bench:
             self.benches.append(self.bench)
             self.bench = self.accurate
-            self.nominal = self._descended(self.nominal)
+            self.nominal = self._descended(self.nominal, SETTLED if chosen.effects else 1e-9)
             chosen = self._descended(chosen) if chosen.effects else self.nominal
         return chosen
 

@@ -98,9 +98,9 @@ class SensorDelay(RecordEffect):
         {"delay": 0.015},
     )
 
-    def __call__(self, t, y):
-        late = jax.vmap(lambda column, d: interpolated(t, column, t - d), (1, 0), 1)(y, self.delay)
-        return jnp.where(self.delay > 0, late, y)
+    def __call__(self, t, y, h):
+        late = lambda column, d: interpolated(t, column, t - d) if h is None else shifted(column, d / h)
+        return jnp.where(self.delay > 0, jax.vmap(late, (1, 0), 1)(y, self.delay), y)
 
     def transfer(self, omega):
         angle = omega[:, None] * self.delay
@@ -122,11 +122,15 @@ class TimestampJitter(RecordEffect):
     spread: Array = param(0.0, 0.0, 0.02, scale=0.001, unit="s", meaning="standard deviation of the time stamps")
     probes: ClassVar[tuple[dict[str, Quantity | float], ...]] = ({"spread": 0.003}, {"spread": 0.01})
 
-    def __call__(self, t, y):
+    def __call__(self, t, y, h):
         h = jnp.diff(t)[:, None]
         rate = jnp.diff(y, axis=0) / h
         bend = 2 * jnp.diff(rate, axis=0) / (h[1:] + h[:-1])
         return y.at[1:-1].add(self.spread**2 / 2 * bend)
+
+
+#: Places of four samples, in steps from the second of them.
+NODES = (-1, 0, 1, 2)
 
 
 def interpolated(t: Float[Array, " time"], y: Float[Array, " time"], at: Float[Array, " n"]) -> Float[Array, " n"]:
@@ -141,3 +145,22 @@ def interpolated(t: Float[Array, " time"], y: Float[Array, " time"], at: Float[A
                 weight = weight * (at - times[j]) / (times[i] - times[j])
         total = total + weight
     return jnp.where(at <= t[0], y[0], total)
+
+
+def shifted(y: Float[Array, " time"], steps: Float[Array, ""]) -> Float[Array, " time"]:
+    """The same for a series by equal steps that is late by so many of them: four slices instead of a search for each sample."""
+    whole = jnp.floor(steps)
+    part = 1 - (steps - whole)  # from the second of the four samples
+    before, after = 4 * y[0] - 6 * y[1] + 4 * y[2] - y[3], 4 * y[-1] - 6 * y[-2] + 4 * y[-3] - y[-4]  # on the same cubic
+    n = y.shape[0]
+    late = jnp.concatenate([jnp.full((n,), y[0]), y[:1], before[None], y, after[None]])
+    begin = n - jnp.clip(whole, 0, n).astype(jnp.int32)
+    window = jax.lax.dynamic_slice_in_dim(late, begin, n + 3)
+    total = jnp.zeros_like(y)
+    for i, place in enumerate(NODES):
+        weight = jnp.ones_like(part)
+        for other in NODES:
+            if other != place:
+                weight = weight * (part - other) / (place - other)
+        total = total + weight * window[i : i + n]
+    return jnp.where(jnp.arange(n) <= steps, y[0], total)
