@@ -131,8 +131,8 @@ class OutputEffect(Effect):
 
 
 class RecordEffect(Effect):
-    """Between sensor and file: (times [time], series [time ny], the step's length where all are equal) -> series. The motion knows
-    nothing of it."""
+    """Between sensor and file: (times [time], series [time ny], the step's length where all are equal) -> series. The motion
+    knows nothing of it."""
 
     location: ClassVar[str] = "output"
 

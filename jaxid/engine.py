@@ -235,7 +235,7 @@ class Engine:
     ):
         """`overrides` [records size]: numbers that a record's experiment states itself, nan elsewhere. `length` is the least
         size of a lane's output, so that engines on other records share one program. `whole` runs every lane in the program of
-        all effects, also those that do nothing; `burn` takes the program for records with a lead, also if none of these has one."""
+        all effects, also those that do nothing; `burn` takes the program for records with a lead even if none has one."""
         self.layout, self.records, self.overrides, self.lane = layout, list(records), overrides, lane
         self.length = bucket(max(length, *(r.count + r.lead for r in records)), BLOCK)
         self.compile_time_s = 0.0

@@ -10,6 +10,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 from hypothesis import given, settings as limits, strategies as st
+from jaxid.models.effects.sensor import interpolated, shifted
 
 import jaxid
 import reference as ref
@@ -22,7 +23,6 @@ from jaxid.fitters import LevenbergMarquardt
 from jaxid.layout import Layout
 from jaxid.models import Joint, Pendulum, PlanarArm
 from jaxid.models.effects import LIBRARY
-from jaxid.models.effects.sensor import interpolated, shifted
 from jaxid.residual import OutputError
 from jaxid.uncertainty import covariance
 from simulated import REFERENCE, relative, Simulator, within_bounds
