@@ -252,7 +252,7 @@ def _accept(path: Path, trial: np.ndarray, new: Linear, tolerance: float, curvat
     gained = path.cost - cost if finite else -np.inf
     rho = gained / max(predicted, 1e-300)
     if rho < 0.25:
-        path.radius = 0.25 * length if finite else 0.1 * length
+        path.radius = length * (0.1 if not finite else 0.25 if gained > 0 else _shorter(path.gradient @ dz, -gained))
     elif rho > 0.75:
         path.radius = max(path.radius, 2 * length)
     if finite and gained > 0:
@@ -270,6 +270,12 @@ def _accept(path: Path, trial: np.ndarray, new: Linear, tolerance: float, curvat
     path.history.append((path.linearisations, path.cost))
 
 
+def _shorter(slope: float, rise: float) -> float:
+    """By how much to shorten a step that led uphill: to the minimum of the parabola through both ends, by its slope at the first,
+    within reason."""
+    return float(np.clip(-slope / (2 * max(rise - slope, 1e-300)), 0.02, 0.5))
+
+
 def _scale(hessian: np.ndarray) -> np.ndarray:
     return np.sqrt(np.maximum(np.diag(hessian), 0.0) + 1e-300)
 
@@ -281,21 +287,28 @@ def _typical(problem: AbstractProblem, z: np.ndarray) -> np.ndarray:
     return np.minimum(np.where(log, 1.0, np.maximum(np.abs(z), 5 * problem.scale)), (problem.upper - problem.lower) / 2)
 
 
+#: So many quarterings of the radius are tried where a step comes to bounds.
+RADII = 12
+
+
 def _step(path: Path) -> np.ndarray:
     """The next trial: the model's minimum within radius and bounds.
 
-    Variables that come to a bound are held there one after the other, which is no minimum where many do: a smaller radius that
-    lowers the model by more is taken instead.
+    Variables that come to a bound are held there one after the other, which is no minimum where many do: of smaller radii, down
+    to one at which none does, that is taken which lowers the model most.
     """
     assert path.gradient is not None and path.hessian is not None
     z, g, H = path.z, path.gradient, path.hessian
     gain = lambda dz: -(g @ dz + dz @ H @ dz / 2)
     dz, bounded = _bounded(path, path.radius)
-    while bounded:
-        less, bounded = _bounded(path, path.radius / 4)
-        if gain(less) <= gain(dz):
+    radius = path.radius
+    for _ in range(RADII if bounded else 0):
+        radius /= 4
+        less, bounded = _bounded(path, radius)
+        if gain(less) > gain(dz):
+            dz, path.radius = less, radius
+        if not bounded:
             break
-        dz, path.radius = less, path.radius / 4
     return np.clip(z + dz, path.problem.lower, path.problem.upper)
 
 

@@ -306,3 +306,12 @@ def test_report_data_withdraw_what_does_not_hold_on_them(retuned, after, verdict
     far = HowFar(retuned, retuned, after, 1.0, None, None, "", {}, "")
     found, text = upheld("named", "The model lacks drag.", far)
     assert found == verdict and text.startswith("The model lacks drag.")
+
+
+@pytest.mark.parametrize("bad", [np.nan, np.inf, 1e300])
+def test_a_run_that_diverged_remembers_itself_whole(bad):
+    """A candidate that diverges ends no diagnosis."""
+    residual = np.random.default_rng(0).normal(size=(100, 2))
+    assert memory([residual]) <= 2
+    residual[50:, 1] = bad
+    assert memory([residual]) == 100

@@ -160,7 +160,9 @@ def memory(series: Sequence[np.ndarray]) -> int:
     weight = np.array([len(block) for block in series], float)
     for k, block in enumerate(series):
         for c, r in enumerate(block.T):
-            if len(r) >= 8 and np.ptp(r) > 0:
+            if not np.all(np.abs(r) < 1e150):  # a run that diverged
+                times[k, c] = len(r)
+            elif len(r) >= 8 and np.ptp(r) > 0:
                 rho = correlation(r)
                 below = np.flatnonzero(rho < max(0.05, 2 / np.sqrt(len(r))))
                 times[k, c] = 1 + 2 * float(np.sum(rho[1 : below[0] if below.size else len(rho)]))

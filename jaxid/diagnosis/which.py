@@ -46,8 +46,10 @@ TIMING = ("input_hold", "input_delay", "sensor_delay")
 HALVINGS, CORRECTIONS = 3, 2
 #: Near the floor: nothing worth another effect is left below this mean square on validation data.
 NEAR_FLOOR = 1.02
-#: Tolerance of the loss of a nominal model that something better is compared with: its gap is told to three digits.
-SETTLED = 1e-5
+#: Iterations and tolerance of a descent to the end, and of that of a nominal model to which something better is compared.
+THOROUGH, BRIEF = (20, 1e-8), (6, 1e-5)
+#: A nominal model that leaves more (mean square over the noise) is one that something better will be compared to.
+FAR = 10.0
 #: Residuals of fit runs at the noise, and white: their sums of squares count as they are.
 WHITE = 1.5
 
@@ -212,7 +214,7 @@ class Searcher:
 
         The search itself stays on its steps: what finer ones add to the chosen hypothesis is taken off the data.
         """
-        chosen = self._descended(chosen)
+        chosen = self._descended(chosen, THOROUGH if chosen.effects or chosen.fit_loss < FAR else BRIEF)
         for _ in range(0 if self.by_torque else HALVINGS):
             p = self.accurate.problem(self.residual, "fit", chosen.path.problem.free, chosen.theta)
             if step_error(p, self._z(p, chosen), (finer := self._halved()).runs(self.residual, "fit")) <= STEP_SHARE:
@@ -222,7 +224,7 @@ class Searcher:
             for _ in range(CORRECTIONS):
                 self._take_off(chosen)
                 chosen = self._descended(chosen)
-            self.nominal = self._descended(self.nominal, SETTLED) if chosen.effects else chosen
+            self.nominal = self._descended(self.nominal, BRIEF) if chosen.effects else chosen
             self._inflations.clear()
             self._stale |= self.known
             self.known = {frozenset(): self.nominal, key_of(chosen.effects): chosen}
@@ -234,10 +236,10 @@ class Searcher:
     def _z(self, p: Problem, h: Hypothesis) -> np.ndarray:
         return p.z(h.theta, h.path.problem.starts(h.path.z))
 
-    def _descended(self, h: Hypothesis, tolerance: float = 1e-9) -> Hypothesis:
+    def _descended(self, h: Hypothesis, descent: tuple[int, float] = THOROUGH) -> Hypothesis:
         """The hypothesis at its minimum on the bench as it is now."""
         p = self.problem(h.effects, h.theta)
-        end = descend([(p, self._z(p, h))], 20, tolerance)[0]
+        end = descend([(p, self._z(p, h))], *descent)[0]
         self._inflations.pop(key_of(h.effects), None)
         self.known[key_of(h.effects)] = self._hypotheses([(h.effects, end)])[0]
         return self.known[key_of(h.effects)]
@@ -261,7 +263,7 @@ class Searcher:
         if self.accurate is not self.bench:
             self.benches.append(self.bench)
             self.bench = self.accurate
-            self.nominal = self._descended(self.nominal, SETTLED if chosen.effects else 1e-9)
+            self.nominal = self._descended(self.nominal, BRIEF if chosen.effects else THOROUGH)
             chosen = self._descended(chosen) if chosen.effects else self.nominal
         return chosen
 
