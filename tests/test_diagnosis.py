@@ -119,24 +119,27 @@ def test_an_arm_thrown_over_the_top():
 @dataclasses.dataclass(frozen=True)
 class Answer:
     which: Any
+    how_far: Any
     notes: tuple[str, ...] = ()
     wall_time_s: float = 0.0
 
 
 @pytest.mark.parametrize(
-    ("given", "first", "grown", "second", "expected"),
+    ("given", "first", "left", "grown", "second", "expected"),
     [
-        (None, "unknown", 900.0, "named", "named"), (None, "unknown", 900.0, "unknown", "unknown"),
-        (None, "partly", 900.0, "none", "partly"), (None, "named", 900.0, "", "named"), (None, "unknown", 9.0, "", "unknown"),
-        ("output_error", "unknown", 900.0, "", "unknown"),
+        (None, "unknown", 80.0, 900.0, "named", "named"), (None, "unknown", 80.0, 900.0, "unknown", "unknown"),
+        (None, "partly", 80.0, 900.0, "none", "partly"), (None, "named", 1.1, 900.0, "", "named"),
+        (None, "unknown", 80.0, 9.0, "", "unknown"), ("output_error", "unknown", 80.0, 900.0, "", "unknown"),
+        (None, "named", 80.0, 900.0, "partly", "partly"), (None, "named", 80.0, 900.0, "none", "named"),
+        (None, "named", 80.0, 9.0, "", "named"),
     ],
 )  # fmt: skip
-def test_windows_are_asked_where_chaotic_free_runs_find_nothing(monkeypatch, given, first, grown, second, expected):
+def test_windows_are_asked_where_chaotic_free_runs_find_nothing(monkeypatch, given, first, left, grown, second, expected):
     asked = []
 
     def answer(binding, residual, *rest):
         asked.append(residual.name)
-        return Answer(SimpleNamespace(verdict=second if len(asked) > 1 else first)), grown
+        return Answer(SimpleNamespace(verdict=second if len(asked) > 1 else first), SimpleNamespace(gap_after=left)), grown
 
     monkeypatch.setattr(jaxid.diagnosis, "_diagnosed", answer)
     d = jaxid.diagnose("pendulum", recording("pendulum", 2), residual=given)

@@ -41,8 +41,11 @@ NAMED, PARTLY = 0.97, 0.5
 SEEN = 1.2
 #: What is `named` closes this share of the gap on report data, or leaves no more than so many times the noise.
 HELD, LEFT = 0.9, 1.5
-#: Free runs in which a difference at the start (rad, m) grows by more than this are not trusted where they find no answer.
-SENSITIVE, DIFFERENCE = 50.0, 1e-7
+#: Free runs in which a difference at the start (rad, m) grows by more than this are not trusted where they find no answer, or one
+#: that leaves so many times the noise.
+SENSITIVE, DIFFERENCE, REMAINDER = 50.0, 1e-7, 10.0
+#: Verdict by free runs that are not trusted -> verdicts by windows that take its place.
+PREFERRED = {"unknown": ("none", "partly", "named"), "partly": ("named",), "named": ("unknown", "partly", "named")}
 
 
 def run_diagnosis(
@@ -71,15 +74,18 @@ def run_diagnosis(
     if not binding.dataset.experiments:
         raise UsageError("a diagnosis needs recorded runs; this dataset holds frequency responses alone: fit it")
     found, grown = _diagnosed(binding, residual or default_residual(binding), allowed, max_effects, seed, progress)
-    if residual is None and grown > SENSITIVE and found.which.verdict in ("unknown", "partly"):
+    verdict = found.which.verdict
+    doubtful = verdict in ("unknown", "partly") or (verdict == "named" and found.how_far.gap_after > REMAINDER)
+    if residual is None and grown > SENSITIVE and doubtful:
         try:
             again, _ = _diagnosed(binding, MultipleShooting(), allowed, max_effects, seed, progress)
         except Interrupted as stop:
             raise Interrupted(found) from stop
-        if again.which.verdict in {"unknown": ("none", "partly", "named"), "partly": ("named",)}[found.which.verdict]:
+        if again.which.verdict in PREFERRED[verdict]:
             note = (
                 f"a difference at the start of a run grows {grown:.2g} times within it, and by free runs the answer was "
-                f"{found.which.verdict}: models are compared over windows, each with a start of its own"
+                f"{verdict} with {found.how_far.gap_after:.3g} times the noise left: models are compared over windows, each with "
+                "its own start"
             )
             found = dataclasses.replace(again, notes=(*again.notes, note))
     return dataclasses.replace(found, wall_time_s=time.perf_counter() - began)
