@@ -146,6 +146,8 @@ def plan(model: str, seed: int, kinds: tuple[str, ...]) -> list[dict[str, Any]]:
                 numbers[k] = value
             builtin = e in chain.contents
             without += [e] if builtin else []
+            if builtin and e in BUILTIN:  # taken out of the model at every joint, so that only this one has it
+                numbers |= {k: numbers[k] * (np.arange(plant.n) == j) for k in found}
             if builtin and e == "constant_torque":
                 numbers["offset"] = numbers["offset"] * 4
             location = chain.signature.inputs[j][0] if e in AT_INPUT else chain.signature.joints[j]

@@ -50,6 +50,8 @@ NEAR_FLOOR = 1.02
 THOROUGH, BRIEF = (20, 1e-8), (6, 1e-5)
 #: A nominal model that leaves more (mean square over the noise) is one that something better will be compared to.
 FAR = 10.0
+#: A hypothesis was in a local minimum if less than this share is left from where a richer one ended.
+FREED = 0.5
 #: Residuals of fit runs at the noise, and white: their sums of squares count as they are.
 WHITE = 1.5
 
@@ -184,6 +186,11 @@ class Searcher:
                 tried += [step] if step else []
             if step is None:
                 break
+            if (freed := self._freed(chosen, step)) is not chosen:
+                self.nominal = self.nominal if chosen.effects else freed
+                chosen = freed
+                if not self._significant(chosen, step):
+                    continue  # look again from there
             if not chosen.effects and max_effects > 1:
                 rivals = self.refit(plain_pairs(self.bench, step.effects[0], pool, self.nominal.theta))
                 better = [h for h in rivals if self._significant(chosen, h) and h.validation.loss < step.validation.loss]
@@ -229,6 +236,22 @@ class Searcher:
             self._stale |= self.known
             self.known = {frozenset(): self.nominal, key_of(chosen.effects): chosen}
         return chosen
+
+    def _freed(self, h: Hypothesis, richer: Hypothesis) -> Hypothesis:
+        """`h` from where a richer hypothesis ended, if far less is left there than where it stands: an effect may have led out of a
+        local minimum and be of no other use."""
+        if h.fit_loss < FAR or self.by_torque:
+            return h
+        theta = richer.theta.copy()
+        for c in richer.effects:
+            theta[list(c.index)] = (h.theta if c in h.effects else self.bench.binding.theta)[list(c.index)]
+        p = self.problem(h.effects, theta)
+        end = descend([(p, p.z(theta, richer.path.problem.starts(richer.path.z)))], *THOROUGH)[0]
+        if 2 * end.cost / max(1, end.count) > FREED * h.fit_loss:
+            return h
+        self._inflations.pop(key_of(h.effects), None)
+        self.known[key_of(h.effects)] = self._hypotheses([(h.effects, end)])[0]
+        return self.known[key_of(h.effects)]
 
     def _halved(self) -> Bench:
         return replace(self.accurate, step=self.accurate.step / 2, defects={})
