@@ -210,7 +210,7 @@ def descend(
                 break
         results = expansion([(paths[i].problem, trials[i]) for i in active], share)
         for i, new in zip(active, results, strict=True):
-            _accept(paths[i], trials[i], new, tolerance, curvature)
+            accept(paths[i], trials[i], new, tolerance, curvature)
         for one, members in own.values():
             if count := len(set(members) & set(active)):
                 best = min((paths[i] for i in members), key=lambda p: p.cost)
@@ -221,7 +221,7 @@ def descend(
         if not active or iteration == iterations:
             break
         for i in active:
-            trials[i] = _step(paths[i])
+            trials[i] = next_trial(paths[i])
     return paths
 
 
@@ -230,7 +230,8 @@ def _affordable(log: Log, active: list[int], each: float) -> list[int]:
     return [] if log.exhausted else active[: int(min(log.left / each, len(active)))]
 
 
-def _accept(path: Path, trial: np.ndarray, new: Linear, tolerance: float, curvature: Curvature) -> None:
+def accept(path: Path, trial: np.ndarray, new: Linear, tolerance: float, curvature: Curvature) -> None:
+    """Takes a trial or leaves it, and sets the radius of the next one."""
     cost = new.cost / 2
     path.linearisations += 1
     path.count = new.count
@@ -252,7 +253,7 @@ def _accept(path: Path, trial: np.ndarray, new: Linear, tolerance: float, curvat
     gained = path.cost - cost if finite else -np.inf
     rho = gained / max(predicted, 1e-300)
     if rho < 0.25:
-        path.radius = length * (0.1 if not finite else 0.25 if gained > 0 else _shorter(path.gradient @ dz, -gained))
+        path.radius = length * (0.1 if not finite else 0.25 if gained > 0 else _shorter(float(path.gradient @ dz), -gained))
     elif rho > 0.75:
         path.radius = max(path.radius, 2 * length)
     if finite and gained > 0:
@@ -291,7 +292,7 @@ def _typical(problem: AbstractProblem, z: np.ndarray) -> np.ndarray:
 RADII = 12
 
 
-def _step(path: Path) -> np.ndarray:
+def next_trial(path: Path) -> np.ndarray:
     """The next trial: the model's minimum within radius and bounds.
 
     Variables that come to a bound are held there one after the other, which is no minimum where many do: of smaller radii, down

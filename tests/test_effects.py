@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import importlib
 from collections.abc import Iterator
 from typing import Any
 
@@ -10,7 +11,6 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 from hypothesis import given, settings as limits, strategies as st
-from jaxid.models.effects.sensor import interpolated, shifted
 
 import jaxid
 import reference as ref
@@ -353,8 +353,9 @@ def test_an_effect_is_found_again(effect):
 @given(steps=st.floats(0.0, 80.0), seed=st.integers(0, 100))
 @limits(max_examples=50, deadline=None)
 def test_delay_on_equal_steps_is_the_same_interpolation(steps, seed):
+    sensor = importlib.import_module("jaxid.models.effects.sensor")
     t = 2.0 + 0.004 * np.arange(64)
     y = np.cumsum(np.random.default_rng(seed).normal(size=64))
     with jax.enable_x64(True):
-        by_search = interpolated(jnp.asarray(t), jnp.asarray(y), jnp.asarray(t - 0.004 * steps))
-        np.testing.assert_allclose(shifted(jnp.asarray(y), jnp.asarray(steps)), by_search, atol=1e-9)
+        by_search = sensor.interpolated(jnp.asarray(t), jnp.asarray(y), jnp.asarray(t - 0.004 * steps))
+        np.testing.assert_allclose(sensor.shifted(jnp.asarray(y), jnp.asarray(steps)), by_search, atol=1e-9)

@@ -30,7 +30,7 @@ from jaxid.fitters import (
     RandToBestDE,
     RecursiveDE,
 )
-from jaxid.fitters.lm import _accept, _step, Path
+from jaxid.fitters.lm import accept, next_trial, Path
 from jaxid.objective import expand, FunctionProblem, Linear, PENALTY, rows
 from jaxid.recursion import follow, stretches
 from jaxid.residual import OutputError
@@ -401,8 +401,9 @@ def test_a_step_lowers_the_model_within_bounds(seed, size, flat):
     box = FunctionProblem(lambda z: z, -np.ones(size), np.ones(size))
     z = np.clip(rng.normal(size=size), -1, 1)
     path = Path(box, z, history=[])
-    _accept(path, z, Linear(2.0, J.T @ rng.normal(size=size + 3), J.T @ J, size), 1e-9, lambda path, trial, new: new.hessian)
-    dz = _step(path) - z
+    accept(path, z, Linear(2.0, J.T @ rng.normal(size=size + 3), J.T @ J, size), 1e-9, lambda path, trial, new: new.hessian)
+    dz = next_trial(path) - z
+    assert path.gradient is not None and path.hessian is not None
     held = ((z <= -1) & (path.gradient > 0)) | ((z >= 1) & (path.gradient < 0))
     assert np.all(np.abs(z + dz) <= 1)
     assert -(path.gradient @ dz + dz @ path.hessian @ dz / 2) > 0 or np.all(held | (np.abs(path.gradient) < 1e-12))

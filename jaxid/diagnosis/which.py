@@ -238,8 +238,8 @@ class Searcher:
         return chosen
 
     def _freed(self, h: Hypothesis, richer: Hypothesis) -> Hypothesis:
-        """`h` from where a richer hypothesis ended, if far less is left there than where it stands: an effect may have led out of a
-        local minimum and be of no other use."""
+        """`h` from where a richer hypothesis ended, if far less is left there than where it stands: an effect may have led out of
+        a local minimum and be of no other use."""
         if h.fit_loss < FAR or self.by_torque:
             return h
         theta = richer.theta.copy()
