@@ -228,7 +228,8 @@ def rigid(plant: Plant, u: np.ndarray, p: Lanes, parts: int, h: float) -> np.nda
         return np.where(soft & ((p["play"] == 0) | (t * deep > 0)), t, 0.0)
 
     def acceleration(q, v, link, dlink, tau, time):
-        """Of the motors (of the joints where they are stiff) and of the links, and the inverse mass on the motors' side."""
+        """Of the motors (of the joints where they are stiff) and of the links, the inverse mass on the motors' side, and that of
+        the links as friction at stiff joints meets it."""
         against = smooth(p, q, v, z, time)
         M, bias = plant.matrices(np.where(soft, link, q), np.where(soft, dlink, v), p)
         M = M + p["reflected"][:, :, None] * eye - motor[:, :, None] * eye
@@ -237,7 +238,7 @@ def rigid(plant: Plant, u: np.ndarray, p: Lanes, parts: int, h: float) -> np.nda
         a = np.einsum("lij,lj->li", inverse, np.where(soft, spring, tau - against) - bias)
         own = np.where(soft, (tau - against - spring) / np.where(soft, motor, 1.0), a)
         mobility = np.where(soft[:, :, None], eye / np.where(soft, motor, 1.0)[:, :, None], inverse)
-        return own, a, np.where(soft[:, None, :], eye * mobility, mobility)
+        return own, a, np.where(soft[:, None, :], eye * mobility, mobility), np.where(soft[:, None, :], 0.0, inverse)
 
     f = np.zeros((lanes, n))
     for k in range(steps):
@@ -246,18 +247,19 @@ def rigid(plant: Plant, u: np.ndarray, p: Lanes, parts: int, h: float) -> np.nda
         time, command = k * h, np.where(p["lag"] > 0, (before + lagged) / 2, lagged)
         tau = torque_of(plant, p, driven(p, command), q, v)
         minus, plus = dry(p, q, v, tau)
-        a1, b1, first = acceleration(q, v, link, dlink, tau, time)
-        held = a1 - np.einsum("lij,lj->li", first, f)  # with the friction of the last step
-        qa, va, la, da = q + h * v + h * h / 2 * held, v + h * held, link + h * dlink + h * h / 2 * b1, dlink + h * b1
+        a1, b1, first, reach = acceleration(q, v, link, dlink, tau, time)
+        held, pulled = (a - np.einsum("lij,lj->li", m, f) for a, m in ((a1, first), (b1, reach)))  # with the last step's friction
+        qa, va = q + h * v + h * h / 2 * held, v + h * held
+        la, da = link + h * dlink + h * h / 2 * pulled, dlink + h * pulled
         tau2 = torque_of(plant, p, driven(p, command), qa, va) if plant.model == "servo" else tau
-        a2, b2, last = acceleration(qa, va, la, da, tau2, time + h)
+        a2, b2, last, reached = acceleration(qa, va, la, da, tau2, time + h)
         vn, mobility = v + h / 2 * (a1 + a2), (first + last) / 2
         for _ in range(1 if n == 1 else 6):  # from the last step's, so that they go on converging
             for j in range(n):
                 now = vn[:, j] - h * (mobility[:, j] * f).sum(1)
                 f[:, j] = np.clip(f[:, j] + now / (h * mobility[:, j, j]), -minus[:, j], plus[:, j])
         vn = vn - h * np.einsum("lij,lj->li", mobility, f)
-        dn = dlink + h / 2 * (b1 + b2)
+        dn = dlink + h / 2 * (b1 + b2) - h / 2 * np.einsum("lij,lj->li", reach + reached, f)
         link, dlink = link + h / 2 * (dlink + dn), dn
         q, v = q + h / 2 * (v + vn), vn
         remember(p, z, q, v, h)

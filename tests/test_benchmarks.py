@@ -59,12 +59,14 @@ def test_the_arms_twin_is_as_good_as_its_noise():
     plant = twins.PLANTS["planar_arm"]
     t = np.arange(200) / plant.rate
     u = ref.multisine(t, [22.0, 7.0], 5, periods=0.8, lines=5)
-    p = {k: np.array([plant.nominal.get(k, (x, x))], float) for k, x in (twins.NEUTRAL | plant.nominal).items()}
+    p = {k: np.array([plant.nominal.get(k, (x, x))] * 2, float) for k, x in (twins.NEUTRAL | plant.nominal).items()}
+    p["compliance"][1, 0], p["spring_damping"][1, 0] = 5e-5, 0.1  # a motor of its own behind a stiff spring
     parts = round(1 / plant.rate / plant.step)
-    y = twins.rigid(plant, u[None], p, parts, plant.step)[0, ::parts]
+    y, soft = twins.rigid(plant, np.tile(u, (2, 1, 1)), p, parts, plant.step)[:, ::parts]
     friction = {k: np.array(plant.nominal[k]) for k in ("viscous", "coulomb")}
     q, _ = ref.simulate(ref.planar_arm(), ref.Truth(**friction), t, u)
     assert np.ptp(q, axis=0).min() > 0.5 and np.abs(y - q).max() < 0.3 * plant.noise
+    assert np.abs(soft - q).max() < 0.02  # the other joint's dry friction reaches the link behind the spring
 
 
 def test_results_are_written_from_what_was_kept(tmp_path, monkeypatch):
