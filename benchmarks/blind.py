@@ -312,7 +312,10 @@ def main() -> dict[str, Any]:
         "`right`: exactly the withheld effects, or equals of them on that model, were named; `in set`: they are among those "
         "named or reported as not to be told apart; `wrong`: a name outside the set. Effects that a model's parameters absorb "
         "count as `nothing missing`; the tracker's torque_scale and the link's reflected_inertia are absorbed to within the "
-        "noise and count as missed; the tracker's Stribeck friction comes with the dry friction it refines. Two outsiders were "
+        "noise and count as missed; the tracker's Stribeck friction comes with the dry friction it refines. Of single "
+        "effects named alone 139 of 141 have the right place; of 95 models that lack nothing none was given a name. The arm's "
+        "backlash was run again after an error of its twin (dry friction did not reach a link behind a spring). The tracker's "
+        "viscous friction was taken out of the model at both joints and named at both; its key held one. Two outsiders were "
         "`named`: damping that changes at half time as friction that warms up, a push of 0.6 s as a scale of the torque."
     )
     return {"title": "Blind cases", "rows": summary(rows), "text": text}
