@@ -100,9 +100,9 @@ class OutputError(Residual):
         chain = layout.chain
         every = [e.whole for e in experiments]
         remembers = motions is not None and any(e.past for e in dataset.experiments) and chain.has_states()
-        smooth = [recorded.motion(dataset, e, chain, noise) for e in every] if remembers else []
-        measured = [np.concatenate([m.q, m.qd], 1) for m in smooth] if remembers else None
-        samples, positions = recorded.build(dataset, every, chain, noise, step, measured, shape[0])
+        known = zip(every, experiments, motions, strict=True) if remembers and motions else ()
+        smooth = [recorded.motion(dataset, e, chain, noise) if own.past else m for e, own, m in known]
+        samples, positions = recorded.build(dataset, every, chain, noise, step, _states(smooth), shape[0])
         records, heads = [], []
         for number, (e, own) in enumerate(zip(every, experiments, strict=True)):
             p, a, n = positions[number], len(e) - len(own), head_samples(own)
@@ -136,7 +136,7 @@ class MultipleShooting(Residual):
             )
         if states and motions is None:
             raise UsageError("windows need measured joint positions when an effect has states; use the residual output_error")
-        measured = [np.concatenate([m.q, m.qd], 1) for m in motions] if states and motions else None
+        measured = _states(motions if states else None)
         samples, positions = recorded.build(dataset, experiments, layout.chain, noise, step, measured, shape[0])
         records, length = [], 0.0
         for number, e in enumerate(experiments):
@@ -186,6 +186,11 @@ class InverseDynamics(Residual):
             tuple(experiments), layout, chain.torque_channels, setting.noise, engine, every, (), setting.statement,
             dataset, setting,
         )  # fmt: skip
+
+
+def _states(motions: Sequence[Motion] | None) -> list[np.ndarray] | None:
+    """Positions and velocities of smoothed motions, each [time 2 nq]."""
+    return [np.concatenate([m.q, m.qd], 1) for m in motions] if motions else None
 
 
 def default_window(e: Experiment) -> float:

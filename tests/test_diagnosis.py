@@ -12,11 +12,16 @@ import numpy as np
 import pytest
 
 import jaxid
+from jaxid import catalogue
 from jaxid.binding import bind
 from jaxid.diagnosis import growth, upheld
 from jaxid.diagnosis.evidence import HeldOut, inflation, memory, shifted
 from jaxid.diagnosis.how_far import bootstrap, shrink
-from jaxid.estimation import Bench
+from jaxid.diagnosis.hypothesis import candidates
+from jaxid.diagnosis.which import Searcher
+from jaxid.estimation import Bench, start_values
+from jaxid.fitters import descend
+from jaxid.residual import OutputError
 from jaxid.results import HowFar
 from reference import multisine
 
@@ -318,3 +323,19 @@ def test_a_run_that_diverged_remembers_itself_whole(bad):
     assert memory([residual]) <= 2
     residual[50:, 1] = bad
     assert memory([residual]) == 100
+
+
+def test_a_model_in_a_local_minimum_is_freed_by_a_richer_one():
+    """Of a model that lacks nothing: from where one with an effect ended it comes down to the noise, and then stays there."""
+    binding = bind("pendulum", recording("pendulum", 2), candidates=[catalogue.effect_class("quadratic_drag")])
+    bench = Bench(binding, differences=1)
+    p = bench.problem(OutputError(), "fit", binding.free, binding.theta)
+    start = p.z(start_values(bench, binding.free, 0)[0])
+    stuck = descend([(p, start + 0.1 * (p.upper - p.lower))], 0, 1e-8)[0]
+    searcher = Searcher(bench, OutputError(), stuck)
+    (drag,) = candidates(bench, ["quadratic_drag"])
+    q = searcher.problem((drag,), p.theta(start))
+    richer = searcher._hypotheses([((drag,), descend([(q, q.z(p.theta(start)))], 20, 1e-8)[0])])[0]
+    freed = searcher._freed(searcher.nominal, richer)
+    assert searcher.nominal.fit_loss > 100 and not freed.effects and freed.fit_loss < 1.2
+    assert searcher._freed(freed, richer) is freed

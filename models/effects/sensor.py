@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from typing import ClassVar
+from collections.abc import Sequence
+from typing import Any, ClassVar
 
 import jax
 import jax.numpy as jnp
@@ -129,22 +130,10 @@ class TimestampJitter(RecordEffect):
         return y.at[1:-1].add(self.spread**2 / 2 * bend)
 
 
-#: Places of four samples, in steps from the second of them.
-NODES = (-1, 0, 1, 2)
-
-
 def interpolated(t: Float[Array, " time"], y: Float[Array, " time"], at: Float[Array, " n"]) -> Float[Array, " n"]:
     """A series at other times through the four samples around each (Lagrange); the first value before it begins."""
     k = jnp.clip(jnp.searchsorted(t, at, side="right") - 2, 0, t.shape[0] - 4)
-    total = jnp.zeros_like(at)
-    times, values = [t[k + i] for i in range(4)], [y[k + i] for i in range(4)]
-    for i in range(4):
-        weight = values[i]
-        for j in range(4):
-            if j != i:
-                weight = weight * (at - times[j]) / (times[i] - times[j])
-        total = total + weight
-    return jnp.where(at <= t[0], y[0], total)
+    return jnp.where(at <= t[0], y[0], _cubic(at, [t[k + i] for i in range(4)], [y[k + i] for i in range(4)]))
 
 
 def shifted(y: Float[Array, " time"], steps: Float[Array, ""]) -> Float[Array, " time"]:
@@ -156,11 +145,15 @@ def shifted(y: Float[Array, " time"], steps: Float[Array, ""]) -> Float[Array, "
     late = jnp.concatenate([jnp.full((n,), y[0]), y[:1], before[None], y, after[None]])
     begin = n - jnp.clip(whole, 0, n).astype(jnp.int32)
     window = jax.lax.dynamic_slice_in_dim(late, begin, n + 3)
-    total = jnp.zeros_like(y)
-    for i, place in enumerate(NODES):
-        weight = jnp.ones_like(part)
-        for other in NODES:
-            if other != place:
-                weight = weight * (part - other) / (place - other)
-        total = total + weight * window[i : i + n]
-    return jnp.where(jnp.arange(n) <= steps, y[0], total)
+    return jnp.where(jnp.arange(n) <= steps, y[0], _cubic(part, (-1, 0, 1, 2), [window[i : i + n] for i in range(4)]))
+
+
+def _cubic(at: Any, places: Sequence[Any], values: Sequence[Array]) -> Array:
+    """The cubic through four values at four places (Lagrange)."""
+    total = jnp.zeros_like(values[0])
+    for i, place in enumerate(places):
+        weight = 1.0
+        for other in (*places[:i], *places[i + 1 :]):
+            weight = weight * (at - other) / (place - other)
+        total = total + weight * values[i]
+    return total
