@@ -204,11 +204,19 @@ class OnlineIdentification:
             zero = jnp.zeros(())
             self._state = _packed(Recursion(jnp.asarray(self.prior), jnp.diag(full(prior_var, p)), zero, zero))
         self.converged_at: int | None = None
+        self._sample = np.zeros((4, n))
 
     def update(self, q: np.ndarray, qd: np.ndarray, qdd: np.ndarray, tau: np.ndarray) -> None:
         """One sample: joint motion [n] (rad, m and their rates) and torque [n]. Nothing recompiles after the first."""
+        self._sample = np.array((q, qd, qdd, tau), np.float64)
         with float64():
-            self._state = self._update(self._numbers, self._state, np.array((q, qd, qdd, tau), np.float64))
+            self._state = self._update(self._numbers, self._state, self._sample)
+
+    def rehearse(self) -> None:
+        """The last sample's update once more, its result thrown away. A computer that has slept until a sample comes takes half
+        as long again for its update; a loop with a deadline rehearses just before (`benchmarks/ur10_speed.py`)."""
+        with float64():
+            self._update(self._numbers, self._state, self._sample).block_until_ready()
 
     @property
     def state(self) -> Recursion:

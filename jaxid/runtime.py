@@ -20,18 +20,19 @@ class Interrupted(KeyboardInterrupt):
         self.partial = partial
 
 
-def prepare() -> None:
+def prepare(streaming: bool = False) -> None:
     """Sets XLA's flags, the platform, NumPy's threads and the compilation cache by environment variables; values already set win.
 
     Call it before JAX is imported. `JAXID_XLA=0` leaves XLA's flags alone; `JAXID_CACHE_DIR` moves the cache; a
     cache folder that cannot be written is left out silently.
+
+    `streaming` is for a program that answers one sample at a time: JAX then computes in the thread that calls it. Handing a small
+    program to other threads takes as long as the program; fits, which are large, gain by it.
     """
     flags = os.environ.get("XLA_FLAGS", "")
     if os.environ.get("JAXID_XLA") != "0" and "xla_backend_extra_options" not in flags:
         os.environ["XLA_FLAGS"] = f"{flags} {LOOP_FLAG}".strip()
     os.environ.setdefault("JAX_PLATFORMS", "cpu")
-    # Every result is waited for, by a thread of its own where there are several: handing calls to JAX's threads only costs time.
-    os.environ.setdefault("JAX_CPU_ENABLE_ASYNC_DISPATCH", "0")
     # NumPy's matrices are small here; more threads only wait for each other (measured: 3 to 5 times the CPU time).
     os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
     folder = cache_folder()
@@ -39,6 +40,11 @@ def prepare() -> None:
         os.environ.setdefault("JAX_COMPILATION_CACHE_DIR", str(folder))
         os.environ.setdefault("JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS", "0")
         os.environ.setdefault("JAX_PERSISTENT_CACHE_MIN_ENTRY_SIZE_BYTES", "-1")
+    if streaming:
+        os.environ.setdefault("PJRT_NPROC", "1")
+        import jax  # it does not read this setting from the environment
+
+        jax.config.update("jax_cpu_enable_async_dispatch", False)
 
 
 def cache_folder() -> Path | None:

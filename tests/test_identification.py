@@ -246,6 +246,17 @@ def test_recursion_is_ridge_regression(stream):
     assert [online.names[i] for i in online.watched] == ["Ixy6", "Ixz6", "Iyz6", "Izz6", "mx6", "my6"]  # pi_31 .. pi_36
 
 
+def test_a_rehearsal_changes_nothing(stream):
+    (t, q, qd, qdd), tau = stream
+    twins = [OnlineIdentification(UR10(), prior(), exponent=EXPONENT) for _ in range(2)]
+    twins[1].rehearse()  # also before the first sample
+    for k in range(20):
+        for online in twins:
+            online.update(q[k], qd[k], qdd[k], tau[k])
+        twins[1].rehearse()
+    assert all(np.array_equal(a, b) for a, b in zip(twins[0].state, twins[1].state, strict=True))
+
+
 def test_payload_online_and_the_stop_rule(stream):
     (t, q, qd, qdd), tau = stream
     online = OnlineIdentification(UR10(), prior(), exponent=EXPONENT, noise_var=NOISE**2, prior_var=10.0)
