@@ -7,10 +7,11 @@ from typing import ClassVar
 import jax
 import numpy as np
 
-from jaxid.fitter import AbstractFitter, AbstractPopulation, answered, Course, Log
+from jaxid.fitter import AbstractFitter, AbstractPopulation, Course, Log
 from jaxid.fitters.lm import problem_clip, search
 from jaxid.fitters.shade import Shade
 from jaxid.objective import AbstractProblem
+from jaxid.searching import answered
 
 
 class Hybrid(AbstractFitter):

@@ -273,11 +273,14 @@ class Chain(eqx.Module):
             _REMEMBERING[key] = bool(jax.tree.leaves(jax.eval_shape(lambda: self.start(zero, zero, u).z)))
         return _REMEMBERING[key]
 
-    def start(self, q: Float[Array, " nq"], qd: Float[Array, " nq"], u: Float[Array, " nu"]) -> Carry:
-        """State at the beginning of a run that has seen the input `u` for long."""
-        body = self.body()
+    def start(
+        self, q: Float[Array, " nq"], qd: Float[Array, " nq"], u: Float[Array, " nu"], body: Mechanism | None = None
+    ) -> Carry:
+        """State at the beginning of a run that has seen the input `u` for long; `body` is the mechanism with its effects,
+        prepared, where that has been done."""
+        body = self.body().prepare(None) if body is None else body
         x = body.start(q, qd)
-        y = body.output(x, jnp.zeros_like(q), jnp.ones_like(q, bool))[: len(self.signature.outputs)]
+        y = body.output(x, jnp.zeros_like(q), jnp.ones_like(q, bool)) if self.at(OutputEffect) else jnp.zeros(0)
         z = []
         for e in self.effects:
             if isinstance(e, InputEffect):
@@ -285,7 +288,7 @@ class Chain(eqx.Module):
             elif isinstance(e, JointEffect):
                 z.append(e.start(q))
             elif isinstance(e, OutputEffect):
-                z.append(e.start(y))
+                z.append(e.start(y[: len(self.signature.outputs)]))
             else:
                 z.append(())
         return Carry(x, tuple(z), jnp.zeros_like(q), jnp.zeros_like(q))

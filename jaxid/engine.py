@@ -103,7 +103,8 @@ def simulate_lane(
         carry, y = chain.step(body, carry, command)
         return carry, y if wanted is None else jnp.stack([y[i] if i in wanted else jnp.zeros(()) for i in range(len(y))])
 
-    y = _blocks_of(step, chain.start(start[:nq], start[nq:], samples.u[begin]), steps, length, len(chain.signature.outputs))
+    initial = chain.start(start[:nq], start[nq:], samples.u[begin], body)
+    y = _blocks_of(step, initial, steps, length, len(chain.signature.outputs))
     k = jnp.arange(length)
     beyond = jnp.maximum(begin + k - last, 0) * samples.h[last]  # the loop goes on to the end of its block, and so does time
     return chain.recorded(samples.t[jnp.minimum(begin + k, last)] + beyond, y, samples.h[begin] if reach == EVEN else None)

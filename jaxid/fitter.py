@@ -8,9 +8,9 @@ from __future__ import annotations
 
 import abc
 import time
-from collections.abc import Callable, Generator, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, fields
-from typing import Any, ClassVar, NamedTuple, TypeVar
+from typing import Any, ClassVar, NamedTuple
 
 import equinox as eqx
 import jax
@@ -21,6 +21,7 @@ from jaxtyping import Array, Float, PRNGKeyArray
 from jaxid.objective import AbstractProblem
 from jaxid.precision import float64
 from jaxid.problem import PENALTY
+from jaxid.searching import answered, answered_together, Searching
 
 
 Progress = Callable[[str, int, int, str], None]
@@ -268,13 +269,13 @@ class AbstractPopulation(AbstractFitter):
         wanted = self.generations if most is None else min(self.generations, most)
         generations = int(min(wanted, log.left // self.cost(problem)))
         whole = not self.guided and problem.work * self.offspring < LARGE
-        done, chunk = 0, 1
+        done, chunk, programs = 0, 1, _Programs(self, problem, key)
         while done < generations and not log.exhausted:
             if whole:
                 count = min(chunk, generations - done)
                 now, spread, count, chunk = self._several(problem, now, key, done + 1, count, log)
             else:
-                now, spread = yield from self._generation(problem, now, key, done + 1, log)
+                now, spread = yield from self._generation(programs, now, done + 1, log)
                 count = 1
             done += count
             log.show(done, generations)
@@ -322,57 +323,32 @@ class AbstractPopulation(AbstractFitter):
         limit = 0.7 if log.limit is None else min(0.7, 0.3 * max(log.limit - log.elapsed, 1e-3))
         return course, spread, done, int(np.clip(done * min(8.0, limit / max(spent, 1e-6)), 1, CHUNK))
 
-    def _generation(
-        self, problem: AbstractProblem, course: Course, key: PRNGKeyArray, number: int, log: Log
-    ) -> Searching[tuple[Course, float]]:
+    def _generation(self, programs: _Programs, course: Course, number: int, log: Log) -> Searching[tuple[Course, float]]:
         """One generation, its candidates handed out."""
-        name = self._settings
         with float64():
-            course = course._replace(state=self.informed(problem, course.state, log))
-            args = jnp.asarray(key), np.int32(number), course.state, problem.lower, problem.upper
-            candidates = np.asarray(problem.compiled((*name, "ask"), _proposal(self), *args, own=False)(*args))
-        losses = yield candidates
+            course = course._replace(state=self.informed(programs.problem, course.state, log))
+            candidates = programs("ask", _proposal, programs.key, np.int32(number), course.state, *programs.bounds)
+        losses = yield np.asarray(candidates)
         with float64():
-            args = course, candidates, losses
-            course, spread = problem.compiled((*name, "tell"), _selection(self), *args, own=False)(*args)
+            course, spread = programs("tell", _selection, course, candidates, losses)
         log.add(self.offspring, float(np.min(losses)))
         return course, float(spread)
 
 
-Result = TypeVar("Result")
-#: A search that hands out candidates [n size], takes their losses [n], and ends with a result.
-Searching = Generator[np.ndarray, np.ndarray, Result]
+class _Programs:
+    """What a search runs in every generation, looked up once, and what it always reads."""
 
+    def __init__(self, fitter: AbstractPopulation, problem: AbstractProblem, key: PRNGKeyArray):
+        self.fitter, self.problem = fitter, problem
+        with float64():
+            self.key, self.bounds = jnp.asarray(key), (jnp.asarray(problem.lower), jnp.asarray(problem.upper))
+        self._programs: dict[str, Callable] = {}
 
-def answered(searching: Searching[Result], problem: AbstractProblem) -> Result:
-    """A search taken to its end, its candidates evaluated on all cores."""
-    return answered_together([searching], [problem])[0]
-
-
-def answered_together(searches: Sequence[Searching[Result]], problems: Sequence[AbstractProblem]) -> list[Result]:
-    """Several searches taken to their ends side by side; what those on one problem hand out is evaluated as one batch."""
-    results: dict[int, Result] = {}
-    asked: dict[int, np.ndarray] = {}
-
-    def go_on(number: int, losses: np.ndarray | None) -> None:
-        asked.pop(number, None)
-        try:
-            asked[number] = searches[number].send(losses)  # pyright: ignore[reportArgumentType] # None begins a generator
-        except StopIteration as end:
-            results[number] = end.value
-
-    for number in range(len(searches)):
-        go_on(number, None)
-    while asked:
-        groups: dict[int, list[int]] = {}
-        for number in asked:
-            groups.setdefault(id(problems[number]), []).append(number)
-        for group in groups.values():
-            losses = problems[group[0]].losses(np.concatenate([asked[number] for number in group]))
-            ends = np.cumsum([len(asked[number]) for number in group])[:-1]
-            for number, own in zip(group, np.split(losses, ends), strict=True):
-                go_on(number, own)
-    return [results[number] for number in range(len(searches))]
+    def __call__(self, name: str, maker: Callable[[AbstractPopulation], Callable], *args: Any) -> Any:
+        if name not in self._programs:
+            settings = (*self.fitter._settings, name)
+            self._programs[name] = self.problem.compiled(settings, maker(self.fitter), *args, own=False)
+        return self._programs[name](*args)
 
 
 def _proposal(fitter: AbstractPopulation) -> Callable[..., Array]:

@@ -163,7 +163,7 @@ class AbstractProblem(abc.ABC):
         """
         programs = self.programs if own else _PROGRAMS
         leaves, tree = jax.tree.flatten(args)
-        key = (name, self.loss_name, tree, tuple((np.shape(a), str(getattr(a, "dtype", type(a)))) for a in leaves))
+        key = (name, self.loss_name, tree, tuple((np.shape(a), getattr(a, "dtype", type(a))) for a in leaves))
         with _COMPILING:
             if key not in programs:
                 began = time.perf_counter()
@@ -173,6 +173,10 @@ class AbstractProblem(abc.ABC):
 
     def losses(self, z: np.ndarray) -> np.ndarray:
         """Loss of each row of z [pop size], on all cores; the same program and numbers for every fitter."""
+        return self.begun(z)()
+
+    def begun(self, z: np.ndarray) -> Callable[[], np.ndarray]:
+        """`losses` begun on all cores; the answer waits for its end."""
         z = np.atleast_2d(np.asarray(z, np.float64))
         data = self.data
         part = np.resize(z[:1], (CANDIDATES, z.shape[1]))
@@ -185,8 +189,10 @@ class AbstractProblem(abc.ABC):
             with float64():  # the setting belongs to the thread
                 return np.asarray(program(padded, data))[: len(part)]
 
-        blocks = range(0, len(z), CANDIDATES)
-        return np.concatenate(list(_POOL.map(block, blocks) if len(blocks) > 1 else map(block, blocks)))
+        if len(z) <= CANDIDATES:
+            return lambda: block(0)
+        waiting = [_POOL.submit(block, k) for k in range(0, len(z), CANDIDATES)]
+        return lambda: np.concatenate([w.result() for w in waiting])
 
     def loss(self, z: np.ndarray) -> float:
         """Loss of one candidate."""

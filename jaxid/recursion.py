@@ -18,8 +18,9 @@ import numpy as np
 from jaxtyping import PRNGKeyArray
 
 from jaxid.errors import UsageError
-from jaxid.fitter import AbstractPopulation, answered, Course, Log, Minimum
+from jaxid.fitter import AbstractPopulation, Course, Log, Minimum
 from jaxid.objective import AbstractProblem
+from jaxid.searching import answered
 
 
 def stretches(

@@ -131,6 +131,18 @@ def test_searches_side_by_side_are_those_alone(kind, make):
         assert a.history == b.history and a.stopped_because == b.stopped_because
 
 
+def test_searches_that_take_turns_are_those_alone():
+    """Enough of them to be evaluated in two halves; they end at different times."""
+    problem = stepwise(FunctionProblem(lambda z: jnp.stack([z[0] - 0.3, 3 * (z[1] ** 2 + z[0])]), [-1, -1], [1, 1]))
+    fitter = DifferentialEvolution(popsize=120, generations=40, stall=3)
+    jobs = [(problem, [np.zeros(2)], jax.random.key(seed)) for seed in range(9)]
+    together = fitter.minimise_each(jobs)
+    assert len({f.evaluations for f in together}) > 2
+    for job, found in zip(jobs, together, strict=True):
+        alone = fitter.minimise(*job)
+        assert np.array_equal(alone.z, found.z) and alone.history == found.history
+
+
 @each_search
 def test_survives_nan(kind):
     """A third of the box gives nan, the start too; the minimum lies close to the edge of that region."""
