@@ -35,6 +35,7 @@ from jaxid.fitters import (  # noqa: E402
     Shade,
 )
 from jaxid.objective import FunctionProblem  # noqa: E402
+from jaxid.precision import float64  # noqa: E402
 
 
 SIZES = ((6, 100), (60, 100), (6, 1000))
@@ -69,6 +70,44 @@ def peer(problem: FunctionProblem, popsize: int, generations: int, seed: int) ->
     return (time.process_time() - began) / found.nit
 
 
+def evosax(dim: int, popsize: int) -> Any:
+    """(generations, seed) -> CPU seconds a generation of evosax's differential evolution, generations as one program; None where
+    it is not installed. It keeps no bounds."""
+    try:
+        from evosax.algorithms import DifferentialEvolution as Peer
+    except ImportError:
+        return None
+    residual = lambda z: jnp.concatenate([10 * (z[1:] - z[:-1] ** 2), 1 - z[:-1]])
+    loss = jax.vmap(lambda z: jnp.mean(residual(z) ** 2))
+    with float64():
+        method = Peer(population_size=popsize, solution=jnp.zeros(dim))
+
+    def run(key, population, count):
+        first, key = jax.random.split(key)
+        state = method.init(first, population, loss(population), method.default_params)
+
+        def generation(k, carry):
+            state, key = carry
+            key, ask, tell = jax.random.split(key, 3)
+            candidates, state = method.ask(ask, state, method.default_params)
+            state, _ = method.tell(tell, candidates, loss(candidates), state, method.default_params)
+            return state, key
+
+        return jax.lax.fori_loop(0, count, generation, (state, key))[0].best_fitness
+
+    program = jax.jit(run)
+
+    def spent(generations: int, seed: int) -> float:
+        with float64():
+            population = jnp.asarray(np.random.default_rng(seed).uniform(-2, 2, (popsize, dim)))
+            program(jax.random.key(seed), population, 1).block_until_ready()  # compiles
+            began = time.process_time()
+            program(jax.random.key(seed), population, generations).block_until_ready()
+            return (time.process_time() - began) / generations
+
+    return spent
+
+
 def main(repeats: int = 5) -> dict:
     rows = []
     for dim, popsize in SIZES:
@@ -82,10 +121,12 @@ def main(repeats: int = 5) -> dict:
             spent(f, problem, 600, 0)  # compiles
         ours: dict[str, list[float]] = {n: [] for n in names}
         theirs: list[float] = []
+        batched, batches = evosax(dim, popsize), list[float]()
         for seed in range(repeats):
             for n, f in zip(names, fitters, strict=True):
                 ours[n].append(spent(f, problem, 4 * CHUNK, seed))
             theirs.append(peer(problem, popsize, 20, seed))
+            batches += [] if batched is None else [batched(CHUNK, seed)]
         reference = float(np.median(theirs))
         for n in names:
             low, middle, high = np.quantile(ours[n], [0, 0.5, 1]) * 1e6
@@ -97,6 +138,8 @@ def main(repeats: int = 5) -> dict:
                     "us a generation": f"{middle:.0f} ({low:.0f} to {high:.0f})",
                     "SciPy DE, us": f"{reference * 1e6:.0f}",
                     "SciPy / ours": f"{reference * 1e6 / middle:.0f}",
+                    "evosax DE, us": f"{np.median(batches) * 1e6:.0f}" if batches else "not installed",
+                    "evosax / ours": f"{np.median(batches) * 1e6 / middle:.0f}" if batches else "",
                 }
             )
     text = (
