@@ -233,8 +233,8 @@ def main(starts: int = 50) -> dict:
     row("SciPy differential_evolution, vectorized", reached, evaluations, clock)
     text = (
         f"First fit of a process from (m, b, J) = (0.6, 0.2, 0.08): {cold:.1f} s, {warm:.1f} s with compiled programs in the"
-        f" cache; worst parameter off by {100 * error:.3f} % ({off:.1f} of its standard deviations). Then from {starts} random starts over the whole"
-        f" box; reached means within 0.1 % of the best known loss {best:.4f}."
+        f" cache; worst parameter off by {100 * error:.3f} % ({off:.1f} of its standard deviations). Then from {starts} random"
+        f" starts over the whole box; reached means within 0.1 % of the best known loss {best:.4f}."
     )
     if peer := by_mujoco(data):
         text += f" `mujoco.sysid`, from the same start: {peer[0]:.1f} s, worst parameter off by {100 * peer[1]:.3f} %."
