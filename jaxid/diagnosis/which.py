@@ -16,6 +16,7 @@ from jaxid.diagnosis.evidence import held_out, inflation, knowledge, memory, wor
 from jaxid.diagnosis.hypothesis import Candidate, effect_of, Hypothesis, key_of, Search, sensible
 from jaxid.diagnosis.proposals import at_all_joints, least_missed, pairs, plain_pairs
 from jaxid.diagnosis.screen import probe_residuals, Screened, screened
+from jaxid.diagnosis.undetermined import brought_back
 from jaxid.estimation import Bench, estimate_starts
 from jaxid.fitter import Progress
 from jaxid.fitters import descend, Path, race
@@ -95,7 +96,7 @@ class Searcher:
             )  # the race favours the first two
         order = sorted(range(len(sets)), key=lambda k: by_torque[k][0])
         sure = [k for k in order if np.isfinite(by_torque[k][0])][:SURE]
-        final = race(groups, 20, 1e-6, sure)
+        final = brought_back(race(groups, 20, 1e-6, sure), self.bench.binding.theta, self.base_free)
         found = self._hypotheses([(effects, path) for (effects, _), path in zip(sets, final, strict=True)])
         for k, h in enumerate(found):
             old = self.known.get(key_of(h.effects))

@@ -1,0 +1,50 @@
+"""What the fit data leave open stays where the user put it.
+
+A descent drags along what its data do not determine: two factors whose product alone is seen end anywhere on a curve, often where
+a poorer model has left them. Held-out runs that do tell them apart would then refuse a right model.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+
+from jaxid.fitters import descend
+from jaxid.fitters.lm import Path
+
+
+#: A direction is left open where going all the way back costs less than this (half of the sum of squares, in noise variances).
+COST = 2.0
+#: A way back that is shorter than this, in typical changes of a parameter, is not gone.
+NEAR = 1.0
+
+
+def brought_back(paths: Sequence[Path], theta: np.ndarray, index: Sequence[int]) -> list[Path]:
+    """The paths; those whose data leave directions open are moved along them towards where the numbers at `index` are those of
+    `theta`, if that costs nothing."""
+    moves = [_way_back(path, theta, index) for path in paths]
+    moved = [k for k, move in enumerate(moves) if move is not None]
+    jobs = [(paths[k].problem, np.clip(paths[k].z + moves[k], paths[k].problem.lower, paths[k].problem.upper)) for k in moved]
+    out = list(paths)
+    for k, end in zip(moved, descend(jobs, 6, 1e-6) if jobs else [], strict=True):
+        if end.cost <= paths[k].cost + COST:
+            out[k] = replace(end, linearisations=paths[k].linearisations + end.linearisations)
+    return out
+
+
+def _way_back(path: Path, theta: np.ndarray, index: Sequence[int]) -> np.ndarray | None:
+    """The part of the way that the data do not tell, in z; None if there is next to none."""
+    p = path.problem
+    if path.hessian is None or not np.isfinite(path.cost):
+        return None
+    home, n = p.theta(path.z).copy(), p.free.size
+    home[list(index)] = theta[list(index)]
+    way = np.zeros(p.size)
+    way[:n] = (p.z(home)[:n] - path.z[:n]) / p.scale[:n]
+    w, V = np.linalg.eigh(p.scale[:, None] * path.hessian * p.scale)
+    share = V.T @ way
+    open_ = share**2 * np.maximum(w, 0.0) / 2 < COST
+    move = V[:, open_] @ share[open_]
+    return p.scale * move if np.linalg.norm(move) > NEAR else None
