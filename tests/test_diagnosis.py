@@ -8,6 +8,7 @@ from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
 
+import jax.numpy as jnp
 import numpy as np
 import pytest
 
@@ -21,6 +22,7 @@ from jaxid.diagnosis.hypothesis import candidates
 from jaxid.diagnosis.which import Searcher
 from jaxid.estimation import Bench, start_values
 from jaxid.fitters import descend
+from jaxid.objective import FunctionProblem
 from jaxid.residual import OutputError
 from jaxid.results import HowFar
 from reference import multisine
@@ -323,6 +325,30 @@ def test_a_run_that_diverged_remembers_itself_whole(bad):
     assert memory([residual]) <= 2
     residual[50:, 1] = bad
     assert memory([residual]) == 100
+
+
+class Named(FunctionProblem):
+    """Its search vector is its parameters."""
+
+    def theta(self, z):
+        return z
+
+    def z(self, theta):
+        return theta
+
+
+def test_what_the_data_leave_open_stays_where_the_user_put_it():
+    """Only the sum of the first two numbers is seen, and the third: the two share what they have to move, the third stays."""
+    from jaxid.diagnosis.undetermined import brought_back
+
+    residual = lambda z: 1e3 * jnp.stack([z[0] + z[1] - 1.0, z[2] - 0.3])
+    problem = Named(residual, -np.full(3, 5.0), np.full(3, 5.0))
+    astray = descend([(problem, np.array([4.0, -2.0, 0.1]))], 20, 1e-9)[0]
+    assert np.allclose(astray.z, [3.5, -2.5, 0.3], atol=0.01)
+    found = brought_back([astray], np.zeros(3), [0, 1, 2])[0]
+    assert np.allclose(found.z, [0.5, 0.5, 0.3], atol=1e-3) and found.cost <= astray.cost + 1e-3
+    determined = descend([(Named(lambda z: 1e3 * (z - 0.2), [-5.0] * 3, [5.0] * 3), np.ones(3))], 20, 1e-9)
+    assert brought_back(determined, np.zeros(3), [0, 1, 2])[0] is determined[0]
 
 
 def test_a_model_in_a_local_minimum_is_freed_by_a_richer_one():
