@@ -74,7 +74,7 @@ def evosax(dim: int, popsize: int) -> Any:
     """(generations, seed) -> CPU seconds a generation of evosax's differential evolution, generations as one program; None where
     it is not installed. It keeps no bounds."""
     try:
-        from evosax.algorithms import DifferentialEvolution as Peer
+        from evosax.algorithms import DifferentialEvolution as Peer  # pyright: ignore[reportMissingImports]
     except ImportError:
         return None
     residual = lambda z: jnp.concatenate([10 * (z[1:] - z[:-1] ** 2), 1 - z[:-1]])

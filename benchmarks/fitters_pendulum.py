@@ -75,8 +75,8 @@ def recording() -> jaxid.Dataset:
 def by_pypesto(problem: Any, both: Any, points: np.ndarray) -> list[tuple[np.ndarray, int]]:
     """Its multistart on the same residual and Jacobian: (where it ends, residuals taken) of each start; none if not installed."""
     try:
-        import pypesto
-        from pypesto import optimize
+        import pypesto  # pyright: ignore[reportMissingImports]
+        from pypesto import optimize  # pyright: ignore[reportMissingImports]
     except ImportError:
         return []
     logging.getLogger("pypesto").setLevel(logging.ERROR)
