@@ -59,15 +59,7 @@ class LevenbergMarquardt(AbstractFitter):
 
     def _search(self, jobs: Sequence[tuple[AbstractProblem, Sequence[np.ndarray], Any]], logs: Sequence[Log]) -> list[Minimum]:
         best = self._paths(jobs, logs)
-        return [
-            log.minimum(p.z, p.converged, log.exhausted or p.stopped, _loss(log, p)) for p, log in zip(best, logs, strict=True)
-        ]
-
-
-def _loss(log: Log, path: Path) -> float | None:
-    """Mean square at the end of a path; None where that is not the loss of the problem."""
-    known = log.problem.loss_name == "sum_of_squares" and np.isfinite(path.cost)
-    return 2 * path.cost / max(1, path.count) if known else None
+        return [log.minimum(p.z, p.converged, log.exhausted or p.stopped) for p, log in zip(best, logs, strict=True)]
 
 
 def guesses(problem: AbstractProblem, starts: Sequence[np.ndarray], restarts: int, key) -> list[np.ndarray]:

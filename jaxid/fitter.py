@@ -121,9 +121,9 @@ class Log:
         if self.progress:
             self.progress(self.name, done, total, f"loss {self.best:.6g}")
 
-    def minimum(self, z: np.ndarray, converged: bool, stopped: str, loss: float | None = None) -> Minimum:
-        """The result; a loss that the fitter does not know is computed by the program of populations."""
-        loss = self.problem.loss(z) if loss is None else loss
+    def minimum(self, z: np.ndarray, converged: bool, stopped: str) -> Minimum:
+        """The result; its loss is computed by the one program that all fitters share."""
+        loss = self.problem.loss(z)
         if loss >= PENALTY:
             converged, stopped = False, "the simulation diverges at every candidate; give other start values or narrower bounds"
         return Minimum(z, loss, converged, stopped, self.evaluations, self.history, self.seconds)
