@@ -70,15 +70,14 @@ def peer(problem: FunctionProblem, popsize: int, generations: int, seed: int) ->
     return (time.process_time() - began) / found.nit
 
 
-def evosax(dim: int, popsize: int) -> Any:
+def evosax(problem: FunctionProblem, popsize: int) -> Any:
     """(generations, seed) -> CPU seconds a generation of evosax's differential evolution, generations as one program; None where
     it is not installed. It keeps no bounds."""
     try:
         from evosax.algorithms import DifferentialEvolution as Peer  # pyright: ignore[reportMissingImports]
     except ImportError:
         return None
-    residual = lambda z: jnp.concatenate([10 * (z[1:] - z[:-1] ** 2), 1 - z[:-1]])
-    loss = jax.vmap(lambda z: jnp.mean(residual(z) ** 2))
+    dim, loss = problem.size, lambda z: problem.pure_losses(z, problem.data)
     with float64():
         method = Peer(population_size=popsize, solution=jnp.zeros(dim))
 
@@ -121,7 +120,7 @@ def main(repeats: int = 5) -> dict:
             spent(f, problem, 600, 0)  # compiles
         ours: dict[str, list[float]] = {n: [] for n in names}
         theirs: list[float] = []
-        batched, batches = evosax(dim, popsize), list[float]()
+        batched, batches = evosax(problem, popsize), list[float]()
         for seed in range(repeats):
             for n, f in zip(names, fitters, strict=True):
                 ours[n].append(spent(f, problem, 4 * CHUNK, seed))

@@ -149,7 +149,10 @@ def main(starts: int = 50) -> dict:
     with tempfile.TemporaryDirectory() as place:  # an empty cache of compiled programs, then that cache
         environment = os.environ | {"JAXID_CACHE_DIR": place}
         environment.pop("JAX_COMPILATION_CACHE_DIR", None)
-        firsts = [subprocess.run([sys.executable, __file__, "first"], env=environment, capture_output=True) for _ in range(2)]
+        firsts = [
+            subprocess.run([sys.executable, __file__, "first"], env=environment, capture_output=True, check=True)
+            for _ in range(2)
+        ]
     cold, warm = (float(done.stdout) for done in firsts)
     fit = jaxid.fit(None, data, fitter=LevenbergMarquardt(restarts=0))
     error = max(abs(fit.parameters[n].value / v - 1) for n, v in TRUTH.items())

@@ -176,7 +176,7 @@ class AbstractProblem(abc.ABC):
         return self.begun(z)()
 
     def begun(self, z: np.ndarray) -> Callable[[], np.ndarray]:
-        """`losses` begun on all cores; the answer waits for its end."""
+        """`losses` begun on all cores; the answer waits for its end. A single block is left to who asks for the answer."""
         z = np.atleast_2d(np.asarray(z, np.float64))
         data = self.data
         part = np.resize(z[:1], (CANDIDATES, z.shape[1]))

@@ -213,8 +213,8 @@ class OnlineIdentification:
             self._state = self._update(self._numbers, self._state, self._sample)
 
     def rehearse(self) -> None:
-        """The last sample's update once more, its result thrown away. A computer that has slept until a sample comes takes half
-        as long again for its update; a loop with a deadline rehearses just before (`benchmarks/ur10_speed.py`)."""
+        """The last sample's update once more, its result thrown away. A computer that has slept until a sample comes takes up
+        to twice as long for its update; a loop with a deadline rehearses just before (`benchmarks/ur10_speed.py`)."""
         with float64():
             self._update(self._numbers, self._state, self._sample).block_until_ready()
 

@@ -28,8 +28,8 @@ def prepare(streaming: bool = False) -> None:
     Call it before JAX is imported. `JAXID_XLA=0` leaves XLA's flags alone; `JAXID_CACHE_DIR` moves the cache; a
     cache folder that cannot be written is left out silently.
 
-    `streaming` is for a program that answers one sample at a time: JAX then computes in the thread that calls it. Handing a small
-    program to other threads takes as long as the program; fits, which are large, gain by it.
+    `streaming` is for a program that answers one sample at a time: JAX then dispatches in the thread that calls it and keeps one
+    worker besides. Handing a small program from thread to thread takes as long as the program; fits, which are large, gain by it.
     """
     flags = os.environ.get("XLA_FLAGS", "")
     if os.environ.get("JAXID_XLA") != "0" and "xla_backend_extra_options" not in flags:

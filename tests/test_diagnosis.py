@@ -19,6 +19,7 @@ from jaxid.diagnosis import growth, upheld
 from jaxid.diagnosis.evidence import HeldOut, inflation, memory, shifted
 from jaxid.diagnosis.how_far import bootstrap, shrink
 from jaxid.diagnosis.hypothesis import candidates
+from jaxid.diagnosis.undetermined import brought_back
 from jaxid.diagnosis.which import Searcher
 from jaxid.estimation import Bench, start_values
 from jaxid.fitters import descend
@@ -339,8 +340,6 @@ class Named(FunctionProblem):
 
 def test_what_the_data_leave_open_stays_where_the_user_put_it():
     """Only the sum of the first two numbers is seen, and the third: the two share what they have to move, the third stays."""
-    from jaxid.diagnosis.undetermined import brought_back
-
     residual = lambda z: 1e3 * jnp.stack([z[0] + z[1] - 1.0, z[2] - 0.3])
     problem = Named(residual, -np.full(3, 5.0), np.full(3, 5.0))
     astray = descend([(problem, np.array([4.0, -2.0, 0.1]))], 20, 1e-9)[0]

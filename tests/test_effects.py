@@ -239,21 +239,21 @@ def test_effect_against_its_equation(product, effect):
 # ---- neutral
 
 
-def alike(a: np.ndarray, b: np.ndarray) -> bool:
-    """Equal but for rounding: a compiler may join products and sums in one program and not in another."""
-    return bool(np.abs(a - b).max() <= 1e-13 * np.abs(b).max())
+def alike(product: Product, a: np.ndarray, b: np.ndarray) -> bool:
+    """Bitwise equal; for the arm but for rounding: some processors' compilers join products and sums in one program of it only."""
+    return np.array_equal(a, b) or (product.case == "planar_arm" and np.abs(a - b).max() <= 1e-13 * np.abs(b).max())
 
 
 def test_neutral_effects_are_absent(product):
     bare = Simulator(product.bare, product.t, product.u, product.step, size=8192)
-    assert alike(product.s.outputs([{}]), bare.outputs([{}]))
+    assert alike(product, product.s.outputs([{}]), bare.outputs([{}]))
 
 
 def test_neutral_effects_beside_the_builtin_ones_are_absent(product):
     nominal = Simulator(product.nominal, product.t, product.u, product.step, size=8192)
     torque = float(np.min(TORQUE[product.case]))
     values = {n: 0.05 * torque for n in nominal.layout.names if n.startswith(("viscous", "coulomb", "offset"))}
-    assert alike(product.s.outputs([values]), nominal.outputs([values]))
+    assert alike(product, product.s.outputs([values]), nominal.outputs([values]))
 
 
 def test_no_gradient_is_nan(product):

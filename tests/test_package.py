@@ -138,7 +138,7 @@ def test_prepare_sets_the_environment(tmp_path):
 
 
 def test_a_streaming_program_is_called_by_its_own_thread():
-    """No other thread wakes up."""
+    """No other thread wakes up for a program of a few operations; without `streaming` two do."""
     code = """
 from jaxid.runtime import prepare
 prepare(streaming=True)
