@@ -240,7 +240,7 @@ def test_effect_against_its_equation(product, effect):
 
 
 def alike(product: Product, a: np.ndarray, b: np.ndarray) -> bool:
-    """Bitwise equal; for the arm but for rounding: some processors' compilers join products and sums in one program of it only."""
+    """Bitwise equal; for the arm but for rounding: some compilers join products and sums in one program of it only."""
     return np.array_equal(a, b) or (product.case == "planar_arm" and np.abs(a - b).max() <= 1e-13 * np.abs(b).max())
 
 
