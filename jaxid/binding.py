@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
-from dataclasses import dataclass
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass, field, replace
 
 import jax
 import jax.numpy as jnp
@@ -20,6 +20,11 @@ from jaxid.noise import Noise, noise_floor
 from jaxid.parameter import Reference, settings, with_settings
 from jaxid.precision import float64
 from jaxid.samples import Motion
+from jaxid.time_stamps import scattered_stamps, Stamps, with_scatter
+
+
+#: The effect whose strength is read off the recording: it is noise, which no residual shows the size of.
+JITTER = "timestamp_jitter"
 
 
 @dataclass
@@ -41,6 +46,7 @@ class Binding:
     free: list[int]  # what a fit of this model determines
     stated: set[int]  # values that the dataset states itself
     nominal: set[int]  # numbers of the model as the user has it, without added effects and candidates
+    read: dict[int, float] = field(default_factory=dict)  # numbers that the recording itself tells: their standard deviation
 
     def experiments(self, split: str) -> tuple[Experiment, ...]:
         return self.dataset.split(split)
@@ -54,6 +60,14 @@ class Binding:
         """Motions of these runs, or None where the model does not measure its joints."""
         names = [e.name for e in experiments]
         return [self.motions[n] for n in names] if self.motions and set(names) <= set(self.motions) else None
+
+    def with_stamps(self, stamps: Mapping[str, Stamps]) -> Binding:
+        """The spreads of time stamps as numbers of the model that no fit determines; output channel -> its stamps."""
+        theta, read = self.theta.copy(), dict(self.read)
+        for channel, found in stamps.items():
+            (i,) = self.layout.of_effect(JITTER, channel)
+            theta[i], read[i] = found.spread, found.std
+        return replace(self, theta=theta, read=read, free=[i for i in self.free if i not in read])
 
 
 def resolve_model(model: object, dataset: Dataset, without: Iterable[str] = ()) -> Chain:
@@ -128,7 +142,8 @@ def bind(
 ) -> Binding:
     """Binds a model to a dataset.
 
-    `effects` are added and fitted, `candidates` are put into the chain at their neutral value and stay there.
+    `effects` are added and fitted, `candidates` are put into the chain at their neutral value and stay there. The spread of
+    time stamps is read off the recording where that shows it (`time_stamps`), and readings count by it.
     """
     dataset = dataset.with_splits() if splits else dataset
     if not dataset.experiments and not dataset.responses:
@@ -142,6 +157,11 @@ def bind(
     chain = nominal.with_effects(*(neutral(k) for k in dict.fromkeys(extra)))
     layout = Layout(chain)
     noise = noise_floor(dataset)
+    stamps: dict[str, Stamps] = {}
+    if scattered := [p for k, place in added if k.name == JITTER for p in ([place] if place else nominal.offers(k))]:
+        stamps = {c: s for c, s in scattered_stamps(dataset, noise).items() if c in scattered}
+        dataset = with_scatter(dataset, stamps, noise) if stamps else dataset
+        noise = noise_floor(dataset)
     names = [n for n, _ in chain.signature.outputs]
     sigma = np.array([noise[n].std for n in names])
 
@@ -185,7 +205,7 @@ def bind(
     theta[free] = np.clip(theta[free], lower[free], upper[free])
     return Binding(
         dataset, chain, layout, noise, sigma, motions, references, inputs, theta, lower, upper, scale, free, stated, own
-    )
+    ).with_stamps(stamps)
 
 
 def _references(

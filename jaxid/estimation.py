@@ -296,7 +296,7 @@ def torque_traces(bench: Bench, residual: Residual, split: str, thetas: dict[str
 
 
 def estimates(binding: Binding, problem: Problem, z: np.ndarray, cov: Covariance) -> dict[int, Estimate]:
-    """Layout position -> estimate of each fitted number."""
+    """Layout position -> estimate of each fitted number, and of those that the recording tells."""
     theta, slope = problem.theta(z), problem.dtheta(z)
     out = {}
     for k, i in enumerate(problem.free):
@@ -310,6 +310,8 @@ def estimates(binding: Binding, problem: Problem, z: np.ndarray, cov: Covariance
             bool(cov.at_bound[k]),
             bool(cov.identifiable[k]),
         )
+    for i, std in binding.read.items():
+        out[i] = Estimate(float(theta[i]), std, binding.layout.entries[i].unit, float(binding.lower[i]), float(binding.upper[i]))
     return out
 
 

@@ -81,7 +81,8 @@ class Experiment:
     `t [time]` s, strictly increasing; `u [time nu]` inputs; `y [time ny]` outputs; `auxiliary` channel -> `[time]`.
     `initial` (state -> value) or `at_rest` fix the initial state; with neither it is estimated.
     `past` samples before the first of `t` belong to the same recording and to none of its splits: delays, lags and friction
-    that remember bring their state from there. `source` says where the samples stand, for messages.
+    that remember bring their state from there. `source` says where the samples stand, for messages. `scatter [time ny]` is the
+    standard deviation of what each reading is off by beside its channel's noise, where that is known (see `time_stamps`).
     """
 
     name: str
@@ -96,6 +97,7 @@ class Experiment:
     initial_window_s: float | None = None
     past: Experiment | None = None
     source: str = ""
+    scatter: np.ndarray | None = None
 
     def __post_init__(self):
         t = _frozen(self.t)
@@ -137,7 +139,13 @@ class Experiment:
             return self
         join = lambda a, b: np.concatenate([a, b])
         both = {k: join(getattr(self.past, k), getattr(self, k)) for k in ("t", "u", "y")}
+        if self.scatter is not None and self.past.scatter is not None:
+            both["scatter"] = join(self.past.scatter, self.scatter)
         return replace(self, **both, auxiliary={k: join(v, self.auxiliary[k]) for k, v in self.past.auxiliary.items()}, past=None)
+
+    def noise(self, sigma: np.ndarray, columns: Sequence[int]) -> np.ndarray:
+        """Noise of each reading of some outputs [time columns] whose channels have the noise `sigma` [columns]."""
+        return np.hypot(sigma, 0.0 if self.scatter is None else self.scatter[:, columns]) * np.ones((len(self), 1))
 
     def piece(self, start: int, stop: int, *, name: str, split: str, past: int = 0) -> Experiment:
         """Samples `start:stop` as a run of its own, at their times, that knows up to `past` samples before them; only one from
@@ -160,6 +168,7 @@ class Experiment:
             initial=self.initial if first else None,
             at_rest=self.at_rest if first else False,
             past=before,
+            scatter=None if self.scatter is None else self.scatter[start:stop],
             source=f"{self.source}, samples {start + 1} to {stop} of it",
         )
 

@@ -50,11 +50,13 @@ def _floor(channel: Channel, column: int, runs: Sequence[Experiment], groups: li
         how = "stated" if channel.resolution is not None else "found in the data"
         found["quantisation"] = (step / sqrt(12), f"step {step:.3g} {channel.unit} / sqrt(12), {how}")
     if channel.noise_std is None and channel.resolution is None and series:
-        found["sensor"] = (sensor_noise(series), "estimated from differences of neighbouring samples")
-    scatter = [_scatter([run.y[:, column] for run in group]) for group in groups]
-    if scatter:
+        scatter = [run.noise(np.zeros(1), [column])[:, 0] for run in runs]
+        std = _beside(series, scatter) if any(s.any() for s in scatter) else sensor_noise(series)
+        found["sensor"] = (std, "estimated from differences of neighbouring samples")
+    between = [_scatter([run.y[:, column] for run in group]) for group in groups]
+    if between:
         found["repeatability"] = (
-            float(np.sqrt(np.mean(np.square(scatter)))),
+            float(np.sqrt(np.mean(np.square(between)))),
             f"scatter between {sum(map(len, groups))} runs with identical inputs",
         )
     if not found:
@@ -84,6 +86,17 @@ def _from_differences(series: Sequence[np.ndarray], order: int) -> float:
         blocks = np.array_split(d, max(1, len(d) // BLOCK)) if len(d) else []
         variances += [float(np.mean(block**2)) for block in blocks]
     return sqrt(float(np.median(variances))) if variances else 0.0
+
+
+def _beside(series: Sequence[np.ndarray], scatter: Sequence[np.ndarray]) -> float:
+    """The same where each sample `[time]` is off by a known standard deviation beside that noise: likeliest variance."""
+    d = np.concatenate([np.diff(y, 3) ** 2 / comb(6, 3) for y in series])
+    known = np.concatenate([s[1 : len(s) - 2] ** 2 for s in scatter])
+    variance = float(np.mean(d))
+    for _ in range(30):
+        weight = 1 / (variance + known) ** 2
+        variance = max(float(np.sum(weight * (d - known)) / np.sum(weight)), 1e-2 * variance)
+    return sqrt(variance)
 
 
 def quantisation_step(series: Sequence[np.ndarray]) -> float | None:

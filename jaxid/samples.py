@@ -125,7 +125,7 @@ def build(
         total = np.concatenate([np.zeros((1, nu)), np.cumsum(stated * h[:, None], 0)])
         y, w = np.zeros((n, len(iy))), np.zeros((n, len(iy)))
         y[start] = e.y[:, iy]
-        w[start] = 1 / noise
+        w[start] = 1 / e.noise(noise, iy)
         x = np.zeros((n, 0))
         if measured is not None:
             m = measured[number]
@@ -151,7 +151,8 @@ def motion(dataset: Dataset, experiment: Experiment, chain: Chain, noise: np.nda
     _, iy = columns(dataset, chain)
     joints = chain.joint_outputs
     out = []
-    for i, sigma in zip([iy[k] for k in joints], [noise[k] for k in joints], strict=True):
+    rms = np.sqrt(np.mean(experiment.noise(noise, iy) ** 2, 0))
+    for i, sigma in zip([iy[k] for k in joints], [rms[k] for k in joints], strict=True):
         y = experiment.y[:, i]
         out.append(differentiate(experiment.t, y, content_cutoff(experiment.t, y, sigma)))
     q, qd, qdd = (np.stack([o[k] for o in out], -1) for k in range(3))

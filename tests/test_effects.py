@@ -309,8 +309,8 @@ FOUND: dict[str, dict[str, float]] = {
     "sensor_scale": {"gain": 0.03}, "sensor_lag": {"lag": 0.02}, "sensor_delay": {"delay": 0.008},
     "timestamp_jitter": {"spread": 0.01},
 }  # fmt: skip
-#: A free run has many local minima in these: they are found again from a start nearby.
-NEAR = ("joint_elasticity", "backlash")
+#: A free run has many local minima in these, or too little of its beginning tells of them: found again from a start nearby.
+NEAR = ("joint_elasticity", "backlash", "timestamp_jitter")
 T_FIT = np.arange(201) * 0.01
 
 

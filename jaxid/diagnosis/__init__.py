@@ -4,14 +4,14 @@ from __future__ import annotations
 
 import dataclasses
 import time
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 
 import jax
 import numpy as np
 
 from jaxid import catalogue
-from jaxid.binding import bind, Binding, resolve_model
-from jaxid.diagnosis import how_far as shrinking, where as location
+from jaxid.binding import bind, Binding, JITTER, resolve_model
+from jaxid.diagnosis import how_far as shrinking, timing, where as location
 from jaxid.diagnosis.hypothesis import Candidate, candidates, Hypothesis, Search
 from jaxid.diagnosis.next_experiment import advice
 from jaxid.diagnosis.which import Searcher
@@ -32,6 +32,7 @@ from jaxid.fitters import descend, LevenbergMarquardt
 from jaxid.residual import InverseDynamics, MultipleShooting, OutputError, Residual
 from jaxid.results import Diagnosis, EffectEstimate, Fit, HowFar, Ranked, Which
 from jaxid.runtime import Interrupted
+from jaxid.time_stamps import scattered_stamps, with_scatter
 from jaxid.uncertainty import covariance
 
 
@@ -73,7 +74,20 @@ def run_diagnosis(
     binding = bind(model, dataset, without=without, candidates=library)
     if not binding.dataset.experiments:
         raise UsageError("a diagnosis needs recorded runs; this dataset holds frequency responses alone: fit it")
-    found, grown = _diagnosed(binding, residual or default_residual(binding), allowed, max_effects, seed, progress)
+    own = residual or default_residual(binding)
+    stamps = {}
+    if any(k.name == JITTER for k in library):
+        names = [n for n, _ in binding.chain.signature.outputs]
+        stamps = {c: s for c, s in scattered_stamps(binding.dataset, binding.noise).items() if c in names}
+    if stamps and not isinstance(own, InverseDynamics):
+        scatter = timing.Scatter(stamps, binding)
+        readings = with_scatter(dataset, stamps, binding.noise)
+        known = bind(model, readings, without=without, candidates=library).with_stamps(stamps)
+        others = tuple(n for n in allowed if n != JITTER)
+        found, _ = _diagnosed(known, own, others, max_effects, seed, progress, scatter)
+        if found.which.verdict == "named":
+            return dataclasses.replace(found, wall_time_s=time.perf_counter() - began)
+    found, grown = _diagnosed(binding, own, allowed, max_effects, seed, progress)
     verdict = found.which.verdict
     doubtful = verdict in ("unknown", "partly") or (verdict == "named" and found.how_far.gap_after > REMAINDER)
     if residual is None and grown > SENSITIVE and doubtful:
@@ -88,13 +102,20 @@ def run_diagnosis(
                 "its own start"
             )
             found = dataclasses.replace(again, notes=(*again.notes, note))
-    return dataclasses.replace(found, wall_time_s=time.perf_counter() - began)
+    notes = (*found.notes, *(s.text for s in stamps.values()))
+    return dataclasses.replace(found, notes=notes, wall_time_s=time.perf_counter() - began)
 
 
 def _diagnosed(
-    binding: Binding, residual: Residual, allowed: tuple[str, ...], max_effects: int, seed: int, progress: Progress | None
+    binding: Binding,
+    residual: Residual,
+    allowed: tuple[str, ...],
+    max_effects: int,
+    seed: int,
+    progress: Progress | None,
+    scatter: timing.Scatter | None = None,
 ) -> tuple[Diagnosis, float]:
-    """By one residual; and how much a difference at the start of a run grows within it."""
+    """By one residual; and how much a difference at the start of a run grows within it. `scatter`: what the time stamps do."""
     began = time.perf_counter()
     if progress:
         progress("nominal fit", 0, 1, binding.chain.mechanism.name)
@@ -102,24 +123,29 @@ def _diagnosed(
     bench, nominal_fit, search, compile_time = _search(binding, residual, allowed, max_effects, seed, progress)
     chosen = search.chosen
     verdict, text = judge(search)
-    named = chosen.effects if verdict in ("named", "partly") else ()
+    stamps = ()
+    if scatter:
+        verdict, text = scatter.verdict(verdict, text)
+        stamps = scatter.effects() if verdict in ("named", "partly") else ()
+    named = (*stamps, *chosen.effects) if verdict in ("named", "partly") else ()
     final = chosen if named else search.nominal
     if progress:
         progress("how far", 0, 1, "report data")
 
     before, note = _before(binding, search.nominal)
-    measure = lambda after: shrinking.measure(bench, residual, before, search.nominal.theta, after, verdict, seed, note)
+    alike = scatter.bench(bench) if scatter else bench
+    measure = lambda after: shrinking.measure(bench, residual, before, search.nominal.theta, after, verdict, seed, note, alike)
     how_far = measure(final.theta)
     if named and binding.experiments("report"):
         verdict, text = upheld(verdict, text, how_far)
         if verdict == "unknown":
             named, final = (), search.nominal
             how_far = measure(final.theta)
-    estimates = _effect_estimates(binding, final)
+    estimates = _effect_estimates(binding, final, named)
     final_fit = _fit(bench, final, residual, seed, compile_time, time.perf_counter() - began)
     mates = search.confusable if named else []
     findings, pictures, rows = _where(bench, search.nominal, final, verdict, named, seed)
-    ranking = tuple(_ranked(search))
+    ranking = (*(scatter.ranked(bench, residual, search.nominal) if scatter else ()), *_ranked(search))
     which = Which(verdict, estimates if named else (), tuple(EffectEstimate(c.effect, c.location) for c in mates), ranking, text)
     found = Diagnosis(
         binding.chain.mechanism.name, binding.dataset.name, binding.dataset.sha256, seed, residual.name, findings, which,
@@ -250,15 +276,15 @@ def _before(binding: Binding, nominal: Hypothesis) -> tuple[np.ndarray, str]:
     return theta, ""
 
 
-def _effect_estimates(binding: Binding, h: Hypothesis) -> tuple[EffectEstimate, ...]:
+def _effect_estimates(binding: Binding, h: Hypothesis, named: Sequence[Candidate]) -> tuple[EffectEstimate, ...]:
     from jaxid.estimation import estimates
 
-    if not h.effects:
+    if not named:
         return ()
     cov = covariance(h.path.problem, h.path.z)
     found = estimates(binding, h.path.problem, h.path.z, cov)
     return tuple(
-        EffectEstimate(c.effect, c.location, {binding.layout.entries[i].field: found[i] for i in c.index}) for c in h.effects
+        EffectEstimate(c.effect, c.location, {binding.layout.entries[i].field: found[i] for i in c.index}) for c in named
     )
 
 

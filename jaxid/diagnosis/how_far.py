@@ -8,6 +8,7 @@ from jaxid.diagnosis.evidence import held_out, HeldOut, memory
 from jaxid.estimation import Bench
 from jaxid.residual import InverseDynamics, Residual
 from jaxid.results import ChannelGap, HowFar
+from jaxid.samples import columns
 
 
 #: An interval needs at least this many independent blocks.
@@ -26,21 +27,27 @@ def measure(
     verdict: str,
     seed: int,
     note: str,
+    alike: Bench,
 ) -> HowFar:
     """Gaps of three parameter vectors on the report runs: as stated, re-tuned without the effect, with the effect; of the free
-    run, or of the torque where that is what was compared."""
+    run, or of the torque where that is what was compared. `alike` is the bench on which all readings count alike, before it is
+    known that their time stamps scatter; else `bench` itself."""
     b = bench.binding
     split = "report" if b.experiments("report") else "validation"
     by_torque = isinstance(residual, InverseDynamics)
-    runs = held_out(bench, split, [before, retuned, after], residual if by_torque else None)
+    stated = held_out(alike, split, [before, retuned, after], residual if by_torque else None)
+    runs = stated if alike is bench else [*stated[:2], *held_out(bench, split, [after])]
     gaps = [r.gap for r in runs]
     per_channel = {}
     compared = bench.runs(residual, split) if by_torque else None
+    rms = lambda parts: float(np.sqrt(np.mean(np.concatenate(parts) ** 2)))
+    _, iy = columns(b.dataset, b.chain)
     for c, (name, unit) in enumerate(compared.channels if compared else b.chain.signature.outputs):
         sigma = float(compared.noise[c] if compared else b.sigma[c])
-        rmse = [sigma * float(np.sqrt(np.mean(np.concatenate([r[:, c] for r in run.residual]) ** 2))) for run in runs]
+        rmse = [sigma * rms([r[:, c] for r in run.residual]) for run in stated]
         source = "scatter of neighbouring samples" if compared else b.noise[name].source
-        per_channel[name] = ChannelGap(unit, rmse[0], rmse[1], rmse[2], sigma if compared else b.noise[name].std, source)
+        floor = sigma if alike is bench else rms([e.noise(b.sigma, iy)[:, c] for e in b.experiments(split)])
+        per_channel[name] = ChannelGap(unit, rmse[0], rmse[1], rmse[2], floor, source)
     shrinkage = interval = None
     reason = ""
     if verdict == "none":

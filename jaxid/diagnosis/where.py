@@ -59,8 +59,9 @@ def missing_forces(bench: Bench, theta: np.ndarray, starts: np.ndarray | None, s
     for _ in range(draws if simulated else 0):
         motion = []
         for e, y in zip(experiments, simulated, strict=True):
-            noisy = y + b.sigma * rng.standard_normal(y.shape)
-            motion.append(_differentiated(e, noisy, b.sigma, [e.y[:, i] for i in iy]))
+            noise = e.noise(b.sigma, iy)
+            noisy = y + noise * rng.standard_normal(y.shape)
+            motion.append(_differentiated(e, noisy, np.sqrt(np.mean(noise**2, 0)), [e.y[:, i] for i in iy]))
         for k, p in enumerate(_torque(problem, theta, motion)):
             nulls[k].append(-p)
     out = []
