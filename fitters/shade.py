@@ -9,7 +9,7 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float
 
 from jaxid.fitter import AbstractPopulation
-from jaxid.fitters.de import extent
+from jaxid.fitters.de import binomial, extent
 
 
 class State(NamedTuple):
@@ -66,9 +66,8 @@ class Shade(AbstractPopulation):
         F = state.F[:, None]
         v = x + F * (best - x) + F * (x[a] - both[b])
         v = jnp.where(v < lower, (x + lower) / 2, jnp.where(v > upper, (x + upper) / 2, v))
-        cross = jax.random.uniform(k_cross, (pop, dim), jnp.float32) < state.CR[:, None]
-        cross |= jnp.arange(dim) == jax.random.randint(k_forced, (pop, 1), 0, dim)
-        return jnp.where(cross, v, x)
+        forced = jax.random.uniform(k_forced, (pop, 1), jnp.float32)
+        return jnp.where(binomial(k_cross, (pop, dim), state.CR[:, None], forced), v, x)
 
     def tell(self, state, candidates, losses):
         better, gain = losses <= state.losses, state.losses - losses

@@ -74,6 +74,8 @@ class Effect(eqx.Module):
     stage: ClassVar[int] = 1
     #: Whether its torque at one joint depends on the speed of another.
     couples: ClassVar[bool] = False
+    #: What it is a law of, where the name of its file does not say: laws of a family at one place stand in for each other.
+    family: ClassVar[str] = ""
     #: At which of its places it makes sense on a mechanism; None: at all.
     offered: ClassVar[Callable[[Mechanism, Signature], tuple[str, ...]] | None] = None
 
@@ -101,6 +103,10 @@ class JointEffect(Effect):
     """At the joint: (signals, state) -> smooth opposing torque, dry levels (minus, plus) >= 0, state."""
 
     location: ClassVar[str] = "joint"
+
+    #: Start values (field -> number) read off the force that a measured motion (q, qd, force, each [samples]) lacks at its joint;
+    #: None: the probes are start enough.
+    read_off: ClassVar[Callable[[np.ndarray, np.ndarray, np.ndarray], dict[str, float]] | None] = None
 
     @abc.abstractmethod
     def __call__(self, s: Signals, z: Any) -> tuple[Any, Any, Any, Any]: ...

@@ -128,14 +128,33 @@ def probes(binding: Binding, effect: Effect, place: str, theta: np.ndarray) -> l
     return out
 
 
+def read_off(binding: Binding, p: Problem, z: np.ndarray, effect: Effect, place: str) -> list[np.ndarray]:
+    """Parameter vectors with an effect as the missing force of a problem of torques shows it; none where it is not read off."""
+    b, read = binding, getattr(effect, "read_off", None)
+    if read is None:
+        return []
+    joint, parts = b.chain.places(effect).index(place), []
+    for number, missing in zip(p.records, p.predictions(z), strict=True):
+        record = p.runs.record(number)
+        e = p.runs.experiments[record.experiment]
+        at = record.samples - record.first
+        parts.append(np.stack([b.motions[e.name].q[at, joint], b.motions[e.name].qd[at, joint], -missing[:, joint]]))
+    theta = p.theta(z)
+    for name, value in read(*np.concatenate(parts, 1)).items():
+        i = next(k for k in b.layout.of_effect(effect.name, place) if b.layout.entries[k].field == name)
+        theta[i] = np.clip(value, b.lower[i], b.upper[i])
+    return [theta]
+
+
 def probe_starts(bench: Bench, problem: Problem, theta: np.ndarray, keep: int = 4) -> list[np.ndarray]:
     """Starts for added effects: the best of their probes, and what the torque residual makes of them all (free of the free run's
     local minima). At the neutral value many effects have no derivative."""
-    b, found = bench.binding, []
+    b, added, found = bench.binding, [], []
     for effect in b.chain.effects:
         for place in b.chain.places(effect):
             index = b.layout.of_effect(effect.name, place)
             if set(index) & set(problem.free) and not set(index) & b.nominal:
+                added.append((effect, place))
                 found += probes(b, effect, place, theta)
     if not found or not isinstance(problem.runs.engine, Engine):
         return []
@@ -151,6 +170,10 @@ def probe_starts(bench: Bench, problem: Problem, theta: np.ndarray, keep: int = 
     if not b.motions or b.chain.mechanism.hidden_states or not b.dataset.split("fit"):
         return best
     torque = bench.problem(InverseDynamics(decimate=1), "fit", problem.free, theta)
+    if any(getattr(effect, "read_off", None) for effect, _ in added):
+        without = bench.problem(InverseDynamics(decimate=1), "fit", [i for i in problem.free if i in b.nominal], theta)
+        z = descend([(without, without.z(theta))], 15, 1e-7)[0].z
+        found = [*found, *(start for effect, place in added for start in read_off(b, without, z, effect, place))]
     paths = sorted(descend([(torque, torque.z(f)) for f in found], 15, 1e-7), key=lambda p: p.cost)
     return best + [torque.theta(p.z) for p in paths[:2] if np.isfinite(p.cost)]
 

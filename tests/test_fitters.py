@@ -427,3 +427,20 @@ def test_a_step_lowers_the_model_within_bounds(seed, size, flat):
     held = ((z <= -1) & (path.gradient > 0)) | ((z >= 1) & (path.gradient < 0))
     assert np.all(np.abs(z + dz) <= 1)
     assert -(path.gradient @ dz + dz @ path.hessian @ dz / 2) > 0 or np.all(held | (np.abs(path.gradient) < 1e-12))
+
+
+def test_words_of_a_crossover_are_even_and_unrelated():
+    """Every bit is set half the time; no bit tells of its neighbours, of the next member or of the next generation's."""
+    from jaxid.fitters.de import words
+
+    keys = jax.random.split(jax.random.key(5), 40)
+    drawn = np.asarray(jax.vmap(lambda k: words(k, (100, 16)))(keys))
+    bits = (drawn[..., None] >> np.arange(32, dtype=np.uint32)) & 1
+    signs = 2.0 * bits - 1
+    assert np.abs(signs.mean((0, 1, 2))).max() < 5 / np.sqrt(drawn.size)
+    for axis in range(3):
+        both = signs * np.roll(signs, 1, axis)
+        assert np.abs(both.mean((0, 1, 2))).max() < 5 / np.sqrt(drawn.size)
+    coins = np.asarray(drawn < np.uint32(2**31)).reshape(40, -1)
+    assert np.abs(np.corrcoef(coins) - np.eye(40)).max() < 5.5 / np.sqrt(coins.shape[1])
+    assert len(np.unique(drawn)) > 0.9999 * drawn.size

@@ -9,8 +9,9 @@ import numpy as np
 
 from jaxid.chain import Effect
 from jaxid.diagnosis.evidence import HeldOut
-from jaxid.estimation import Bench, probes
+from jaxid.estimation import Bench, probes, read_off
 from jaxid.fitters import Path
+from jaxid.problem import Problem
 
 
 @dataclass(frozen=True)
@@ -89,6 +90,17 @@ def key_of(effects: Sequence[Candidate]) -> frozenset[str]:
 
 def effect_of(bench: Bench, c: Candidate) -> Effect:
     return next(e for e in bench.binding.chain.effects if e.name == c.effect)
+
+
+def family_of(bench: Bench, c: Candidate) -> str:
+    """What the effect is a law of."""
+    effect = effect_of(bench, c)
+    return effect.family or type(effect).__module__.rpartition(".")[2]
+
+
+def read_off_of(bench: Bench, p: Problem, z: np.ndarray, c: Candidate) -> list[np.ndarray]:
+    """Parameter vectors with a candidate as the missing force of a problem of torques shows it."""
+    return read_off(bench.binding, p, z, effect_of(bench, c), c.location)
 
 
 def probes_of(bench: Bench, c: Candidate, theta: np.ndarray) -> list[np.ndarray]:

@@ -7,7 +7,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from jaxid.diagnosis.hypothesis import Candidate, effect_of, Hypothesis, probes_of, sensible
+from jaxid.diagnosis.hypothesis import Candidate, family_of, Hypothesis, probes_of, sensible
 from jaxid.estimation import Bench
 
 
@@ -39,8 +39,8 @@ def plain_pairs(bench: Bench, c: Candidate, pool: Sequence[Candidate], theta: np
     use beside a viscous term that stands in for both, look like friction that remembers. `theta` is the nominal model's."""
     if len(c.index) < 2:
         return []
-    kind = lambda e: type(effect_of(bench, e)).__module__
-    plain = [e for e in pool if e.location == c.location and len(e.index) == 1 and kind(e) == kind(c)]
+    own = family_of(bench, c)
+    plain = [e for e in pool if e.location == c.location and len(e.index) == 1 and family_of(bench, e) == own]
     sets: list[Proposal] = []
     for a, b in itertools.combinations(plain, 2):
         if sensible((a, b)):

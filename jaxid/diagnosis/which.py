@@ -13,7 +13,7 @@ from dataclasses import replace
 import numpy as np
 
 from jaxid.diagnosis.evidence import held_out, inflation, knowledge, memory, worth
-from jaxid.diagnosis.hypothesis import Candidate, effect_of, Hypothesis, key_of, Search, sensible
+from jaxid.diagnosis.hypothesis import Candidate, effect_of, family_of, Hypothesis, key_of, read_off_of, Search, sensible
 from jaxid.diagnosis.proposals import at_all_joints, least_missed, pairs, plain_pairs
 from jaxid.diagnosis.screen import probe_residuals, Screened, screened
 from jaxid.diagnosis.undetermined import brought_back
@@ -165,7 +165,10 @@ class Searcher:
             return []
         p = self.bench.problem(InverseDynamics(decimate=1), "fit", h.path.problem.free, h.theta)
         path = descend([(p, p.z(h.theta))], 12, 1e-6)[0]
-        return screened(self.bench, p, path.z, p.theta(path.z), pool) if np.isfinite(path.cost) else []
+        if not np.isfinite(path.cost):
+            return []
+        found = screened(self.bench, p, path.z, p.theta(path.z), pool)
+        return [(share, c, [*read_off_of(self.bench, p, path.z, c), *starts]) for share, c, starts in found]
 
     # ---- search
 
@@ -326,7 +329,8 @@ class Searcher:
         kept = [*first, *others][: 2 * MAXIMUM if blind else MAXIMUM]
         if self.progress:
             self.progress("refit", len(h.effects), 3, f"{len(kept)} candidates")
-        return self.refit([((*h.effects, c), starts) for _, c, starts in kept])
+        best = {str(c): starts[:1] for _, c, starts in by_torque}  # the second start: the torque's answer to which probe is right
+        return self.refit([((*h.effects, c), [*s[:1], *best.get(str(c), []), *s[1:]]) for _, c, s in kept])
 
     def _evidence(self, before: Hypothesis, after: Hypothesis) -> tuple[float, float]:
         """Evidence for `after` in chi-square units: from the fit runs, and from the validation runs."""
@@ -375,7 +379,7 @@ class Searcher:
         """Whether `h` has a law of fewer numbers in the same place, of the same kind or where the larger law ended at a bound
         (as another one's limit), and leaves next to nothing more."""
         place = lambda h: (h.effects[-1].location, h.effects[:-1])
-        kind = lambda h: type(effect_of(self.bench, h.effects[-1])).__module__
+        kind = lambda h: family_of(self.bench, h.effects[-1])
         p = top.path.problem
         own = np.flatnonzero(np.isin(p.free, top.effects[-1].index))
         at_bound = np.any((top.path.z[own] <= p.lower[own]) | (top.path.z[own] >= p.upper[own]))

@@ -5,6 +5,7 @@ from __future__ import annotations
 from typing import ClassVar
 
 import jax.numpy as jnp
+import numpy as np
 from jaxtyping import Array
 
 from jaxid.arithmetic import sincos
@@ -232,6 +233,25 @@ class TorqueRipple(JointEffect):
         for periods in (1.0, 1.4, 2.0, 2.8, 4.0, 5.5, 8.0, 11.0, 16.0, 23.0)
         for amplitude in ("sine", "cosine")
     )
+
+    @staticmethod
+    def read_off(q, qd, force):
+        """The order whose sine and cosine explain most of the missing force, up to 64 periods on the travel."""
+        travel = float(np.ptp(q))
+        if travel <= 0:
+            return {}
+        places = q - q.min()
+        orders = 2 * np.pi / travel * np.arange(1.0, 64.0, 0.25)
+        best, found = 0.0, {}
+        for order in orders:
+            X = np.stack([np.sin(order * places), np.cos(order * places), np.ones_like(places)], 1)
+            amplitudes = np.linalg.lstsq(X, force - force.mean(), rcond=None)[0]
+            explained = float(np.sum((X @ amplitudes) ** 2))
+            if explained > best:
+                turned = amplitudes[0] + 1j * amplitudes[1]
+                turned *= np.exp(-1j * order * q.min())
+                best, found = explained, {"sine": turned.real, "cosine": turned.imag, "order": float(order)}
+        return found
 
     def start(self, q):
         return ()

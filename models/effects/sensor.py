@@ -112,11 +112,11 @@ class TimestampJitter(RecordEffect):
     """Time stamps that scatter around the true instants.
 
     What it does to a reading's mean is second order; mostly it is noise that grows with speed, of standard deviation
-    `spread` |dy/dt|.
+    `spread` |dy/dt|. A fit and a diagnosis read the spread off the recording itself where that shows it (`time_stamps`).
     """
 
     name: ClassVar[str] = "timestamp_jitter"
-    equation: ClassVar[str] = "y -> E y(t + e) = y + spread^2 / 2 d2y/dt2,  e normal with standard deviation spread"
+    equation: ClassVar[str] = "y -> y(t + e), e normal: mean y + spread^2 / 2 d2y/dt2, noise spread |dy/dt| beside the sensor's"
     signature: ClassVar[str] = "white residuals whose variance grows with the square of speed"
     source: ClassVar[str] = "second-order expansion"
     excitation: ClassVar[str] = "the same motion slowly and fast, with a hardware clock beside the recorder's"
