@@ -25,7 +25,6 @@ from jaxid.estimation import Bench, start_values
 from jaxid.fitters import descend
 from jaxid.objective import FunctionProblem
 from jaxid.residual import OutputError
-from jaxid.results import HowFar
 from reference import multisine
 
 
@@ -315,7 +314,7 @@ def test_a_run_that_diverges_is_held_against_no_other():
     r = [np.full((5, 1), 1e12), np.ones((5, 1))]
     slopes = [np.full((5, 1, 2), 1e12), np.ones((5, 1, 2))]
     for about in (np.full((1, 1), np.inf), np.eye(1)):
-        moved, price = shifted(r, slopes, about, [np.eye(1), np.eye(1)])
+        moved, price, _ = shifted(r, slopes, about, [np.eye(1), np.eye(1)])
         assert np.isfinite(price) and all(np.isfinite(m).all() for m in moved)
 
 
@@ -332,8 +331,7 @@ def test_a_run_that_diverges_is_held_against_no_other():
     ],
 )
 def test_report_data_withdraw_what_does_not_hold_on_them(retuned, after, verdict):
-    far = HowFar(retuned, retuned, after, 1.0, None, None, "", {}, "")
-    found, text = upheld("named", "The model lacks drag.", far)
+    found, text = upheld("named", "The model lacks drag.", retuned, after)
     assert found == verdict and text.startswith("The model lacks drag.")
 
 

@@ -7,14 +7,18 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from jaxid.diagnosis.hypothesis import Candidate, family_of, Hypothesis, probes_of, sensible
+from jaxid.diagnosis.hypothesis import Candidate, effect_of, family_of, Hypothesis, probes_of, sensible
 from jaxid.estimation import Bench
+from jaxid.fitters import descend
+from jaxid.residual import InverseDynamics
 
 
 #: Pairs are made of so many of the best single effects.
 PAIRED = 4
 #: By torque: kinds of effects tried at all joints at once, and effects whose removal is tried.
 SPREAD = 4
+#: So many of the starts also with the numbers of the model as the user gave them.
+GIVEN = 1
 
 Proposal = tuple[tuple[Candidate, ...], Sequence[np.ndarray]]
 
@@ -47,6 +51,45 @@ def plain_pairs(bench: Bench, c: Candidate, pool: Sequence[Candidate], theta: np
             both = [probes_of(bench, b, start) for start in probes_of(bench, a, theta)]
             sets.append(((a, b), [start for starts in both for start in starts]))
     return sets
+
+
+def torque_starts(
+    bench: Bench, base_free: Sequence[int], sets: Sequence[Proposal], tells: bool
+) -> list[tuple[float, list[np.ndarray]]]:
+    """A start of each set from the torque residual of the measured motion, and its cost: biased by the noise of derivatives,
+    but free of the free run's local minima (where a nominal term stands in for two missing ones, a descent stays). No cost
+    where an effect is on the way of the command: a drive that delivers nothing leaves no torque unexplained. `tells`: whether
+    there is such a residual."""
+    if not tells:
+        return [(np.inf, []) for _ in sets]
+    jobs, owners = [], []
+    for k, (effects, thetas) in enumerate(sets):
+        index = [i for c in effects for i in c.index]
+        own = lambda theta, index=index: tuple(theta[index])
+        p = bench.problem(InverseDynamics(decimate=1), "fit", [*base_free, *index], thetas[0])
+        for theta in list({own(t): t for t in reversed(thetas)}.values())[-2:]:
+            jobs.append((p, p.z(theta)))
+            owners.append(k)
+    paths = descend(jobs, 6, 1e-3)
+    out: list[tuple[float, list[np.ndarray]]] = []
+    for k, (effects, _) in enumerate(sets):
+        best = min((p for p, owner in zip(paths, owners, strict=True) if owner == k), key=lambda p: p.cost)
+        comparable = all(effect_of(bench, c).location == "joint" for c in effects)
+        found = [best.problem.theta(best.z)] if np.isfinite(best.cost) else []
+        out.append((best.cost if comparable else np.inf, found))
+    return out
+
+
+def as_given(bench: Bench, effects: Sequence[Candidate], starts: Sequence[np.ndarray]) -> list[np.ndarray]:
+    """The first few starts with the model's own numbers as the user gave them: re-tuning has bent those to stand in for what is
+    missing, and the way back may be long."""
+    out = []
+    for start in starts[:GIVEN]:
+        theta = bench.binding.theta.copy()
+        for c in effects:
+            theta[list(c.index)] = start[list(c.index)]
+        out.append(theta)
+    return out
 
 
 def at_all_joints(bench: Bench, found: Sequence[Hypothesis], pool: Sequence[Candidate]) -> list[Proposal]:

@@ -14,7 +14,7 @@ import numpy as np
 
 from jaxid.diagnosis.evidence import held_out, inflation, knowledge, memory, worth
 from jaxid.diagnosis.hypothesis import Candidate, effect_of, family_of, Hypothesis, key_of, read_off_of, Search, sensible
-from jaxid.diagnosis.proposals import at_all_joints, least_missed, pairs, plain_pairs
+from jaxid.diagnosis.proposals import as_given, at_all_joints, least_missed, pairs, plain_pairs, torque_starts
 from jaxid.diagnosis.screen import probe_residuals, Screened, screened
 from jaxid.diagnosis.undetermined import brought_back
 from jaxid.estimation import Bench, estimate_starts
@@ -53,6 +53,9 @@ THOROUGH, BRIEF = (20, 1e-8), (6, 1e-5)
 FAR = 10.0
 #: A hypothesis was in a local minimum if less than this share is left from where a richer one ended.
 FREED = 0.5
+#: What leaves at most so many times what the best of a batch leaves of the fit runs, and the noise, is followed on validation
+#: runs.
+CLOSE, NEAR = 1.5, 3.0
 #: Residuals of fit runs at the noise, and white: their sums of squares count as they are.
 WHITE = 1.5
 
@@ -75,7 +78,11 @@ class Searcher:
 
     def _hypotheses(self, found: Sequence[tuple[tuple[Candidate, ...], Path]]) -> list[Hypothesis]:
         thetas = [path.problem.theta(path.z) for _, path in found]
-        validations = held_out(self.bench, "validation", thetas, self.residual, [knowledge(path) for _, path in found])
+        # Only what fits as well as the best, and almost down to the noise, may turn out to be right elsewhere.
+        losses = [path.cost / max(1, path.count) for _, path in found]
+        follow = [loss <= min(CLOSE * min(losses), NEAR) for loss in losses]
+        told = [knowledge(path) for _, path in found]
+        validations = held_out(self.bench, "validation", thetas, self.residual, told, follow)
         return [Hypothesis(e, t, p, v) for (e, p), t, v in zip(found, thetas, validations, strict=True)]
 
     def problem(self, effects: Sequence[Candidate], theta: np.ndarray) -> Problem:
@@ -88,7 +95,7 @@ class Searcher:
             return []
         starts = self.nominal.path.problem.starts(self.nominal.path.z)
         sets = self._promising(sets)
-        groups, by_torque = [], self._torque_starts(sets)
+        groups, by_torque = [], torque_starts(self.bench, self.base_free, sets, self._torque_tells)
         for (effects, thetas), (_, more) in zip(sets, by_torque, strict=True):
             p = self.problem(effects, thetas[0])
             groups.append(
@@ -126,31 +133,6 @@ class Searcher:
         """Whether the torque of the measured motion says something beside the residual."""
         b = self.bench.binding
         return bool(b.motions) and not b.chain.mechanism.hidden_states and not self.by_torque
-
-    def _torque_starts(
-        self, sets: Sequence[tuple[tuple[Candidate, ...], Sequence[np.ndarray]]]
-    ) -> list[tuple[float, list[np.ndarray]]]:
-        """A start of each set from the torque residual of the measured motion, and its cost: biased by the noise of derivatives,
-        but free of the free run's local minima (where a nominal term stands in for two missing ones, a descent stays). No cost
-        where an effect is on the way of the command: a drive that delivers nothing leaves no torque unexplained."""
-        if not self._torque_tells:
-            return [(np.inf, []) for _ in sets]
-        jobs, owners = [], []
-        for k, (effects, thetas) in enumerate(sets):
-            index = [i for c in effects for i in c.index]
-            own = lambda theta, index=index: tuple(theta[index])
-            p = self.bench.problem(InverseDynamics(decimate=1), "fit", self.base_free + index, thetas[0])
-            for theta in list({own(t): t for t in reversed(thetas)}.values())[-2:]:
-                jobs.append((p, p.z(theta)))
-                owners.append(k)
-        paths = descend(jobs, 6, 1e-3)
-        out: list[tuple[float, list[np.ndarray]]] = []
-        for k, (effects, _) in enumerate(sets):
-            best = min((p for p, owner in zip(paths, owners, strict=True) if owner == k), key=lambda p: p.cost)
-            comparable = all(effect_of(self.bench, c).location == "joint" for c in effects)
-            found = [best.problem.theta(best.z)] if np.isfinite(best.cost) else []
-            out.append((best.cost if comparable else np.inf, found))
-        return out
 
     # ---- screen
 
@@ -212,8 +194,19 @@ class Searcher:
         if chosen.effects and not self._significant(self.nominal, chosen):  # a pair that came down to one
             chosen = self.nominal
         mates = self._mates(chosen, pool)
-        chosen = self._settled(chosen)
+        chosen = self._taught(self._settled(chosen))
+        self.nominal = self._taught(self.nominal) if chosen.effects else chosen
         return Search(self.nominal, chosen, tried, mates)
+
+    def _taught(self, h: Hypothesis) -> Hypothesis:
+        """What the fit runs leave open, as the validation runs have it."""
+        if h.validation.theta is None or self.by_torque:
+            return h
+        path = brought_back([h.path], h.validation.theta, h.path.problem.free)[0]
+        if path is h.path:
+            return h
+        after = self._hypotheses([(h.effects, path)])[0]
+        return after if after.validation.loss < h.validation.loss * ALIKE else h
 
     def _named(self, h: Hypothesis) -> int:
         """How many effects a hypothesis names; by torque one at several joints counts once."""
@@ -329,8 +322,9 @@ class Searcher:
         kept = [*first, *others][: 2 * MAXIMUM if blind else MAXIMUM]
         if self.progress:
             self.progress("refit", len(h.effects), 3, f"{len(kept)} candidates")
-        best = {str(c): starts[:1] for _, c, starts in by_torque}  # the second start: the torque's answer to which probe is right
-        return self.refit([((*h.effects, c), [*s[:1], *best.get(str(c), []), *s[1:]]) for _, c, s in kept])
+        best = {str(c): starts[:1] for _, c, starts in by_torque}  # second comes the torque's answer to which probe is right
+        wider = lambda c, s: [*s[:1], *best.get(str(c), []), *s[1:], *as_given(self.bench, (*h.effects, c), s)]
+        return self.refit([((*h.effects, c), wider(c, starts)) for _, c, starts in kept])
 
     def _evidence(self, before: Hypothesis, after: Hypothesis) -> tuple[float, float]:
         """Evidence for `after` in chi-square units: from the fit runs, and from the validation runs."""
