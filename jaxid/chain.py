@@ -76,6 +76,8 @@ class Effect(eqx.Module):
     couples: ClassVar[bool] = False
     #: What it is a law of, where the name of its file does not say: laws of a family at one place stand in for each other.
     family: ClassVar[str] = ""
+    #: Effects that it may equal at some strength on some mechanism, however different they begin: one is compared with the other.
+    resembles: ClassVar[tuple[str, ...]] = ()
     #: At which of its places it makes sense on a mechanism; None: at all.
     offered: ClassVar[Callable[[Mechanism, Signature], tuple[str, ...]] | None] = None
 

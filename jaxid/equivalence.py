@@ -127,7 +127,8 @@ def equivalences(model: str, without: Sequence[str] = ()) -> Equivalences:
             absorbed.append(place)
         else:
             seen[place] = np.array(tangents), c
-    alike = {frozenset(pair) for pair in _parallel(seen) if all(_explains(bench, p, z, *order) for order in _orders(seen, pair))}
+    pairs = dict.fromkeys((*_parallel(seen), *_resembling(bench, seen)))
+    alike = {frozenset(pair) for pair in pairs if all(_explains(bench, p, z, *order) for order in _orders(seen, pair))}
     return Equivalences(model, text, tuple(absorbed), tuple(invisible), _classes(list(seen), alike))
 
 
@@ -139,6 +140,15 @@ def _parallel(seen: dict[Place, tuple[np.ndarray, Candidate]]) -> list[tuple[Pla
         if a.size and b.size and min((c := np.abs(a @ b.T)).max(1).min(), c.max(0).min()) > PARALLEL:
             out.append((first, second))
     return out
+
+
+def _resembling(bench: Bench, seen: dict[Place, tuple[np.ndarray, Candidate]]) -> list[tuple[Place, Place]]:
+    """Pairs that say of themselves that they may be alike when they are strong."""
+    others = {e.name: e.resembles for e in bench.binding.chain.effects}
+    pairs = itertools.combinations(seen, 2)
+    return [
+        (a, b) for a, b in pairs if a.location == b.location and (b.effect in others[a.effect] or a.effect in others[b.effect])
+    ]
 
 
 def _orders(seen: dict[Place, tuple[np.ndarray, Candidate]], pair: tuple[Place, Place]) -> list[tuple[Candidate, Candidate]]:

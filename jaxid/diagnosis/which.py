@@ -320,6 +320,9 @@ class Searcher:
         first = [f for f in ranked if f[1].effect in TIMING and not h.effects]
         others = [f for f in (*kept, *(table[n] for n in more if n in table and n not in names)) if f not in first]
         kept = [*first, *others][: 2 * MAXIMUM if blind else MAXIMUM]
+        names = {str(c) for _, c, _ in kept}
+        alike = [f"{n} at {c.location}" for _, c, _ in kept for n in effect_of(self.bench, c).resembles]
+        kept += [table[n] for n in dict.fromkeys(alike) if n in table and n not in names]
         if self.progress:
             self.progress("refit", len(h.effects), 3, f"{len(kept)} candidates")
         best = {str(c): starts[:1] for _, c, starts in by_torque}  # second comes the torque's answer to which probe is right

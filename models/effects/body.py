@@ -126,6 +126,7 @@ class FlexibleMode(JointEffect):
     """A mass that swings on the joint by a spring: a flexible link or frame, seen from the motor."""
 
     name: ClassVar[str] = "flexible_mode"
+    resembles: ClassVar[tuple[str, ...]] = ("joint_elasticity",)
     equation: ClassVar[str] = (
         "f = inertia p'';  p'' = w^2 (q - p) + 2 damping_ratio w (qd - p'),  p the mass's position, w = 2 pi frequency"
     )

@@ -20,6 +20,7 @@ class JointElasticity(BodyEffect):
     """
 
     name: ClassVar[str] = "joint_elasticity"
+    resembles: ClassVar[tuple[str, ...]] = ("flexible_mode",)
     stage: ClassVar[int] = 2
     equation: ClassVar[str] = (
         "t = gap / compliance + damping d(gap)/dt,  gap = q_motor - q_link,  motor_share J qdd_motor = u - f - t"
