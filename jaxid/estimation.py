@@ -44,9 +44,9 @@ class Bench:
         self._rows = self._largest({e.name: len(e.t) for e in self.binding.dataset.experiments})
 
     def _largest(self, steps: dict[str, int]) -> tuple[int, int]:
-        """Steps of the largest split, and of the longest experiment."""
-        totals = [sum(steps[e.name] for e in self.binding.experiments(s)) for s in ("fit", "validation", "report")]
-        return max(totals), max(steps.values(), default=0)
+        """Steps of the fit runs and a split beside them, and of the longest experiment."""
+        fit, *others = (sum(steps[e.name] for e in self.binding.experiments(s)) for s in ("fit", "validation", "report"))
+        return fit + max(others), max(steps.values(), default=0)
 
     def runs(self, residual: Residual, split: str) -> Runs:
         key = (repr(residual), split)
@@ -81,8 +81,21 @@ class Bench:
         b = self.binding
         runs = self.runs(residual, split)
         p = Problem(runs, theta, free, b.lower, b.upper, records, loss, b.scale, self.differences)
-        defect = self.defects.get((repr(residual), split))
+        defect = self._defect(residual, split)
         return p if defect is None else p.with_targets(runs.targets - defect)
+
+    def _defect(self, residual: Residual, split: str) -> np.ndarray | None:
+        parts = [self.defects.get((repr(residual), name)) for name in split.split("+")]
+        if len(parts) == 1 or all(part is None for part in parts):
+            return parts[0]
+        runs = self.runs(residual, split)
+        out, numbers = np.zeros_like(runs.targets), iter(runs.records)
+        for name, part in zip(split.split("+"), parts, strict=True):
+            own = self.runs(residual, name)
+            for number in own.records:
+                at = runs.record(next(numbers)).samples
+                out[at] = 0.0 if part is None else part[own.record(number).samples]
+        return out
 
     def compile_time(self) -> float:
         return sum(r.engine.compile_time_s for r in self._runs.values())

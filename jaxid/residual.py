@@ -72,8 +72,8 @@ class Residual(abc.ABC):
     name: ClassVar[str]
 
     def select(self, dataset: Dataset, split: str) -> tuple[Experiment, ...]:
-        """The runs of a split that it looks at."""
-        return dataset.split(split)
+        """The runs of a split, or of several ("fit+validation"), that it looks at."""
+        return tuple(e for name in split.split("+") for e in dataset.split(name))
 
     @abc.abstractmethod
     def runs(

@@ -16,7 +16,7 @@ import jaxid
 from jaxid import catalogue
 from jaxid.binding import bind
 from jaxid.diagnosis import growth, upheld
-from jaxid.diagnosis.evidence import HeldOut, inflation, memory, shifted
+from jaxid.diagnosis.evidence import held_out, HeldOut, inflation, knowledge, memory, shifted
 from jaxid.diagnosis.how_far import bootstrap, shrink
 from jaxid.diagnosis.hypothesis import candidates
 from jaxid.diagnosis.undetermined import brought_back
@@ -314,7 +314,7 @@ def test_a_run_that_diverges_is_held_against_no_other():
     r = [np.full((5, 1), 1e12), np.ones((5, 1))]
     slopes = [np.full((5, 1, 2), 1e12), np.ones((5, 1, 2))]
     for about in (np.full((1, 1), np.inf), np.eye(1)):
-        moved, price, _ = shifted(r, slopes, about, [np.eye(1), np.eye(1)])
+        moved, price = shifted(r, slopes, about, [np.eye(1), np.eye(1)])
         assert np.isfinite(price) and all(np.isfinite(m).all() for m in moved)
 
 
@@ -364,6 +364,31 @@ def test_what_the_data_leave_open_stays_where_the_user_put_it():
     assert np.allclose(found.z, [0.5, 0.5, 0.3], atol=1e-3) and found.cost <= astray.cost + 1e-3
     determined = descend([(Named(lambda z: 1e3 * (z - 0.2), [-5.0] * 3, [5.0] * 3), np.ones(3))], 20, 1e-9)
     assert brought_back(determined, np.zeros(3), [0, 1, 2])[0] is determined[0]
+
+
+def test_held_out_runs_tell_what_the_fit_runs_leave_open():
+    """A limit that the fit run does not reach: the validation run does, and says where it is."""
+    t = np.arange(800) / 200
+    u = [a * multisine(t, [0.4], seed=k, periods=2, lines=6)[:, 0] for k, a in enumerate((0.35, 1.0))]
+    plant = dataclasses.replace(twins.PLANTS["pendulum"], rate=200, noise=NOISE, resolution=0.0)
+    numbers = {k: np.tile(x, (2, 1)) for k, x in (plant.nominal | {"limit": np.array([0.3])}).items()}
+    y = twins.recorded(plant, np.array(u)[:, :, None], numbers, np.random.default_rng(3))
+    data = jaxid.Dataset.from_arrays(
+        [t] * 2, {"tau": u}, {"q": list(y[:, :, 0])}, units={"tau": "N m", "q": "rad"}, split=["fit", "validation"],
+        at_rest=True, noise_std={"q": NOISE}, model="pendulum",
+    )  # fmt: skip
+    assert np.abs(u[0]).max() < 0.3 < np.abs(u[1]).max()
+    bench = Bench(bind("pendulum", data, effects=["saturation"]), 1.25e-3)
+    (limit,) = bench.binding.layout.of_effect("saturation")
+    theta = start_values(bench, bench.binding.free, 0)[0]
+    theta[limit] = 0.39  # anywhere above the fit run's command
+    p = bench.problem(OutputError(), "fit", bench.binding.free, theta)
+    path = descend([(p, p.z(theta))], 30, 1e-8)[0]
+    assert 2 * path.cost / path.count < 1.2
+    told, theta = [knowledge(path)], p.theta(path.z)
+    first, followed = (held_out(bench, "validation", [theta], None, told, follow)[0] for follow in (None, [path]))
+    assert first.gap > 5 and followed.gap == first.gap  # the prediction is what it is
+    assert followed.loss < 1.2 and followed.theta is not None and abs(followed.theta[limit] - 0.3) < 2e-3
 
 
 def test_a_model_in_a_local_minimum_is_freed_by_a_richer_one():

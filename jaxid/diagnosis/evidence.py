@@ -9,15 +9,15 @@ import numpy as np
 
 from jaxid.estimation import Bench, scored, starts_and_information
 from jaxid.fitters import descend, Path
-from jaxid.problem import Problem, rows
+from jaxid.problem import rows
 from jaxid.residual import OutputError, Residual
 
 
 #: A start may be moved by so many of its own standard deviations to take its uncertainty out of a comparison.
 PLAUSIBLE = 3.0
-#: A model goes as far as the data of a split lead it in so many steps, while each promises so large a share of what is left, and
-#: more than so many times the noise (mean square) is.
-PASSES, WORTH, NEAR_FLOOR = 4, 0.2, 1.1
+#: A model that leaves more than so many times the noise (mean square) is refitted to the fit runs and those of a split at once,
+#: in so many iterations.
+NEAR_FLOOR, TOGETHER = 1.1, 12
 
 
 @dataclass(frozen=True)
@@ -26,7 +26,7 @@ class HeldOut:
 
     `residual` [samples columns] in multiples of the noise, of the free run started from its first samples; `loss` the mean
     square after the own uncertainty of starts and parameters is taken out (a start from 20 noisy samples would else count as a
-    gap); `theta` the parameters that this split would have them be, within that uncertainty.
+    gap); `theta` its parameters where they were refitted to this split and the fit runs together.
     """
 
     residual: list[np.ndarray]
@@ -62,17 +62,18 @@ def held_out(
     thetas: Sequence[np.ndarray],
     residual: Residual | None = None,
     known: Sequence[Knowledge | None] | None = None,
-    follow: Sequence[bool] | None = None,
+    follow: Sequence[Path | None] | None = None,
 ) -> list[HeldOut]:
     """Each model on the runs of a split.
 
     Free run (default): starts from the first samples only, those samples left out of the score. Where `known` says how well the
     fit determines a model's numbers, what these uncertainties do to the prediction counts no more than they are likely (a free
-    run that is sensitive to its numbers would else tell nothing); to first order, and where `follow` says so as far as it
-    leads: what the fit leaves open may be far away. Windows: each window's start is fitted, and costs its degrees of freedom.
+    run that is sensitive to its numbers would else tell nothing), to first order. What the fit leaves open may be far away:
+    models whose fits are given to `follow` are refitted to both where they leave more than the noise. Windows: each window's
+    start is fitted, and costs its degrees of freedom.
     """
     if residual is None or isinstance(residual, OutputError):
-        return _free(bench, split, thetas, known or [None] * len(thetas), follow or [False] * len(thetas))
+        return _free(bench, split, thetas, known or [None] * len(thetas), follow or [None] * len(thetas))
     return _windows(bench, split, thetas, residual)
 
 
@@ -92,89 +93,68 @@ def _windows(bench: Bench, split: str, thetas: Sequence[np.ndarray], residual: R
 
 
 def _free(
-    bench: Bench, split: str, thetas: Sequence[np.ndarray], known: Sequence[Knowledge | None], follow: Sequence[bool]
+    bench: Bench,
+    split: str,
+    thetas: Sequence[np.ndarray],
+    known: Sequence[Knowledge | None],
+    follow: Sequence[Path | None],
 ) -> list[HeldOut]:
     runs = bench.runs(OutputError(), split)
     starts, from_heads = starts_and_information(bench, split, thetas)
-    keep = [scored(e, split) for e in runs.experiments]
-    models = []
+    jobs = []
     for k, theta in enumerate(thetas):
-        free, about = told if (told := known[k]) is not None else ([], np.zeros((0, 0)))
-        problems = [bench.problem(OutputError(), split, free, theta, [record]) for record in runs.records]
-        z = [np.clip(p.z(theta, starts[k, j][None]), p.lower, p.upper) for j, p in enumerate(problems)]
-        models.append(_Model(problems, z, about, from_heads[k]))
-    _look(models, keep)
-    first = [m.residual for m in models]
-    for _ in range(PASSES):
-        ahead = [m for m, follows in zip(models, follow, strict=True) if follows and m.far()]
-        _look(ahead, keep)
-    return [m.held(r) for m, r in zip(models, first, strict=True)]
+        free = [] if (told := known[k]) is None else told[0]
+        for j, record in enumerate(runs.records):
+            p = bench.problem(OutputError(), split, free, theta, [record])
+            jobs.append((p, np.clip(p.z(theta, starts[k, j][None]), p.lower, p.upper)))
+    out = []
+    parts = list(rows(jobs))
+    keep = [scored(e, split) for e in runs.experiments]
+    per = len(runs.records)
+    for k in range(len(thetas)):
+        about = np.zeros((0, 0)) if (told := known[k]) is None else told[1]
+        own = parts[k * per : (k + 1) * per]
+        residual = [_finite(part.r[inside]) for part, inside in zip(own, keep, strict=True)]
+        slopes = [np.clip(np.nan_to_num(part.J[inside]), -1e12, 1e12) for part, inside in zip(own, keep, strict=True)]
+        settled, price = shifted(residual, slopes, about, from_heads[k])
+        total = price + _squares(settled)
+        count = sum(r.size for r in residual)
+        out.append(HeldOut(residual, settled, total / max(count, 1), count))
+    far = {k: path for k, path in enumerate(follow) if path is not None and out[k].loss > NEAR_FLOOR}
+    for (k, path), end in zip(far.items(), _together(bench, split, list(far.values()), starts[list(far)]), strict=True):
+        residual = end.problem.residuals(end.z)
+        n = len(path.problem.records)
+        settled = [_finite(r[inside]) for r, inside in zip(residual[n:], keep, strict=True)]
+        price = max(0.0, _squares(residual[:n]) - 2 * path.cost)
+        loss = (price + _squares(settled)) / max(out[k].count, 1)
+        if loss < out[k].loss:
+            out[k] = HeldOut(out[k].residual, settled, loss, out[k].count, end.problem.theta(end.z))
+    return out
 
 
-def _look(models: Sequence[_Model], keep: Sequence[np.ndarray]) -> None:
-    """Residuals and slopes of the models where they are about to go."""
-    parts = iter(list(rows([(p, z) for m in models for p, z in zip(m.problems, m.next(), strict=True)])) if models else ())
-    for m in models:
-        own = [next(parts) for _ in m.problems]
-        m.seen(
-            [_finite(part.r[inside]) for part, inside in zip(own, keep, strict=True)],
-            [np.clip(np.nan_to_num(part.J[inside]), -1e12, 1e12) for part, inside in zip(own, keep, strict=True)],
-        )
+def _squares(residual: Sequence[np.ndarray]) -> float:
+    return float(sum(np.sum(r**2) for r in residual))
 
 
-class _Model:
-    """One model on the runs of a split, and how far it has gone from where its fit left it."""
-
-    def __init__(self, problems: list[Problem], z: list[np.ndarray], about: np.ndarray, starts: list[np.ndarray]):
-        self.problems, self.z, self.about, self.starts = problems, z, about, starts
-        self.gone = np.zeros(len(about) + sum(len(s) for s in starts))  # of `residual`
-        self.way, self.price, self.settled = self.gone, 0.0, []  # to first order from there
-        self.cost, self.ended = np.inf, False
-
-    def next(self) -> list[np.ndarray]:
-        n = len(self.about)
-        ends = n + np.cumsum([0, *(len(s) for s in self.starts)])
-        moved = [z + self.way[np.r_[0:n, a:b]] for z, a, b in zip(self.z, ends, ends[1:], strict=False)]
-        return [np.clip(z, p.lower, p.upper) for z, p in zip(moved, self.problems, strict=True)]
-
-    def seen(self, residual: list[np.ndarray], slopes: list[np.ndarray]) -> None:
-        """What was found there: taken if it is better."""
-        cost = self.price + sum(float(np.sum(r**2)) for r in residual)
-        if not cost < self.cost:
-            self.ended = self.cost < np.inf
-            if self.ended:
-                return
-        self.residual, self.gone, self.cost = residual, self.way, cost
-        self.settled, self.price, self.way = shifted(residual, slopes, self.about, self.starts, self.gone)
-
-    def total(self) -> float:
-        return self.price + sum(float(np.sum(r**2)) for r in self.settled)
-
-    def far(self) -> bool:
-        """Whether the first-order way is worth going, and something is left to gain."""
-        count, total = sum(r.size for r in self.residual), self.total()
-        return bool(len(self.about) and not self.ended and total > NEAR_FLOOR * count and self.cost - total > WORTH * total)
-
-    def held(self, residual: list[np.ndarray]) -> HeldOut:
-        count, p = sum(r.size for r in self.residual), self.problems[0]
-        return HeldOut(residual, self.settled, self.total() / max(count, 1), count, p.theta(self.next()[0]))
+def _together(bench: Bench, split: str, paths: Sequence[Path], starts: np.ndarray) -> list[Path]:
+    """Models refitted to the fit runs and to those of a split at once, from where their fits ended; `starts` of the latter."""
+    jobs = []
+    for path, own in zip(paths, starts, strict=True):
+        theta = path.problem.theta(path.z)
+        p = bench.problem(OutputError(), f"fit+{split}", path.problem.free, theta)
+        jobs.append((p, p.z(theta, np.concatenate([path.problem.starts(path.z), own]))))
+    return descend(jobs, TOGETHER, 1e-6) if jobs else []
 
 
 def shifted(
-    residual: list[np.ndarray],
-    slopes: list[np.ndarray],
-    about: np.ndarray,
-    starts: list[np.ndarray],
-    gone: np.ndarray | None = None,
-) -> tuple[list[np.ndarray], float, np.ndarray]:
+    residual: list[np.ndarray], slopes: list[np.ndarray], about: np.ndarray, starts: list[np.ndarray]
+) -> tuple[list[np.ndarray], float]:
     """Residuals after the shift of parameters (common) and starts (of each run) that is likeliest by these residuals and by what
-    was known before (J'J of the parameters and of each start), what the shift costs as a sum of squares, and the shift itself:
-    with what has `gone` before."""
+    was known before (J'J of the parameters and of each start), and what the shift costs as a sum of squares."""
     n = len(about)
     ends = n + np.cumsum([0, *(len(s) for s in starts)])
     prior = np.zeros((ends[-1], ends[-1]))
     prior[:n, :n] = about
-    gone = np.zeros(ends[-1]) if gone is None else gone
     G, g = np.zeros_like(prior), np.zeros(ends[-1])
     places = []
     for r, S, start, end, information in zip(residual, slopes, ends, ends[1:], starts, strict=False):
@@ -185,14 +165,13 @@ def shifted(
         G[np.ix_(at, at)] += S.T @ S
         g[at] += S.T @ r.ravel()
     if not g.size or not np.isfinite(G + prior).all():  # nothing is known of a run that diverges
-        return residual, 0.0, gone
+        return residual, 0.0
     size = np.sqrt(np.maximum(np.diag(G + prior), 1e-300))
-    shift = -np.linalg.lstsq((G + prior) / size / size[:, None], (g + prior @ gone) / size, rcond=1e-12)[0] / size
-    price = float((gone + shift) @ prior @ (gone + shift))
+    shift = -np.linalg.lstsq((G + prior) / size / size[:, None], g / size, rcond=1e-12)[0] / size
+    price = float(shift @ prior @ shift)
     share = min(1.0, PLAUSIBLE * np.sqrt(g.size / max(price, 1e-300)))  # nothing beyond what was measured
     moved = [r + (S @ (share * shift[at])).reshape(r.shape) for r, S, at in zip(residual, slopes, places, strict=True)]
-    way = gone + share * shift
-    return moved, float(way @ prior @ way), way
+    return moved, share**2 * price
 
 
 def _finite(r: np.ndarray) -> np.ndarray:

@@ -80,7 +80,7 @@ class Searcher:
         thetas = [path.problem.theta(path.z) for _, path in found]
         # Only what fits as well as the best, and almost down to the noise, may turn out to be right elsewhere.
         losses = [path.cost / max(1, path.count) for _, path in found]
-        follow = [loss <= min(CLOSE * min(losses), NEAR) for loss in losses]
+        follow = [p if loss <= min(CLOSE * min(losses), NEAR) else None for (_, p), loss in zip(found, losses, strict=True)]
         told = [knowledge(path) for _, path in found]
         validations = held_out(self.bench, "validation", thetas, self.residual, told, follow)
         return [Hypothesis(e, t, p, v) for (e, p), t, v in zip(found, thetas, validations, strict=True)]
