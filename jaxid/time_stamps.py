@@ -28,6 +28,7 @@ MOMENTS = (1.5, 4.0)
 #: Log-likelihood by which speed squared has to beat position, acceleration and time as the cause, and not to lose to speed.
 BETTER, LOSE = 4.0, 2.0
 FEWEST = 200  # samples
+EVEN = 1e-6  # steps that differ by less than this share of their median are one step
 
 
 @dataclass(frozen=True)
@@ -63,10 +64,11 @@ def _speed(t: np.ndarray, y: np.ndarray, noise: float) -> np.ndarray:
 def _differences(t: np.ndarray, y: np.ndarray, order: int) -> tuple[np.ndarray, np.ndarray]:
     """What no polynomial below `order` has of the samples, whatever their times [time - order], and the weights of the samples
     in it [time - order, order + 1]: of unit norm, so that white noise keeps its variance."""
-    at = np.lib.stride_tricks.sliding_window_view(t - t[0], order + 1)
-    apart = at[:, :, None] - at[:, None, :] + np.eye(order + 1) * np.median(np.diff(t))
-    weights = 1 / np.prod(apart / np.median(np.diff(t)), axis=2)
-    weights /= np.linalg.norm(weights, axis=1, keepdims=True)
+    step = np.diff(t)
+    even = np.ptp(step) < EVEN * np.median(step)
+    at = np.lib.stride_tricks.sliding_window_view((t - t[0]) / np.median(step), order + 1)[: 1 if even else None]
+    weights = 1 / np.prod(at[:, :, None] - at[:, None, :] + np.eye(order + 1), axis=2)
+    weights = np.broadcast_to(weights / np.linalg.norm(weights, axis=1, keepdims=True), (len(t) - order, order + 1))
     return np.sum(weights * np.lib.stride_tricks.sliding_window_view(y, order + 1), 1), weights
 
 
