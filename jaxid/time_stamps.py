@@ -23,10 +23,11 @@ from jaxid.signals import differentiate, filter_ends
 ORDERS, ALIKE = {3: 4.0, 5: 3.0}, 0.1
 #: Scatter counts from this share of the noise's variance on; of a quantised reading, at high speed, from so many times that.
 SEEN, STEPS = 0.1, 2.0
-#: Fourth moment of the standardised differences: 1.8 for an even spread, 3 for a normal one. More is bursts, not stamps.
-MOMENTS = (1.5, 4.0)
+#: Fourth moment of the standardised differences: 1.8 for an even spread, 3 for a normal one. More is bursts, not stamps; the more
+#: samples a difference has, the less well their speeds are known near reversals.
+MOMENTS = {3: (1.5, 4.0), 5: (1.5, 8.0)}
 #: Log-likelihood by which speed squared has to beat position, acceleration and time as the cause, and not to lose to speed.
-BETTER, LOSE = 4.0, 2.0
+BETTER, LOSE = 4.0, 4.0
 FEWEST = 200  # samples
 EVEN = 1e-6  # steps that differ by less than this share of their median are one step
 
@@ -111,7 +112,7 @@ def _by_differences(
     fast = slope * float(np.percentile(causes[0], 95))
     likely = likelihood > max(speed[2] - LOSE, max(o[2] for o in others) + BETTER)
     visible = added > SEEN * noise**2 and (step is None or fast > STEPS * step**2 / 12)
-    if not (slope > sure * std and likely and visible and MOMENTS[0] < moment < MOMENTS[1]):
+    if not (slope > sure * std and likely and visible and MOMENTS[order][0] < moment < MOMENTS[order][1]):
         return None
     spread = float(np.sqrt(slope))
     return spread, std / (2 * spread), added / noise**2
