@@ -34,11 +34,12 @@ def draw(folder: Path, names: list[str]) -> None:
 
 def _draw(folder: Path, model: str, names: list[str]) -> set[str]:
     from jaxid import catalogue
+    from jaxid.added_effects import probes
     from jaxid.binding import bind
     from jaxid.chain import Chain
     from jaxid.diagnosis.hypothesis import candidates
     from jaxid.equivalence import _rich_motion, _with_friction
-    from jaxid.estimation import Bench, probes
+    from jaxid.estimation import Bench
     from jaxid.residual import OutputError
 
     chain = Chain(catalogue.model_class(model)())

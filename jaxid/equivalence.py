@@ -15,12 +15,13 @@ from typing import Any
 
 import numpy as np
 
+from jaxid.added_effects import probes
 from jaxid.binding import bind, Binding
 from jaxid.chain import Chain
 from jaxid.diagnosis.hypothesis import Candidate, candidates, probes_of
 from jaxid.diagnosis.screen import probe_residuals, Retuning
 from jaxid.errors import UsageError
-from jaxid.estimation import Bench, probes
+from jaxid.estimation import Bench
 from jaxid.experiment import Dataset
 from jaxid.fitters import search
 from jaxid.layout import Layout

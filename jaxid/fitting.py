@@ -10,9 +10,10 @@ import jax
 import numpy as np
 
 from jaxid import samples
+from jaxid.added_effects import probe_starts
 from jaxid.binding import Binding
 from jaxid.errors import UsageError
-from jaxid.estimation import assemble, Bench, default_residual, probe_starts, start_values
+from jaxid.estimation import assemble, Bench, default_residual, start_values
 from jaxid.fitter import AbstractFitter, Minimum, Progress
 from jaxid.fitters import LevenbergMarquardt
 from jaxid.problem import Problem

@@ -15,9 +15,10 @@ from hypothesis import given, settings as limits, strategies as st
 import jaxid
 import reference as ref
 import reference_states as states
+from jaxid.added_effects import probe_starts
 from jaxid.binding import bind
 from jaxid.chain import Chain
-from jaxid.estimation import Bench, probe_starts, start_values
+from jaxid.estimation import Bench, start_values
 from jaxid.experiment import ModelSpec
 from jaxid.fitters import LevenbergMarquardt
 from jaxid.layout import Layout

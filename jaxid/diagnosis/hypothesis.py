@@ -7,9 +7,10 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
+from jaxid.added_effects import probes, read_off
 from jaxid.chain import Effect
 from jaxid.diagnosis.evidence import HeldOut
-from jaxid.estimation import Bench, probes, read_off
+from jaxid.estimation import Bench
 from jaxid.fitters import Path
 from jaxid.problem import Problem
 
