@@ -66,7 +66,7 @@ def test_forty_names_in_every_field(tmp_path, capsys):
         from jaxid.report import write_study as write_page
 
         page = assert_harmless(write_page(result, home / "page.html").read_text(encoding="utf-8"))
-        assert "49" not in page.text if name == "{{7*7}}" else True
+        assert name != "{{7*7}}" or name in page.text  # as it was written; "49" alone may be part of a time or a hash
         rows = list(csv.reader(io.StringIO(csv_text(*table_rows(result)), newline="")))
         assert len(rows) == 3 and all(harmless_cell(c) for c in rows[1][:4]), rows[1]
         for text in (result_text(result), status_text(result.study, result.outcomes, result.status)):
