@@ -59,7 +59,11 @@ def peer(problem: FunctionProblem, popsize: int, generations: int, seed: int) ->
     """The same for SciPy's differential evolution."""
     dim = problem.size
     program = jax.jit(lambda x: problem.pure_losses(x.T, problem.data))
-    loss = lambda x: np.asarray(program(x))
+
+    def loss(x: np.ndarray) -> np.ndarray:
+        with float64():
+            return np.asarray(program(x))
+
     population: Any = np.random.default_rng(seed).uniform(-2, 2, (popsize, dim))
     loss(population.T)
     began = time.process_time()
