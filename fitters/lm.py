@@ -178,6 +178,11 @@ class Path:
     stopped: str = "iteration limit"
     history: list[tuple[int, float]] | None = None
 
+    @property
+    def loss(self) -> float:
+        """Mean square of the weighted residual."""
+        return 2 * self.cost / max(1, self.count)
+
 
 def descend(
     jobs: Sequence[tuple[AbstractProblem, np.ndarray]],

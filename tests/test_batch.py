@@ -258,14 +258,17 @@ def test_poison_and_random_deaths(home, together):
             killed += 1
     out, err = process.communicate(timeout=100)
     status = json.loads(out)
-    assert (status["done"], status["failed"], process.returncode) == (99, 1, 1), err
     outcomes = study_status(study)[1]
-    (crashed,) = (o for o in outcomes.values() if o.failed)
+    failed = {t.seed: o for t in read_study(study).tasks.values() if (o := outcomes[t.key]).failed}
+    crashed = failed.pop(37)
     assert crashed.status == "crashed" and "SIGABRT, 2 times" in crashed.reason and "about to die of seed 37" in crashed.log
+    # By chance two of the kills may have hit the same task, which then counts as crashed too.
+    assert len(failed) <= killed // 2 and all("SIGKILL, 2 times" in o.reason for o in failed.values())
+    assert (status["done"], status["failed"], process.returncode) == (99 - len(failed), 1 + len(failed), 1), err
     code, status, _ = fleet(study)  # a crash is a result too
     assert code == 1 and status["new"] == 0
     result = run_study(study, workers=1, retry=True, solver=SOLVE, check=False)
-    assert result.new == 1 and result.status.failed == 0
+    assert result.new == 1 + len(failed) and result.status.failed == 0
 
 
 def test_time_limit_failures_and_exceptions(home):

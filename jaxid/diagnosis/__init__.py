@@ -50,6 +50,18 @@ SENSITIVE, DIFFERENCE, REMAINDER = 50.0, 1e-7, 10.0
 PREFERRED = {"unknown": ("none", "partly", "named"), "partly": ("named",), "named": ("unknown", "partly", "named")}
 
 
+@dataclasses.dataclass(frozen=True)
+class Question:
+    """What is asked of which data, by which residual."""
+
+    binding: Binding
+    residual: Residual
+    allowed: tuple[str, ...]  # names of effects
+    max_effects: int
+    seed: int
+    progress: Progress | None
+
+
 def run_diagnosis(
     model: object,
     dataset: Dataset,
@@ -85,15 +97,16 @@ def run_diagnosis(
         readings = with_scatter(dataset, stamps, binding.noise)
         known = bind(model, readings, without=without, candidates=library).with_stamps(stamps)
         others = tuple(n for n in allowed if n != JITTER)
-        found, _ = _diagnosed(known, own, others, max_effects, seed, progress, scatter)
+        found, _ = _diagnosed(Question(known, own, others, max_effects, seed, progress), scatter)
         if found.which.verdict == "named":
             return dataclasses.replace(found, wall_time_s=time.perf_counter() - began)
-    found, grown = _diagnosed(binding, own, allowed, max_effects, seed, progress)
+    question = Question(binding, own, allowed, max_effects, seed, progress)
+    found, grown = _diagnosed(question)
     verdict = found.which.verdict
     doubtful = verdict in ("unknown", "partly") or (verdict == "named" and found.how_far.gap_after > REMAINDER)
     if residual is None and grown > SENSITIVE and doubtful:
         try:
-            again, _ = _diagnosed(binding, MultipleShooting(), allowed, max_effects, seed, progress)
+            again, _ = _diagnosed(dataclasses.replace(question, residual=MultipleShooting()))
         except Interrupted as stop:
             raise Interrupted(found) from stop
         if again.which.verdict in PREFERRED[verdict]:
@@ -107,21 +120,14 @@ def run_diagnosis(
     return dataclasses.replace(found, notes=notes, wall_time_s=time.perf_counter() - began)
 
 
-def _diagnosed(
-    binding: Binding,
-    residual: Residual,
-    allowed: tuple[str, ...],
-    max_effects: int,
-    seed: int,
-    progress: Progress | None,
-    scatter: timing.Scatter | None = None,
-) -> tuple[Diagnosis, float]:
-    """By one residual; and how much a difference at the start of a run grows within it. `scatter`: what the time stamps do."""
+def _diagnosed(question: Question, scatter: timing.Scatter | None = None) -> tuple[Diagnosis, float]:
+    """The answer; and how much a difference at the start of a run grows within it. `scatter`: what the time stamps do."""
     began = time.perf_counter()
+    binding, residual, seed, progress = question.binding, question.residual, question.seed, question.progress
     if progress:
         progress("nominal fit", 0, 1, binding.chain.mechanism.name)
 
-    bench, nominal_fit, search, compile_time = _search(binding, residual, allowed, max_effects, seed, progress)
+    bench, nominal_fit, search, compile_time = _search(question)
     chosen = search.chosen
     verdict, text = judge(search)
     stamps = ()
@@ -195,16 +201,10 @@ def growth(bench: Bench, theta: np.ndarray) -> float:
     return largest
 
 
-def _search(
-    binding: Binding,
-    residual: Residual,
-    allowed: tuple[str, ...],
-    max_effects: int,
-    seed: int,
-    progress: Progress | None,
-) -> tuple[Bench, Fit, Search, float]:
+def _search(question: Question) -> tuple[Bench, Fit, Search, float]:
     """Nominal fit and search, and the bench whose steps no longer matter."""
     began = time.perf_counter()
+    binding, residual, seed, progress = question.binding, question.residual, question.seed, question.progress
     # Hundreds of models, each simulated a few times: tangents would compile longer. By torque nothing is simulated, and numbers
     # that the motion hardly determines need exact ones.
     bench = Bench(binding, differences=0 if isinstance(residual, InverseDynamics) else 1)
@@ -224,10 +224,10 @@ def _search(
 
     searcher = Searcher(bench, residual, nominal, progress)
     try:
-        search = searcher.run(candidates(bench, allowed, isinstance(residual, InverseDynamics)), max_effects)
+        search = searcher.run(candidates(bench, question.allowed, searcher.by_torque), question.max_effects)
     except KeyboardInterrupt as stop:  # what is finished is a result too
         spent = time.perf_counter() - began
-        found = minimum(nominal.z, 2 * nominal.cost / nominal.count)
+        found = minimum(nominal.z, nominal.loss)
         raise Interrupted(assemble(bench, problem, found, residual, fitter.name, seed, 0.0, spent)) from stop
     bench = searcher.bench
     compile_time = sum(b.compile_time() for b in (*searcher.benches, bench))

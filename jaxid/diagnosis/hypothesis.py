@@ -39,7 +39,7 @@ class Hypothesis:
 
     @property
     def fit_loss(self) -> float:
-        return 2 * self.path.cost / max(1, self.path.count)
+        return self.path.loss
 
     @property
     def size(self) -> int:

@@ -32,10 +32,8 @@ class Scatter:
         found = "; ".join(s.text for s in self.stamps.values())
         found = found[0].upper() + found[1:]
         if verdict == "none":
-            return (
-                "named",
-                f"{found}. Beside that the model lacks nothing: what is left is that noise, on data that were not fitted.",
-            )
+            nothing_else = "Beside that the model lacks nothing: what is left is that noise, on data that were not fitted."
+            return "named", f"{found}. {nothing_else}"
         return verdict, f"{found}. {text}"
 
     def bench(self, like: Bench) -> Bench:

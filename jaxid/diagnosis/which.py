@@ -53,9 +53,9 @@ THOROUGH, BRIEF = (20, 1e-8), (6, 1e-5)
 FAR = 10.0
 #: A hypothesis was in a local minimum if less than this share is left from where a richer one ended.
 FREED = 0.5
-#: What leaves at most so many times what the best of a batch leaves of the fit runs, and the noise, is followed on validation
-#: runs.
-CLOSE, NEAR = 1.5, 3.0
+#: What leaves at most so many times what the best of a batch leaves of the fit runs, and so many times the noise (mean squares),
+#: is followed on validation runs.
+CLOSE, NEAR = 1.5, 6.0
 #: Residuals of fit runs at the noise, and white: their sums of squares count as they are.
 WHITE = 1.5
 
@@ -79,7 +79,7 @@ class Searcher:
     def _hypotheses(self, found: Sequence[tuple[tuple[Candidate, ...], Path]]) -> list[Hypothesis]:
         thetas = [path.problem.theta(path.z) for _, path in found]
         # Only what fits as well as the best, and almost down to the noise, may turn out to be right elsewhere.
-        losses = [path.cost / max(1, path.count) for _, path in found]
+        losses = [path.loss for _, path in found]
         follow = [p if loss <= min(CLOSE * min(losses), NEAR) else None for (_, p), loss in zip(found, losses, strict=True)]
         told = [knowledge(path) for _, path in found]
         validations = held_out(self.bench, "validation", thetas, self.residual, told, follow)
@@ -244,7 +244,7 @@ class Searcher:
             theta[list(c.index)] = (h.theta if c in h.effects else self.bench.binding.theta)[list(c.index)]
         p = self.problem(h.effects, theta)
         end = descend([(p, p.z(theta, richer.path.problem.starts(richer.path.z)))], *THOROUGH)[0]
-        if 2 * end.cost / max(1, end.count) > FREED * h.fit_loss:
+        if end.loss > FREED * h.fit_loss:
             return h
         self._inflations.pop(key_of(h.effects), None)
         self.known[key_of(h.effects)] = self._hypotheses([(h.effects, end)])[0]
