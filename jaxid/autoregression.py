@@ -27,6 +27,8 @@ class Autoregression:
 
     def covariance(self, length: int) -> np.ndarray:
         """Autocovariance at lags 0 to length - 1."""
+        from scipy.signal import lfilter, lfiltic
+
         p = len(self.ar)
         A = np.zeros((p + 1, p + 1))  # Yule-Walker equations for the first p + 1 lags
         full = np.concatenate([[1.0], -self.ar])
@@ -34,11 +36,10 @@ class Autoregression:
             for j in range(p + 1):
                 A[k, abs(k - j)] += full[j]
         first = np.linalg.solve(A, np.eye(p + 1)[0] * self.innovation**2)
-        out = np.zeros(max(length, p + 1))
-        out[: p + 1] = first
-        for k in range(p + 1, length):
-            out[k] = self.ar @ out[k - p : k][::-1]
-        return out[:length]
+        rest = np.zeros(max(0, length - p - 1))
+        if p and rest.size:
+            rest = np.asarray(lfilter([1.0], full, rest, zi=lfiltic([1.0], full, first[:0:-1]))[0])
+        return np.concatenate([first, rest])[:length]
 
     def memory(self) -> float:
         """Samples that share one piece of noise: the sum of all correlations, at least 1."""
@@ -137,8 +138,8 @@ def _fitted(products: np.ndarray, order: int, count: int) -> Autoregression:
 def _products(a: np.ndarray, b: np.ndarray, order: int) -> np.ndarray:
     """sum_t a_(t - i) . b_(t - j) for i, j = 0 to order, over the samples that have all of them."""
     n = len(a)
-    lag = lambda x, k: x[order - k : n - k].reshape(-1)
-    return np.array([[float(lag(a, i) @ lag(b, j)) for j in range(order + 1)] for i in range(order + 1)])
+    lags = lambda x: np.stack([x[order - k : n - k].reshape(-1) for k in range(order + 1)])
+    return lags(a) @ lags(b).T
 
 
 def _correlated(covariance: np.ndarray, x: np.ndarray) -> np.ndarray:

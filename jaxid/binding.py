@@ -8,6 +8,7 @@ from dataclasses import dataclass, field, replace
 import jax
 import jax.numpy as jnp
 import numpy as np
+from jaxtyping import Array, Float
 
 from jaxid import catalogue, samples
 from jaxid.chain import Chain, Effect, neutral
@@ -21,6 +22,7 @@ from jaxid.parameter import Reference, settings, with_settings
 from jaxid.precision import float64
 from jaxid.samples import Motion
 from jaxid.time_stamps import scattered_stamps, Stamps, with_scatter
+from jaxid.traced import key_of, Traced
 
 
 #: The effect whose strength is read off the recording: it is noise, which no residual shows the size of.
@@ -180,7 +182,7 @@ def bind(
             theta[layout.index(name)] = prior.value
             stated.add(layout.index(name))
 
-    chain = layout.model(theta)  # type: ignore[arg-type]  # with what the dataset states
+    chain = layout.model(theta)  # with what the dataset states
     layout = Layout(chain)
     fixed |= {layout.index(name) for name in chain.mechanism.held() if name in layout.names and name not in priors}
     own = {i for i, e in enumerate(layout.entries) if e.owner < 0 or chain.effects[e.owner].name in present}
@@ -208,6 +210,12 @@ def bind(
     ).with_stamps(stamps)
 
 
+def inertia_torque(chain: Chain, q: Float[Array, "n nq"], qdd: Float[Array, "n nq"]) -> Float[Array, "n nq"]:
+    """Torque that accelerations take at rest, at each of n positions."""
+    body, still = chain.body(), jnp.zeros(chain.nq)
+    return jax.vmap(lambda q, a: body.inverse(q, still, a) - body.inverse(q, still, still))(q, qdd)
+
+
 def _references(
     dataset: Dataset, layout: Layout, theta: np.ndarray, motions: dict[str, Motion]
 ) -> tuple[list[Reference], list[Reference]]:
@@ -229,12 +237,11 @@ def _references(
     else:
         used = [motions[e.name] for e in fit]
         q, qdd = (np.concatenate([getattr(m, k) for m in used]) for k in ("q", "qdd"))
-        pick = np.linspace(0, len(q) - 1, min(len(q), 2000)).astype(int)
+        pick = np.linspace(0, len(q) - 1, 2000).astype(int)
         with float64():
-            body = layout.model(jnp.asarray(theta)).body()
-            still = jnp.zeros(nq)
-            needed = jax.jit(jax.vmap(lambda q, a: body.inverse(q, still, a) - body.inverse(q, still, still)))
-            torque = needed(q[pick], qdd[pick])
+            key = key_of(inertia_torque, layout.model(np.zeros(len(layout))), layout.names)
+            needed = Traced(lambda theta, q, qdd: inertia_torque(layout.model(theta), q, qdd), key)
+            torque = needed(theta, q[pick], qdd[pick])
             inertia = np.percentile(np.abs(np.asarray(torque)), 99, axis=0)
         joints = samples.references(fit, used, iu if direct else [], inertia)
     return joints, [joints[min(k, nq - 1)]._replace(torque=max(s, 1e-9)) for k, s in enumerate(size)]

@@ -163,14 +163,19 @@ _POOL = ThreadPoolExecutor(max_workers=os.cpu_count() or 1, thread_name_prefix="
 _COMPILERS = ThreadPoolExecutor(max_workers=os.cpu_count() or 1, thread_name_prefix="jaxid-compile")
 
 
+def in_float64(program: Callable, *args: Any) -> Any:
+    with float64():
+        return program(*args)
+
+
 class Programs(NamedTuple):
     """The functions of one kind of model: pure prediction of one lane, and jitted outputs and tangents of many."""
 
     predict: Callable[..., Array]
-    outputs: Callable[..., Any]
-    tangents: Callable[..., Any]
+    outputs: Traced
+    tangents: Traced
     losses: dict[Any, Any]
-    known: set[str]  # which of them have been compiled in this process
+    ready: dict[str, Future | None]  # which of them have been compiled in this process, or are being read from disk
 
 
 _PROGRAMS: dict[Any, Programs] = {}
@@ -190,9 +195,9 @@ def programs_for(layout: Layout, lane: Lane, length: int, reach: int, burn: bool
 
         batch = over_lanes(predict, (0, 0, 0, None, None))
         tangents = over_lanes(tangent, (0, 0, 0, 0, 0, None, None))
-        about = key_of(lane, layout.model(jnp.zeros(len(layout))), layout.names, length, reach, burn)
+        about = key_of(lane, layout.model(np.zeros(len(layout))), layout.names, length, reach, burn)
         traced = lambda f, name: Traced(f, about and f"{name}\n{about}")
-        _PROGRAMS[key] = Programs(predict, traced(batch, "outputs"), traced(tangents, "tangents"), {}, set())
+        _PROGRAMS[key] = Programs(predict, traced(batch, "outputs"), traced(tangents, "tangents"), {}, {})
     return _PROGRAMS[key]
 
 
@@ -337,6 +342,19 @@ class Engine:
 
         return predict, programs.losses.setdefault((tuple(index), tuple(place)), {})
 
+    def read_ahead(self) -> None:
+        """Begins to read the programs that predict each family of effects by itself, where they lie on disk."""
+        for family in self._families:
+            programs, index = self._programs_of(frozenset([family]))
+            if "outputs" in programs.ready:
+                continue
+            start = np.zeros((LANES, 2 * self.layout.chain.nq))
+            where = np.repeat(self.where[:1], LANES, 0)
+            numbers = np.repeat(self._neutral[None, index], LANES, 0)
+            args = numbers, start, where, self.samples, np.int32(0)
+            if programs.outputs.kept(*args):
+                programs.ready["outputs"] = _COMPILERS.submit(in_float64, programs.outputs, *args)
+
     def _call(self, name: str, numbers, states, record: np.ndarray, share: float) -> list[np.ndarray]:
         results: list[np.ndarray] = []
         for lanes, out in self._blocks(name, numbers, states, record, share):
@@ -359,9 +377,11 @@ class Engine:
                 partial(self._block, program, own, states, record, lanes[k : k + LANES], steps[lanes[k]])
                 for k in range(0, lanes.size, LANES)
             ]
-            if name not in programs.known:
+            if name not in programs.ready:
                 first.append(blocks.pop(0))
-                programs.known.add(name)
+            elif (reading := programs.ready[name]) is not None:
+                reading.result()
+            programs.ready[name] = None
             jobs += blocks
         if first:  # the first call of a program compiles it
             began = time.perf_counter()
@@ -373,8 +393,7 @@ class Engine:
     def _block(self, program: Callable, numbers, states, record: np.ndarray, lanes: np.ndarray, steps: Any):
         padded = np.concatenate([lanes, np.repeat(lanes[-1:], LANES - lanes.size)])
         arrays = [a[padded] for pair in zip(numbers, states, strict=True) for a in pair]
-        with float64():
-            out = program(*arrays, self.where[record[padded]], self.samples, steps)
+        out = in_float64(program, *arrays, self.where[record[padded]], self.samples, steps)
         return lanes, tuple(np.asarray(o) for o in (out if isinstance(out, tuple) else (out,)))
 
 

@@ -129,7 +129,7 @@ def _with(chain: Chain, content: Mapping[str, Any] | None) -> Chain:
             for i in layout.of_effect(e["effect"], e.get("location")):
                 if layout.entries[i].field == name:
                     theta[i] = _number(name, value)
-    return layout.model(theta)  # pyright: ignore[reportArgumentType]  NumPy's arrays will do
+    return layout.model(theta)
 
 
 def _number(name: str, value: Any) -> float:

@@ -272,7 +272,7 @@ def _stated(chain: Chain, dataset: Dataset) -> Chain:
     for name, value in known.items():
         if name != "smoothing_velocity":
             theta[layout.index(name)] = value
-    return layout.model(theta)  # pyright: ignore[reportArgumentType]  NumPy's arrays will do
+    return layout.model(theta)
 
 
 def _solve(law: Law, runs: Sequence[Run], by: Sequence[Run] | None, method: str, chain: Chain, base: BaseParameters):

@@ -51,7 +51,7 @@ class Layout:
     def __len__(self) -> int:
         return len(self.entries)
 
-    def model(self, theta: Float[Array, " size"] | Sequence[Any]) -> Chain:
+    def model(self, theta: Float[Array, " size"] | Float[np.ndarray, " size"] | Sequence[Any]) -> Chain:
         """The same chain with these numbers (works on tracers, and on numbers one by one)."""
         values: list[Any] = []
         position = 0

@@ -303,10 +303,11 @@ def linearise(jobs: Sequence[tuple[AbstractProblem, np.ndarray]], share: float =
     out = [[0.0, np.zeros(p.size), np.zeros((p.size, p.size)), 0] for p, _ in jobs]
     with np.errstate(all="ignore"):
         for part in rows(jobs, share):
-            job, r, J = out[part.job], part.r.ravel(), part.J.reshape(part.r.size, len(part.z_columns))
+            # A row for each column of z, as the lanes gave them.
+            job, r, J = out[part.job], part.r.ravel(), np.moveaxis(part.J, -1, 0).reshape(len(part.z_columns), part.r.size)
             job[0] += float(r @ r)
-            job[1][part.z_columns] += J.T @ r
-            job[2][np.ix_(part.z_columns, part.z_columns)] += J.T @ J
+            job[1][part.z_columns] += J @ r
+            job[2][np.ix_(part.z_columns, part.z_columns)] += J @ J.T
             job[3] += r.size
     return [Linear(*job) for job in out]
 

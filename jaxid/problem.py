@@ -309,6 +309,7 @@ def _lanes(jobs: Sequence[tuple[Problem, np.ndarray]], share: float) -> Iterator
             i = p.start_columns[c - p.free.size]
             dstart[k, i] = 1.0
             start[k, i] += steps[j][side][c] if side else 0.0
+    seen = {r: _seen(runs, r, share) for r in {r for p, _ in jobs for r in p.records}}
     rest: dict[tuple[int, int], int] = {}
     for j, row, _, _ in lanes:
         rest[j, row] = rest.get((j, row), 0) + 1
@@ -321,7 +322,7 @@ def _lanes(jobs: Sequence[tuple[Problem, np.ndarray]], share: float) -> Iterator
     for part, y, dy in parts:
         for n, k in enumerate(part):
             j, row, c, side = lanes[k]
-            inside = _seen(runs, jobs[j][0].records[row], share)[1]
+            inside = seen[jobs[j][0].records[row]][1]
             own = found.setdefault((j, row), {})
             if c < 0 or not differences and (-1, 0) not in own:
                 own[-1, 0] = y[n][inside]
@@ -331,22 +332,26 @@ def _lanes(jobs: Sequence[tuple[Problem, np.ndarray]], share: float) -> Iterator
         while order and not rest[order[0]]:
             j, row = order.pop(0)
             p, own = jobs[j][0], found.pop((j, row))
-            at, columns = _seen(runs, p.records[row], share)[0], p.columns(row)
-            w = p.weights[at]
-            if differences:
-                up, down = steps[j][1], steps[j][-1]
-                slope = lambda c, own=own, up=up, down=down: (own[c, 1] - own.get((c, -1), own[-1, 0])) / (up - down)[c]
-            else:
-                slope = lambda c, own=own: own[c, 0]
-            J = np.stack([w * slope(c) for c in columns], -1) if columns else np.zeros((*w.shape, 0))
-            yield Rows(j, p.records[row], w * (own[-1, 0] - p.targets[at]), J, columns, w)
+            at, columns = seen[p.records[row]][0], p.columns(row)
+            w, base = p.weights[at], own[-1, 0]
+            J = np.empty((len(columns), *w.shape))  # each column in one piece of memory
+            for k, c in enumerate(columns):
+                if differences:
+                    np.subtract(own[c, 1], own.get((c, -1), base), out=J[k])
+                    J[k] *= w / (steps[j][1] - steps[j][-1])[c]
+                else:
+                    np.multiply(w, own[c, 0], out=J[k])
+            yield Rows(j, p.records[row], w * (base - p.targets[at]), np.moveaxis(J, 0, -1), columns, w)
 
 
-def _seen(runs: Runs, number: int, share: float) -> tuple[np.ndarray, np.ndarray]:
-    """Samples of the first part of a record, and their places in a lane."""
+def _seen(runs: Runs, number: int, share: float) -> tuple[slice | np.ndarray, slice | np.ndarray]:
+    """Samples of the first part of a record, and their places in a lane; as slices where there is no gap."""
     r = runs.record(number)
     at = r.samples if share == 1 else r.samples[r.samples < r.offset + share * r.count]
-    return at, at - r.offset + r.lead
+    move = r.lead - r.offset
+    if at.size and at[-1] - at[0] == at.size - 1:
+        return slice(at[0], at[-1] + 1), slice(at[0] + move, at[-1] + 1 + move)
+    return at, at + move
 
 
 __all__ = ["LOSSES", "PENALTY", "Data", "Linear", "Problem", "Rows", "expand", "linearise", "rows", "sums"]

@@ -35,21 +35,30 @@ class Traced:
         self._calls: dict[Any, Callable[..., Any]] = {}
 
     def __call__(self, *args: Any) -> Any:
-        folder = self._key and jax.config.values["jax_compilation_cache_dir"]
-        if not folder:
-            return self._plain(*args)
         leaves, tree = jax.tree.flatten(args)
-        shapes = tuple((np.shape(a), str(getattr(a, "dtype", type(a)))) for a in leaves)
-        call = self._calls.get((tree, shapes))
+        call = self._calls.get(kind := (tree, _shapes(leaves)))
         if call is None:
-            call = self._calls[tree, shapes] = self._read_or_trace(Path(folder) / "traced", leaves, args, f"{tree}{shapes}")
+            file = self._file(kind)
+            if file is None:
+                return self._plain(*args)
+            call = self._calls[kind] = self._read_or_trace(file, leaves, tree)
         return call(*leaves)
 
-    def _read_or_trace(self, folder: Path, leaves: list[Any], args: Any, shapes: str) -> Callable[..., Any]:
-        tree = jax.tree.structure(args)
+    def kept(self, *args: Any) -> bool:
+        """Whether the trace for such arguments lies on disk."""
+        leaves, tree = jax.tree.flatten(args)
+        file = self._file((tree, _shapes(leaves)))
+        return file is not None and file.exists()
+
+    def _file(self, kind: Any) -> Path | None:
+        folder = self._key and jax.config.values["jax_compilation_cache_dir"]
+        if not folder:
+            return None
+        name = hashlib.sha256(f"{self._key}{kind[0]}{kind[1]}{jax.default_backend()}".encode()).hexdigest()
+        return Path(folder) / "traced" / f"{name}.stablehlo"
+
+    def _read_or_trace(self, file: Path, leaves: list[Any], tree: Any) -> Callable[..., Any]:
         plain = lambda *leaves: self._plain(*jax.tree.unflatten(tree, leaves))
-        name = hashlib.sha256(f"{self._key}{shapes}{jax.default_backend()}".encode()).hexdigest()
-        file = folder / f"{name}.stablehlo"
         try:
             from jax import export
 
@@ -60,6 +69,10 @@ class Traced:
             return jax.jit(export.deserialize(bytearray(kept)).call)
         except Exception:  # no writable folder, no flatbuffers, an operation or a file that cannot be read back: nothing is lost
             return plain
+
+
+def _shapes(leaves: Sequence[Any]) -> tuple:
+    return tuple((np.shape(a), str(getattr(a, "dtype", type(a)))) for a in leaves)
 
 
 def key_of(function: Callable[..., Any], pytree: Any, *more: Any) -> str | None:

@@ -163,8 +163,8 @@ class Answer:
 def test_windows_are_asked_where_chaotic_free_runs_find_nothing(monkeypatch, given, first, left, grown, second, expected):
     asked = []
 
-    def answer(binding, residual, *rest):
-        asked.append(residual.name)
+    def answer(question, *_):
+        asked.append(question.residual.name)
         return Answer(SimpleNamespace(verdict=second if len(asked) > 1 else first), SimpleNamespace(gap_after=left)), grown
 
     monkeypatch.setattr(jaxid.diagnosis, "_diagnosed", answer)

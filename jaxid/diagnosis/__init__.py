@@ -210,6 +210,7 @@ def _search(question: Question) -> tuple[Bench, Fit, Search, float]:
     bench = Bench(binding, differences=0 if isinstance(residual, InverseDynamics) else 1)
     guesses = start_values(bench, binding.free, seed)
     problem = bench.problem(residual, "fit", binding.free, guesses[0])
+    problem.runs.engine.read_ahead()  # while the nominal model is fitted
     fitter = LevenbergMarquardt()
     nominal, log = fitter.path(problem, [problem.z(g) for g in guesses], jax.random.key(seed), progress)
     if not np.isfinite(nominal.cost):

@@ -7,8 +7,6 @@ from .actuator import (
     ActuatorLag,
     BackEmf,
     DeadZone,
-    InputDelay,
-    InputHold,
     Saturation,
     SupplyDroop,
     TorqueRipple,
@@ -38,6 +36,7 @@ from .friction import (
 )
 from .power_law import PowerLawFriction
 from .sensor import SensorBias, SensorDelay, SensorLag, SensorScale, TimestampJitter
+from .timing import InputDelay, InputHold
 from .transmission import Backlash, Hysteresis, JointElasticity
 
 

@@ -10,7 +10,7 @@ from jaxtyping import Array
 
 from jaxid.arithmetic import sincos
 from jaxid.chain import drives, InputEffect, JointEffect
-from jaxid.parameter import ANGLE, param, Quantity, SPEED, STEP, TORQUE
+from jaxid.parameter import ANGLE, param, Quantity, SPEED, TORQUE
 
 
 class DeadZone(InputEffect):
@@ -36,54 +36,6 @@ class DeadZone(InputEffect):
 
     def __call__(self, u, s, z):
         return u - jnp.clip(u, -self.width, self.width), z
-
-
-class InputDelay(InputEffect):
-    """A pure transport delay of the command."""
-
-    name: ClassVar[str] = "input_delay"
-    stage: ClassVar[int] = 0
-    equation: ClassVar[str] = "u(t) -> u(t - delay)"
-    signature: ClassVar[str] = "phase lag that grows in proportion to frequency"
-    source: ClassVar[str] = "exact for a held input: mean of the delayed command over the step"
-    excitation: ClassVar[str] = "one multisine with energy up to ten times the bandwidth, and a recorded clock pulse"
-    delay: Array = param(0.0, 0.0, 0.1, scale=0.002, unit="s", meaning="delay of the command")
-    probes: ClassVar[tuple[dict[str, Quantity | float], ...]] = (
-        {"delay": 0.001},
-        {"delay": 1.0 * STEP},
-        {"delay": 0.004},
-        {"delay": 0.015},
-    )
-
-    def start(self, u):
-        return ()
-
-    def __call__(self, u, s, z):
-        change = s.command.delayed(self.delay) - s.command.u
-        return jnp.where(self.delay > 0, u + change, u), z
-
-    def transfer(self, omega):
-        angle = omega[:, None] * self.delay
-        return jnp.cos(angle), -jnp.sin(angle)
-
-
-class InputHold(InputEffect):
-    """How the command runs between its samples: as stated, or the other of zero-order hold and linear interpolation."""
-
-    name: ClassVar[str] = "input_hold"
-    stage: ClassVar[int] = 0
-    equation: ClassVar[str] = "u -> (1 - share) u_stated + share u_other   (zero-order against linear hold)"
-    signature: ClassVar[str] = "half a sample of lead or lag between command and motion"
-    source: ClassVar[str] = "a wrong hold alone moves well-known tools by 1 to 3 % on a clean pendulum"
-    excitation: ClassVar[str] = "a command that changes at every sample (fast chirp), and the same at half the sampling rate"
-    share: Array = param(0.0, 0.0, 1.0, scale=0.2, unit="1", meaning="0 the stated hold, 1 the other one")
-    probes: ClassVar[tuple[dict[str, Quantity | float], ...]] = ({"share": 1.0},)
-
-    def start(self, u):
-        return ()
-
-    def __call__(self, u, s, z):
-        return u + self.share * (s.command.other - s.command.u), z
 
 
 class Saturation(InputEffect):
