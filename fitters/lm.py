@@ -58,7 +58,9 @@ class LevenbergMarquardt(AbstractFitter):
         return search(groups, self.iterations, self.tolerance, logs)[0]
 
     def _search(self, jobs: Sequence[tuple[AbstractProblem, Sequence[np.ndarray], Any]], logs: Sequence[Log]) -> list[Minimum]:
+        compiled = jobs[0][0].compile_losses()
         best = self._paths(jobs, logs)
+        compiled()
         return [log.minimum(p.z, p.converged, log.exhausted or p.stopped) for p, log in zip(best, logs, strict=True)]
 
 

@@ -322,6 +322,13 @@ class Engine:
             self._restricted[kept] = programs_for(small, *self._kind), index
         return self._restricted[kept]
 
+    def _could_work(self, theta: np.ndarray, free: Sequence[int] | np.ndarray) -> frozenset[str]:
+        """Families that can be at work where numbers equal theta but in `free`."""
+        could = np.zeros(len(theta), bool)
+        could[free] = True
+        could |= (theta != self._neutral) | np.any(~np.isnan(self.overrides), 0)
+        return frozenset(name for name, index in self._families.items() if could[index].any())
+
     def predictor(self, theta: np.ndarray, free: np.ndarray) -> tuple[Callable[..., Array], dict[Any, Any]]:
         """How one lane runs whose numbers equal theta but in `free`, and the compiled losses made of it.
 
@@ -329,11 +336,7 @@ class Engine:
         samples, steps) -> prediction. Only effects that can then be at work take part, and what the fixed numbers determine
         does not depend on the candidate.
         """
-        could = np.zeros(len(theta), bool)
-        could[free] = True
-        could |= (theta != self._neutral) | np.any(~np.isnan(self.overrides), 0)
-        kept = frozenset(name for name, index in self._families.items() if could[index].any())
-        programs, index = self._programs_of(kept)
+        programs, index = self._programs_of(self._could_work(theta, free))
         place = {int(i): k for k, i in enumerate(free)}
 
         def predict(values, still_open, fixed, start, where, samples, steps):
@@ -345,15 +348,24 @@ class Engine:
     def read_ahead(self) -> None:
         """Begins to read the programs that predict each family of effects by itself, where they lie on disk."""
         for family in self._families:
-            programs, index = self._programs_of(frozenset([family]))
-            if "outputs" in programs.ready:
-                continue
-            start = np.zeros((LANES, 2 * self.layout.chain.nq))
-            where = np.repeat(self.where[:1], LANES, 0)
-            numbers = np.repeat(self._neutral[None, index], LANES, 0)
-            args = numbers, start, where, self.samples, np.int32(0)
-            if programs.outputs.kept(*args):
-                programs.ready["outputs"] = _COMPILERS.submit(in_float64, programs.outputs, *args)
+            self._begin("outputs", frozenset([family]), also_compile=False)
+
+    def compile_ahead(self, name: str, theta: np.ndarray, free: Sequence[int] | np.ndarray) -> None:
+        """Begins to compile `outputs` or `tangents` of where numbers equal theta but in `free`."""
+        self._begin(name, self._could_work(theta, free), also_compile=True)
+
+    def _begin(self, name: str, kept: frozenset[str], also_compile: bool) -> None:
+        """Has a program made ready by another thread, which runs it for no step; one that does not lie on disk only where
+        `also_compile`."""
+        programs, index = self._programs_of(kept)
+        if name in programs.ready:
+            return
+        point = np.repeat(self._neutral[None, index], LANES, 0), np.zeros((LANES, 2 * self.layout.chain.nq))
+        along = (np.zeros_like(point[0]), point[1]) if name == "tangents" else ()
+        args = *point, *along, np.repeat(self.where[:1], LANES, 0), self.samples, np.int32(0)
+        program = getattr(programs, name)
+        if also_compile or program.kept(*args):
+            programs.ready[name] = _COMPILERS.submit(in_float64, program, *args)
 
     def _call(self, name: str, numbers, states, record: np.ndarray, share: float) -> list[np.ndarray]:
         results: list[np.ndarray] = []
@@ -379,8 +391,10 @@ class Engine:
             ]
             if name not in programs.ready:
                 first.append(blocks.pop(0))
-            elif (reading := programs.ready[name]) is not None:
-                reading.result()
+            elif (begun := programs.ready[name]) is not None:
+                waited = time.perf_counter()
+                begun.result()
+                self.compile_time_s += time.perf_counter() - waited
             programs.ready[name] = None
             jobs += blocks
         if first:  # the first call of a program compiles it

@@ -155,11 +155,12 @@ class AbstractProblem(abc.ABC):
         """Loss of each candidate, traceable; a candidate that diverges gets PENALTY."""
         return self.pure(z, data)
 
-    def compiled(self, name: Any, function: Callable, *args: Any, own: bool = True) -> Any:
+    def compiled(self, name: Any, function: Callable, *args: Any, own: bool = True, count: bool = True) -> Any:
         """The executable of a function for arguments of these shapes, compiled once for all problems of this structure, or for
         all problems if it does not depend on them (`own` False).
 
-        `name` tells functions apart. Call it and its executable in float64.
+        `name` tells functions apart. Call it and its executable in float64. The time counts as spent on compiling unless somebody
+        else does something useful in it (`count` False).
         """
         programs = self.programs if own else _PROGRAMS
         leaves, tree = jax.tree.flatten(args)
@@ -168,7 +169,8 @@ class AbstractProblem(abc.ABC):
             if key not in programs:
                 began = time.perf_counter()
                 programs[key] = jax.jit(function).lower(*args).compile()
-                self.add_compile_time(time.perf_counter() - began)
+                if count:
+                    self.add_compile_time(time.perf_counter() - began)
         return programs[key]
 
     def losses(self, z: np.ndarray) -> np.ndarray:
@@ -179,9 +181,7 @@ class AbstractProblem(abc.ABC):
         """`losses` begun on all cores; the answer waits for its end. A single block is left to who asks for the answer."""
         z = np.atleast_2d(np.asarray(z, np.float64))
         data = self.data
-        part = np.resize(z[:1], (CANDIDATES, z.shape[1]))
-        with float64():
-            program = self.compiled("losses", self.pure, part, data)
+        program = self._losses()
 
         def block(k: int) -> np.ndarray:
             part = z[k : k + CANDIDATES]  # one shape, hence one program and the same bits, for any population
@@ -193,6 +193,21 @@ class AbstractProblem(abc.ABC):
             return lambda: block(0)
         waiting = [_POOL.submit(block, k) for k in range(0, len(z), CANDIDATES)]
         return lambda: np.concatenate([w.result() for w in waiting])
+
+    def _losses(self, count: bool = True) -> Any:
+        with float64():
+            return self.compiled("losses", self.pure, np.zeros((CANDIDATES, self.size)), self.data, count=count)
+
+    def compile_losses(self) -> Callable[[], None]:
+        """Begins to compile what `losses` runs, beside other work; the answer waits for its end."""
+        begun = _POOL.submit(self._losses, False)
+
+        def wait() -> None:
+            waited = time.perf_counter()
+            begun.result()
+            self.add_compile_time(time.perf_counter() - waited)
+
+        return wait
 
     def loss(self, z: np.ndarray) -> float:
         """Loss of one candidate."""
