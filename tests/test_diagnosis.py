@@ -3,6 +3,7 @@
 import dataclasses
 import functools
 import os
+import subprocess
 import sys
 from pathlib import Path
 from types import SimpleNamespace
@@ -171,6 +172,63 @@ def test_windows_are_asked_where_chaotic_free_runs_find_nothing(monkeypatch, giv
     d = jaxid.diagnose("pendulum", recording("pendulum", 2), residual=given)
     assert d.which.verdict == expected and asked == ["output_error", "multiple_shooting"][: 2 if second else 1]
     assert bool(d.notes) == (second == expected != first)
+
+
+def answer_of(d: Any) -> list[tuple[str, str, dict[str, float]]]:
+    """Verdict and effects with their numbers."""
+    named = [(e.effect, e.location, {k: p.value for k, p in e.parameters.items()}) for e in d.which.effects]
+    return [(d.which.verdict, "", {"before": d.how_far.gap_retuned, "after": d.how_far.gap_after}), *named]
+
+
+def written(folder: Path, data: jaxid.Dataset, order: list[int], names: dict[str, str], units: dict[str, tuple[str, float]]):
+    """A dataset on disk: runs in this order, channels under these column names, in these units (name, size in SI)."""
+    folder.mkdir()
+    signals = {"tau": lambda e: e.u[:, 0], "q": lambda e: e.y[:, 0]}
+    lines = ["name = 'written'", "[model]", "name = 'pendulum'"]
+    for channel, role in (("tau", "input"), ("q", "output")):
+        lines += [f"[channels.{channel}]", f"role = '{role}'", f"unit = '{units[channel][0]}'", f"column = '{names[channel]}'"]
+    lines += [f"noise_std = {NOISE / units['q'][1]!r}"]
+    for k in order:
+        e = data.experiments[k]
+        columns = [e.t, *(signals[c](e) / units[c][1] for c in names)]
+        rows = "\n".join(",".join(repr(float(x)) for x in row) for row in zip(*columns, strict=True))
+        (folder / f"{e.name}.csv").write_text(f"t,{','.join(names.values())}\n{rows}\n")
+        lines += ["[[experiments]]", f"name = '{e.name}'", f"file = '{e.name}.csv'", f"split = '{e.split}'", "at_rest = true"]
+    (folder / "dataset.toml").write_text("\n".join(lines) + "\n")
+    return folder
+
+
+def test_names_units_and_order_change_no_answer(tmp_path):
+    data = recording("pendulum", 1, load=0.1)
+    plain = written(tmp_path / "a", data, [0, 1, 2, 3], {"tau": "tau", "q": "q"}, {"tau": ("N m", 1.0), "q": ("rad", 1.0)})
+    other = written(
+        tmp_path / "b", data, [3, 1, 2, 0], {"q": "enc_1", "tau": "cmd"}, {"tau": ("mN m", 1e-3), "q": ("deg", np.pi / 180)}
+    )
+    first, second = (answer_of(jaxid.diagnose(None, jaxid.load_dataset(f), effects=CHOICE)) for f in (plain, other))
+    assert first[0][0] == "named" and [x[:2] for x in first] == [x[:2] for x in second]
+    for (_, _, a), (_, _, b) in zip(first, second, strict=True):
+        assert a == pytest.approx(b, rel=1e-3)
+
+
+DIAGNOSED = """
+import json, os, sys
+if sys.argv[2] == "1":
+    os.sched_setaffinity(0, {min(os.sched_getaffinity(0))})
+    os.cpu_count = lambda: 1
+import jaxid
+d = jaxid.diagnose(None, jaxid.load_dataset(sys.argv[1]), effects=sys.argv[3].split(","))
+print(json.dumps([d.which.verdict, d.how_far.gap_after, [[e.effect, {k: p.value for k, p in e.parameters.items()}]
+                  for e in d.which.effects]]))
+"""
+
+
+@pytest.mark.skipif(not hasattr(os, "sched_setaffinity"), reason="this system ties no process to a core")
+def test_one_core_and_all_give_the_same_bits(tmp_path):
+    data = recording("pendulum", 1, load=0.1)
+    folder = written(tmp_path / "a", data, [0, 1, 2, 3], {"tau": "tau", "q": "q"}, {"tau": ("N m", 1.0), "q": ("rad", 1.0)})
+    command = [sys.executable, "-c", DIAGNOSED, str(folder)]
+    said = [subprocess.run([*command, n, ",".join(CHOICE)], capture_output=True, text=True, check=True) for n in ("1", "all")]
+    assert said[0].stdout == said[1].stdout and "load_dependent_friction" in said[0].stdout
 
 
 def test_a_model_that_lacks_nothing_gets_none():
