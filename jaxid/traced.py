@@ -72,7 +72,7 @@ class Traced:
 
 
 def _shapes(leaves: Sequence[Any]) -> tuple:
-    return tuple((np.shape(a), str(getattr(a, "dtype", type(a)))) for a in leaves)
+    return tuple((np.shape(a), getattr(a, "dtype", type(a))) for a in leaves)
 
 
 def key_of(function: Callable[..., Any], pytree: Any, *more: Any) -> str | None:
