@@ -163,8 +163,7 @@ class AbstractProblem(abc.ABC):
         else does something useful in it (`count` False).
         """
         programs = self.programs if own else _PROGRAMS
-        leaves, tree = jax.tree.flatten(args)
-        key = (name, self.loss_name, tree, tuple((np.shape(a), getattr(a, "dtype", type(a))) for a in leaves))
+        key = self._kind(name, *args)
         with _COMPILING:
             if key not in programs:
                 began = time.perf_counter()
@@ -172,6 +171,11 @@ class AbstractProblem(abc.ABC):
                 if count:
                     self.add_compile_time(time.perf_counter() - began)
         return programs[key]
+
+    def _kind(self, name: Any, *args: Any) -> Any:
+        """What a compiled program is found by."""
+        leaves, tree = jax.tree.flatten(args)
+        return name, self.loss_name, tree, tuple((np.shape(a), getattr(a, "dtype", type(a))) for a in leaves)
 
     def losses(self, z: np.ndarray) -> np.ndarray:
         """Loss of each row of z [pop size], on all cores; the same program and numbers for every fitter."""
@@ -196,10 +200,16 @@ class AbstractProblem(abc.ABC):
 
     def _losses(self, count: bool = True) -> Any:
         with float64():
-            return self.compiled("losses", self.pure, np.zeros((CANDIDATES, self.size)), self.data, count=count)
+            return self.compiled("losses", self.pure, self._block, self.data, count=count)
+
+    @property
+    def _block(self) -> np.ndarray:
+        return np.zeros((CANDIDATES, self.size))
 
     def compile_losses(self) -> Callable[[], None]:
         """Begins to compile what `losses` runs, beside other work; the answer waits for its end."""
+        if self._kind("losses", self._block, self.data) in self.programs:
+            return lambda: None
         begun = _POOL.submit(self._losses, False)
 
         def wait() -> None:
