@@ -6,7 +6,6 @@ import numpy as np
 
 from jaxid.binding import Binding
 from jaxid.chain import Effect
-from jaxid.engine import Engine
 from jaxid.estimation import Bench
 from jaxid.fitters import descend
 from jaxid.parameter import resolve
@@ -57,7 +56,7 @@ def probe_starts(bench: Bench, problem: Problem, theta: np.ndarray, keep: int = 
             if set(index) & set(problem.free) and not set(index) & b.nominal:
                 added.append((effect, place))
                 found += probes(b, effect, place, theta)
-    if not found or not isinstance(problem.runs.engine, Engine):
+    if not found:
         return []
     n = len(problem.records)
     starts = problem.starts(problem.z(theta))

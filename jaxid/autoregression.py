@@ -137,9 +137,9 @@ def _fitted(products: np.ndarray, order: int, count: int) -> Autoregression:
 
 def _products(a: np.ndarray, b: np.ndarray, order: int) -> np.ndarray:
     """sum_t a_(t - i) . b_(t - j) for i, j = 0 to order, over the samples that have all of them."""
-    n = len(a)
-    lags = lambda x: np.stack([x[order - k : n - k].reshape(-1) for k in range(order + 1)])
-    return lags(a) @ lags(b).T
+    n, a, b = len(a), np.ascontiguousarray(a), np.ascontiguousarray(b)
+    lag = lambda x, k: x[order - k : n - k].reshape(-1)  # of one piece of memory: no copies
+    return np.array([[float(lag(a, i) @ lag(b, j)) for j in range(order + 1)] for i in range(order + 1)])
 
 
 def _correlated(covariance: np.ndarray, x: np.ndarray) -> np.ndarray:

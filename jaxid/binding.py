@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field, replace
+from typing import Any
 
 import jax
 import jax.numpy as jnp
@@ -216,6 +217,18 @@ def inertia_torque(chain: Chain, q: Float[Array, "n nq"], qdd: Float[Array, "n n
     return jax.vmap(lambda q, a: body.inverse(q, still, a) - body.inverse(q, still, still))(q, qdd)
 
 
+_INERTIA: dict[Any, Traced] = {}
+
+
+def _inertia_program(layout: Layout) -> Traced:
+    """`inertia_torque` by all numbers of a layout, one program for all chains of its structure."""
+    structure = jax.tree.structure(layout.chain)
+    if structure not in _INERTIA:
+        key = key_of(inertia_torque, layout.model(np.zeros(len(layout))), layout.names)
+        _INERTIA[structure] = Traced(lambda theta, q, qdd: inertia_torque(layout.model(theta), q, qdd), key)
+    return _INERTIA[structure]
+
+
 def _references(
     dataset: Dataset, layout: Layout, theta: np.ndarray, motions: dict[str, Motion]
 ) -> tuple[list[Reference], list[Reference]]:
@@ -239,9 +252,7 @@ def _references(
         q, qdd = (np.concatenate([getattr(m, k) for m in used]) for k in ("q", "qdd"))
         pick = np.linspace(0, len(q) - 1, 2000).astype(int)
         with float64():
-            key = key_of(inertia_torque, layout.model(np.zeros(len(layout))), layout.names)
-            needed = Traced(lambda theta, q, qdd: inertia_torque(layout.model(theta), q, qdd), key)
-            torque = needed(theta, q[pick], qdd[pick])
+            torque = _inertia_program(layout)(theta, q[pick], qdd[pick])
             inertia = np.percentile(np.abs(np.asarray(torque)), 99, axis=0)
         joints = samples.references(fit, used, iu if direct else [], inertia)
     return joints, [joints[min(k, nq - 1)]._replace(torque=max(s, 1e-9)) for k, s in enumerate(size)]

@@ -164,6 +164,7 @@ _COMPILERS = ThreadPoolExecutor(max_workers=os.cpu_count() or 1, thread_name_pre
 
 
 def in_float64(program: Callable, *args: Any) -> Any:
+    """What a program answers in float64: the setting belongs to a thread, so each that calls one sets it."""
     with float64():
         return program(*args)
 
@@ -175,7 +176,7 @@ class Programs(NamedTuple):
     outputs: Traced
     tangents: Traced
     losses: dict[Any, Any]
-    ready: dict[str, Future | None]  # which of them have been compiled in this process, or are being read from disk
+    ready: dict[str, Future | None]  # which are there; those that another thread reads or compiles, as its task
 
 
 _PROGRAMS: dict[Any, Programs] = {}

@@ -61,9 +61,9 @@ def fit_seeds(
     while level:
         bench, finer = benches.of(step), {}
         # Cores compile side by side: what descents run while start values are found, what is asked of their end while they run.
-        ahead = [bench.runs(residual, "fit").engine.compile_ahead] if simulated else []
-        for begin in ahead if isinstance(fitter, LevenbergMarquardt) else ():
-            begin("tangents", binding.theta, binding.free)
+        engine = bench.runs(residual, "fit").engine if simulated else None
+        if engine and isinstance(fitter, LevenbergMarquardt):
+            engine.compile_ahead("tangents", binding.theta, binding.free)
         jobs, common = [], {}
         for seed, theta in level.items():
             guesses = benches.starts(bench, residual, loss, seed) if theta is None else [theta]
@@ -71,8 +71,8 @@ def fit_seeds(
                 common[key] = bench.problem(residual, "fit", binding.free, guesses[0], loss=loss)
             problem = common[key]
             jobs.append((problem, [problem.z(g) for g in guesses], jax.random.key(seed)))
-        for begin in ahead:
-            begin("outputs", binding.theta, binding.free)
+        if engine:
+            engine.compile_ahead("outputs", binding.theta, binding.free)
         found = fitter.minimise_each(jobs, budget, progress)
         for seed, job, result in zip(level, jobs, found, strict=True):
             problem = job[0]

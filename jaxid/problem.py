@@ -325,9 +325,9 @@ def _lanes(jobs: Sequence[tuple[Problem, np.ndarray]], share: float) -> Iterator
             inside = seen[jobs[j][0].records[row]][1]
             own = found.setdefault((j, row), {})
             if c < 0 or not differences and (-1, 0) not in own:
-                own[-1, 0] = y[n][inside]
+                own[-1, 0] = y[n][inside].copy()  # a view would hold on to the whole block
             if c >= 0:
-                own[c, side] = dy[n][inside]
+                own[c, side] = dy[n][inside].copy()
             rest[j, row] -= 1
         while order and not rest[order[0]]:
             j, row = order.pop(0)
