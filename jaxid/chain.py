@@ -50,7 +50,7 @@ class Effect(eqx.Module):
     """Abstract: one physical effect at one port.
 
     Class attributes of a final class: `name`, `equation`, `signature` (what it looks like in a residual), `source`,
-    `excitation` (what to record to see it), `refines` (the effect without which it makes no sense, or ""), and `probes`:
+    `excitation` (what to record to see it), `refines` (the effect without which it is not added, or ""), and `probes`:
     finite strengths for the screen, since some effects have zero derivative at their neutral value.
     """
 

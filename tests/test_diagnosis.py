@@ -280,6 +280,18 @@ def test_a_nominal_term_taken_out_is_found():
     assert "coulomb_friction" in named and "coulomb" in d.final.parameters
 
 
+@pytest.mark.parametrize("dry", [0.02, 0.0])
+def test_what_refines_an_effect_that_is_missing_comes_with_it(dry):
+    """Stribeck friction is no law without dry friction: a model that has none is asked for both, and keeps what the data need."""
+    data = recording("pendulum", 5, coulomb=dry, stribeck=0.02, stribeck_speed=0.15)
+    choice = ["coulomb_friction", "stribeck_friction", *CHOICE]
+    d = jaxid.diagnose("pendulum", data, without=["coulomb_friction"], effects=choice)
+    found = {e.effect: e.parameters for e in d.which.effects}
+    assert d.which.verdict == "named" and set(found) == {"stribeck_friction"} | ({"coulomb_friction"} if dry else set())
+    extra = found["stribeck_friction"]["extra"]
+    assert extra.std is not None and abs(extra.value - 0.02) < 4 * extra.std
+
+
 @pytest.mark.slow
 def test_a_cause_outside_the_library_is_not_named():
     data = recording("pendulum", 4)

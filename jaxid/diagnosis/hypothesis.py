@@ -81,8 +81,14 @@ def candidates(bench: Bench, allowed: Sequence[str], by_torque: bool = False) ->
 
 def sensible(effects: Sequence[Candidate]) -> bool:
     """Whether every effect that refines another has that one beside it: Stribeck friction is what dry friction has more of at
-    low speed, and without it would be a law of its own that no surface has."""
+    low speed, and without it would be a law of its own that no surface has; only where nothing is left of that one in the end
+    is it taken out."""
     return all(not c.refines or any(e.effect == c.refines and e.location == c.location for e in effects) for c in effects)
+
+
+def refined_by(c: Candidate, pool: Sequence[Candidate]) -> list[Candidate]:
+    """The effect of a pool that a candidate refines."""
+    return [e for e in pool if e.effect == c.refines and e.location == c.location]
 
 
 def key_of(effects: Sequence[Candidate]) -> frozenset[str]:

@@ -92,6 +92,11 @@ def as_given(bench: Bench, effects: Sequence[Candidate], starts: Sequence[np.nda
     return out
 
 
+def with_refined(bench: Bench, base: Sequence[Candidate], starts: Sequence[np.ndarray]) -> list[np.ndarray]:
+    """Starts, and the first of them with each probe of the effects that are refined, which are off in them."""
+    return [*starts, *(theta for start in starts[:2] for c in base for theta in probes_of(bench, c, start))]
+
+
 def at_all_joints(bench: Bench, found: Sequence[Hypothesis], pool: Sequence[Candidate]) -> list[Proposal]:
     """The best hypotheses, one for each kind of their last effect, with that effect at all other joints too: what one drive of an
     arm lacks its neighbours may lack as well, and a law is best judged by all of them."""

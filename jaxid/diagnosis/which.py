@@ -13,9 +13,19 @@ from dataclasses import replace
 import numpy as np
 
 from jaxid.diagnosis.evidence import held_out, inflation, knowledge, memory, worth
-from jaxid.diagnosis.hypothesis import Candidate, effect_of, family_of, Hypothesis, key_of, read_off_of, Search, sensible
-from jaxid.diagnosis.proposals import as_given, at_all_joints, least_missed, pairs, plain_pairs, torque_starts
+from jaxid.diagnosis.hypothesis import (
+    Candidate,
+    family_of,
+    Hypothesis,
+    key_of,
+    read_off_of,
+    refined_by,
+    Search,
+    sensible,
+)
+from jaxid.diagnosis.proposals import as_given, at_all_joints, least_missed, pairs, plain_pairs, torque_starts, with_refined
 from jaxid.diagnosis.screen import probe_residuals, Screened, screened
+from jaxid.diagnosis.shortlist import shortlist, TIMING
 from jaxid.diagnosis.undetermined import brought_back
 from jaxid.estimation import Bench, estimate_starts
 from jaxid.fitter import Progress
@@ -27,8 +37,6 @@ from jaxid.stepping import finer_predictions, step_error, STEP_SHARE
 
 #: A difference of held-out evidence below this many chi-square units (3 sigma) decides nothing.
 DECISIVE = 9.0
-#: Candidates within this share of the best screen value are refitted, at least MINIMUM and at most MAXIMUM of them.
-SCREEN_SHARE, MINIMUM, MAXIMUM = 0.02, 6, 16
 #: Starts of each refit that come from the screen: two of the best to first order, and the best of all probes as they simulate.
 STARTS = 4
 #: So many hypotheses that explain the torque of the measured motion best are refitted to the end, however they do at first.
@@ -40,9 +48,6 @@ CONFLICT = 0.5
 ALIKE = 1.02
 #: An effect must remove at least this share of what is left of the gap on validation data.
 GAIN = 0.02
-#: Timing comes before physics: these are always refitted first, and win a tie. One sample of offset between two channels, or the
-#: wrong hold of the command, is soon made and looks like lag, friction or inertia.
-TIMING = ("input_hold", "input_delay", "sensor_delay")
 #: How often the step may be halved, and how often its defect is worked out anew for a chosen hypothesis.
 HALVINGS, CORRECTIONS = 3, 2
 #: Near the floor: nothing worth another effect is left below this mean square on validation data.
@@ -161,7 +166,7 @@ class Searcher:
             rest = [c for c in pool if c not in chosen.effects]
             if not rest:
                 break
-            found = self._extend(chosen, rest)
+            found = self._extend(chosen, rest, max_effects - self._named(chosen))
             if len(chosen.effects) == 1:  # two others may explain more than the first choice and one beside it
                 found += self.refit(pairs(self.bench, singles))
             singles = found
@@ -299,35 +304,28 @@ class Searcher:
         white = self.fit_inflation(h) < 1.5 * max(1.0, h.fit_loss) and memory(h.validation.settled) <= 2
         return worst < NEAR_FLOOR or (worst < 1.5 and white)
 
-    def _extend(self, h: Hypothesis, rest: Sequence[Candidate]) -> list[Hypothesis]:
-        """Refits of `h` with one more effect each, for all that the screen lets pass."""
-        rest = [c for c in rest if sensible((*h.effects, c))]
-        ranked = self.screen(h, rest)
+    def _extend(self, h: Hypothesis, rest: Sequence[Candidate], room: int = 1) -> list[Hypothesis]:
+        """Refits of `h` with one more effect each, for all that the screen lets pass; one that refines another which is missing
+        comes with that one, where there is room for two."""
+        base = {str(c): [] if sensible((*h.effects, c)) else refined_by(c, rest) for c in rest}
+        rest = [c for c in rest if sensible((*h.effects, *base[str(c)], c)) and len(base[str(c)]) < room]
+        ranked = self.screen(h, rest) if rest else []
         # A free run that has gone far astray says little to first order: what the torque screen puts first is tried as well.
-        by_torque = self.torque_screen(h, [c for _, c, _ in ranked] or rest)
+        by_torque = self.torque_screen(h, [c for _, c, _ in ranked] or rest) if rest else []
         if not (ranked or by_torque):
             return []
         if self.progress:
             self.progress("screen", len(h.effects), 3, f"{len(ranked or by_torque)} candidates react to the data")
-        blind = not (by_torque or h.effects or self.by_torque)  # a model with inner states: all that reacts is tried
-        kept = ranked if blind else _head(ranked)
-        names = {str(c) for _, c, _ in kept}
-        # At the joint first: what is on the way of the command always explains torque, by delivering less of it.
-        at_joint = [f for f in by_torque if effect_of(self.bench, f[1]).location == "joint"]
-        more = [str(c) for _, c, _ in (*_head(at_joint), *_head([f for f in by_torque if f not in at_joint]))]
-        table = {str(f[1]): f for f in ranked or by_torque}
-        ranked = ranked or by_torque
-        first = [f for f in ranked if f[1].effect in TIMING and not h.effects]
-        others = [f for f in (*kept, *(table[n] for n in more if n in table and n not in names)) if f not in first]
-        kept = [*first, *others][: 2 * MAXIMUM if blind else MAXIMUM]
-        names = {str(c) for _, c, _ in kept}
-        alike = [f"{n} at {c.location}" for _, c, _ in kept for n in effect_of(self.bench, c).resembles]
-        kept += [table[n] for n in dict.fromkeys(alike) if n in table and n not in names]
+        blind = not (by_torque or h.effects or self.by_torque)  # a model with inner states
+        kept = shortlist(self.bench, ranked, by_torque, lambda c: bool(base[str(c)]), not h.effects, blind)
         if self.progress:
             self.progress("refit", len(h.effects), 3, f"{len(kept)} candidates")
         best = {str(c): starts[:1] for _, c, starts in by_torque}  # second comes the torque's answer to which probe is right
-        wider = lambda c, s: [*s[:1], *best.get(str(c), []), *s[1:], *as_given(self.bench, (*h.effects, c), s)]
-        return self.refit([((*h.effects, c), wider(c, starts)) for _, c, starts in kept])
+        sets = []
+        for _, c, starts in kept:
+            wider = [*starts[:1], *best.get(str(c), []), *starts[1:], *as_given(self.bench, (*h.effects, c), starts)]
+            sets.append(((*h.effects, *base[str(c)], c), with_refined(self.bench, base[str(c)], wider)))
+        return self.refit(sets)
 
     def _evidence(self, before: Hypothesis, after: Hypothesis) -> tuple[float, float]:
         """Evidence for `after` in chi-square units: from the fit runs, and from the validation runs."""
@@ -389,13 +387,11 @@ class Searcher:
         return total / (h.path.count + h.validation.count)
 
     def _questioned(self, h: Hypothesis) -> Hypothesis:
-        """Takes out effects that are no longer needed beside the others; the smaller set gets every chance, starting from
-        where the larger one ended."""
+        """Takes out effects that are no longer needed beside the others, what one refines as well where there is none of it; the
+        smaller set gets every chance, starting from where the larger one ended."""
         while len(h.effects) > 1:
             sets = []
             for c in least_missed(h, self.bench.binding.theta) if self.by_torque else h.effects:
-                if not sensible([e for e in h.effects if e is not c]):
-                    continue
                 theta = h.theta.copy()
                 theta[list(c.index)] = self.bench.binding.theta[list(c.index)]
                 sets.append((tuple(e for e in h.effects if e is not c), [theta]))
@@ -437,8 +433,3 @@ class Searcher:
         paths = descend([(p, self._z(p, h)) for p, h in zip(problems, old, strict=True)], 10, 1e-7) if old else []
         for h in self._hypotheses([(h.effects, path) for h, path in zip(old, paths, strict=True)]) if old else []:
             self.known[key_of(h.effects)] = h
-
-
-def _head(ranked: list) -> list:
-    """What is refitted of a ranking."""
-    return [f for k, f in enumerate(ranked) if k < MINIMUM or f[0] >= ranked[0][0] - SCREEN_SHARE]
