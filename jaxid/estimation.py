@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field
+from typing import NamedTuple
 
 import numpy as np
 
@@ -17,6 +18,13 @@ from jaxid.problem import Problem
 from jaxid.residual import InverseDynamics, MultipleShooting, OutputError, Residual, Runs
 from jaxid.results import EffectEstimate, Estimate, Fit, Score, Trace
 from jaxid.uncertainty import Covariance, covariance
+
+
+class Begun(NamedTuple):
+    """Starts of runs [runs 2 nq], and per run how much its first moments tell about the unknown part of its start (J'J)."""
+
+    starts: np.ndarray
+    information: list[np.ndarray]
 
 
 @dataclass
@@ -35,6 +43,7 @@ class Bench:
 
     def __post_init__(self):
         self._runs: dict[tuple[str, str], Runs] = {}
+        self._begun: dict[tuple[str, bytes], Begun] = {}
         # One shape for all splits, and for the half step that a search may go over to: one program.
         room = min(self.step, samples.STEP / 2)
         self._shape = self._largest({e.name: samples.step_count(e.whole, room) for e in self.binding.dataset.experiments})
@@ -94,6 +103,18 @@ class Bench:
                 out[at] = 0.0 if part is None else part[own.record(number).samples]
         return out
 
+    def take_off(self, residual: Residual, split: str, defect: np.ndarray) -> None:
+        """Sets what finer steps would add."""
+        self.defects[repr(residual), split] = defect
+        self._begun.clear()
+
+    def begun(self, split: str, thetas: Sequence[np.ndarray]) -> list[Begun]:
+        """How the free runs of a split begin with each of several parameter vectors; what was estimated before is kept."""
+        new = {theta.tobytes(): theta for theta in thetas if (split, theta.tobytes()) not in self._begun}
+        if new:
+            self._begun |= {(split, key): b for key, b in zip(new, _begun(self, split, list(new.values())), strict=True)}
+        return [self._begun[split, theta.tobytes()] for theta in thetas]
+
     def compile_time(self) -> float:
         return sum(r.engine.compile_time_s for r in self._runs.values())
 
@@ -125,13 +146,11 @@ def start_values(bench: Bench, free: Sequence[int], seed: int) -> list[np.ndarra
 
 def estimate_starts(bench: Bench, split: str, thetas: Sequence[np.ndarray]) -> np.ndarray:
     """Starts of the free runs of a split that is not fitted, from their first moments only; [thetas runs 2 nq]."""
-    return starts_and_information(bench, split, thetas)[0]
+    return np.array([b.starts for b in bench.begun(split, thetas)])
 
 
-def starts_and_information(bench: Bench, split: str, thetas: Sequence[np.ndarray]) -> tuple[np.ndarray, list[list[np.ndarray]]]:
-    """The same, and per theta and run how much the first moments tell about the unknown part of the start (J'J).
-
-    The start is fitted on the longest of some nested first stretches that the model follows to within twice the noise: with a
+def _begun(bench: Bench, split: str, thetas: Sequence[np.ndarray]) -> list[Begun]:
+    """The start is fitted on the longest of some nested first stretches that the model follows to within twice the noise: with a
     fine encoder a wrong friction law would else bend the start within a tenth of a second.
     """
     runs = bench.runs(OutputError(), split)
@@ -144,10 +163,10 @@ def starts_and_information(bench: Bench, split: str, thetas: Sequence[np.ndarray
     unknown = [k for k, (p, _) in enumerate(jobs) if p.size]
     paths = dict(zip(unknown, descend([jobs[k] for k in unknown], 8, 1e-8), strict=True)) if unknown else {}
     starts = np.zeros((len(thetas), len(runs.heads), jobs[0][0].start0.shape[1]))
-    information: list[list[np.ndarray]] = []
+    out: list[Begun] = []
     k = 0
     for i in range(len(thetas)):
-        information.append([])
+        out.append(Begun(starts[i], []))
         for j, heads in enumerate(runs.heads):
             own = range(k, k + len(heads))  # longest first
             k += len(heads)
@@ -160,8 +179,8 @@ def starts_and_information(bench: Bench, split: str, thetas: Sequence[np.ndarray
             z = paths[best].z if best in paths else z
             starts[i, j] = p.starts(z)[0]
             hessian = paths[best].hessian if best in paths else None
-            information[-1].append(np.zeros((p.size, p.size)) if hessian is None else hessian)
-    return starts, information
+            out[-1].information.append(np.zeros((p.size, p.size)) if hessian is None else hessian)
+    return out
 
 
 def free_runs(bench: Bench, split: str, thetas: Sequence[np.ndarray], starts: np.ndarray) -> list[list[np.ndarray]]:

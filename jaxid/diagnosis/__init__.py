@@ -208,9 +208,11 @@ def _search(question: Question) -> tuple[Bench, Fit, Search, float]:
     # Hundreds of models, each simulated a few times: tangents would compile longer. By torque nothing is simulated, and numbers
     # that the motion hardly determines need exact ones.
     bench = Bench(binding, differences=0 if isinstance(residual, InverseDynamics) else 1)
+    engine = bench.runs(residual, "fit").engine
+    engine.compile_ahead("outputs" if bench.differences else "tangents", binding.theta, binding.free)
     guesses = start_values(bench, binding.free, seed)
+    engine.read_ahead()  # while the nominal model is fitted
     problem = bench.problem(residual, "fit", binding.free, guesses[0])
-    problem.runs.engine.read_ahead()  # while the nominal model is fitted
     fitter = LevenbergMarquardt()
     nominal, log = fitter.path(problem, [problem.z(g) for g in guesses], jax.random.key(seed), progress)
     if not np.isfinite(nominal.cost):

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from jaxid.estimation import Bench, scored, starts_and_information
+from jaxid.estimation import Bench, scored
 from jaxid.fitters import descend, Path
 from jaxid.problem import rows
 from jaxid.residual import OutputError, Residual
@@ -100,7 +100,8 @@ def _free(
     follow: Sequence[Path | None],
 ) -> list[HeldOut]:
     runs = bench.runs(OutputError(), split)
-    starts, from_heads = starts_and_information(bench, split, thetas)
+    begun = bench.begun(split, thetas)
+    starts = np.array([b.starts for b in begun])
     jobs = []
     for k, theta in enumerate(thetas):
         free = [] if (told := known[k]) is None else told[0]
@@ -116,7 +117,7 @@ def _free(
         own = parts[k * per : (k + 1) * per]
         residual = [_finite(part.r[inside]) for part, inside in zip(own, keep, strict=True)]
         slopes = [np.clip(np.nan_to_num(part.J[inside]), -1e12, 1e12) for part, inside in zip(own, keep, strict=True)]
-        settled, price = shifted(residual, slopes, about, from_heads[k])
+        settled, price = shifted(residual, slopes, about, begun[k].information)
         total = price + _squares(settled)
         count = sum(r.size for r in residual)
         out.append(HeldOut(residual, settled, total / max(count, 1), count))

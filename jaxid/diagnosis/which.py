@@ -263,11 +263,16 @@ class Searcher:
 
     def _descended(self, h: Hypothesis, descent: tuple[int, float] = THOROUGH) -> Hypothesis:
         """The hypothesis at its minimum on the bench as it is now."""
-        p = self.problem(h.effects, h.theta)
-        end = descend([(p, self._z(p, h))], *descent)[0]
-        self._inflations.pop(key_of(h.effects), None)
-        self.known[key_of(h.effects)] = self._hypotheses([(h.effects, end)])[0]
-        return self.known[key_of(h.effects)]
+        return self._all_descended([h], descent)[0]
+
+    def _all_descended(self, hypotheses: Sequence[Hypothesis], descent: tuple[int, float]) -> list[Hypothesis]:
+        problems = [self.problem(h.effects, h.theta) for h in hypotheses]
+        paths = descend([(p, self._z(p, h)) for p, h in zip(problems, hypotheses, strict=True)], *descent)
+        found = self._hypotheses([(h.effects, path) for h, path in zip(hypotheses, paths, strict=True)])
+        for h in found:
+            self._inflations.pop(key_of(h.effects), None)
+            self.known[key_of(h.effects)] = h
+        return found
 
     def _take_off(self, h: Hypothesis) -> None:
         """Sets the defects of the bench's steps, as this hypothesis has them."""
@@ -281,15 +286,15 @@ class Searcher:
             defect = np.zeros_like(p.targets)
             for number, halved, coarse in zip(p.records, fine, p.predictions(z), strict=True):
                 defect[p.runs.record(number).samples] = halved - coarse
-            self.bench.defects[repr(self.residual), split] = np.nan_to_num(defect)
+            self.bench.take_off(self.residual, split, np.nan_to_num(defect))
 
     def _settled(self, chosen: Hypothesis) -> Hypothesis:
         """The result on the accurate bench itself."""
         if self.accurate is not self.bench:
             self.benches.append(self.bench)
             self.bench = self.accurate
-            self.nominal = self._descended(self.nominal, BRIEF if chosen.effects else THOROUGH)
-            chosen = self._descended(chosen) if chosen.effects else self.nominal
+            self.nominal, *rest = self._all_descended([self.nominal, chosen] if chosen.effects else [self.nominal], THOROUGH)
+            chosen = rest[0] if rest else self.nominal
         return chosen
 
     def _at_floor(self, h: Hypothesis) -> bool:
@@ -429,7 +434,5 @@ class Searcher:
             return
         limit = 1.5 * self._stale[chosen].fit_loss
         old = [self._stale[k] for k in keys if k in self._stale and k not in self.known and self._stale[k].fit_loss <= limit]
-        problems = [self.problem(h.effects, h.theta) for h in old]
-        paths = descend([(p, self._z(p, h)) for p, h in zip(problems, old, strict=True)], 10, 1e-7) if old else []
-        for h in self._hypotheses([(h.effects, path) for h, path in zip(old, paths, strict=True)]) if old else []:
-            self.known[key_of(h.effects)] = h
+        if old:
+            self._all_descended(old, (10, 1e-7))
