@@ -166,7 +166,8 @@ class Searcher:
             rest = [c for c in pool if c not in chosen.effects]
             if not rest:
                 break
-            found = self._extend(chosen, rest, max_effects - self._named(chosen))
+            # By torque a law is tried at all joints once it is found: what it refines is there by then.
+            found = self._extend(chosen, rest, 1 if self.by_torque else max_effects - self._named(chosen))
             if len(chosen.effects) == 1:  # two others may explain more than the first choice and one beside it
                 found += self.refit(pairs(self.bench, singles))
             singles = found
@@ -397,6 +398,8 @@ class Searcher:
         while len(h.effects) > 1:
             sets = []
             for c in least_missed(h, self.bench.binding.theta) if self.by_torque else h.effects:
+                if self.by_torque and not sensible([e for e in h.effects if e is not c]):
+                    continue  # a torque of dry friction alone says little at the low speeds where the two differ
                 theta = h.theta.copy()
                 theta[list(c.index)] = self.bench.binding.theta[list(c.index)]
                 sets.append((tuple(e for e in h.effects if e is not c), [theta]))
