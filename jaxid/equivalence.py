@@ -29,8 +29,9 @@ from jaxid.problem import Problem, rows
 from jaxid.residual import OutputError
 
 
-#: An effect is absorbed where re-tuning leaves less than this share of what a weak one (WEAK of a probe) changes.
-ABSORBED, WEAK = 3e-3, 1e-3
+#: An effect is absorbed where re-tuning leaves less than this share of what a weak one (WEAK of a probe) changes: as much as a
+#: first-order re-tuning leaves of one that is absorbed exactly goes with its strength, what it cannot absorb does not.
+ABSORBED, WEAK = 5e-4, 5e-5
 #: Two effects whose weak changes point this much the same way (cosine) are compared in earnest: the recording of one, at its
 #: last probe, is fitted with the other, and they are alike where both fits leave less than LEFT of what re-tuning alone leaves.
 PARALLEL, LEFT = 0.999, 0.02
