@@ -15,7 +15,7 @@ from jaxid.diagnosis import how_far as shrinking, timing, where as location
 from jaxid.diagnosis.evidence import held_out, knowledge
 from jaxid.diagnosis.hypothesis import Candidate, candidates, Hypothesis, Search
 from jaxid.diagnosis.next_experiment import advice
-from jaxid.diagnosis.which import NEAR, Searcher
+from jaxid.diagnosis.which import Searcher, WHITE
 from jaxid.errors import nearest, UsageError
 from jaxid.estimation import (
     assemble,
@@ -146,7 +146,7 @@ def _diagnosed(question: Question, scatter: timing.Scatter | None = None) -> tup
     if named and binding.experiments("report"):
         judged, judged_text = verdict, text
         verdict, text = upheld(verdict, text, how_far.gap_retuned, how_far.gap_after)
-        if verdict != judged:  # unless what fit runs leave open can account for it
+        if verdict != judged:  # unless the model follows the fit runs, and what they leave open can account for it
             told = [knowledge(h.path) for h in (search.nominal, final)]
             seen = held_out(
                 bench,
@@ -154,7 +154,7 @@ def _diagnosed(question: Question, scatter: timing.Scatter | None = None) -> tup
                 [search.nominal.theta, final.theta],
                 residual,
                 told,
-                [None, final.path if final.fit_loss <= NEAR else None],
+                [None, final.path if final.fit_loss <= WHITE else None],
             )
             verdict, text = upheld(judged, judged_text, *(float(np.sqrt(max(held.loss, 0.0))) for held in seen))
             if verdict == judged:
