@@ -19,7 +19,8 @@ from jaxid.binding import bind
 from jaxid.diagnosis import growth, upheld
 from jaxid.diagnosis.evidence import held_out, HeldOut, inflation, knowledge, memory, shifted
 from jaxid.diagnosis.how_far import bootstrap, shrink
-from jaxid.diagnosis.hypothesis import candidates
+from jaxid.diagnosis.hypothesis import candidates, Hypothesis
+from jaxid.diagnosis.proposals import exchanged
 from jaxid.diagnosis.undetermined import brought_back
 from jaxid.diagnosis.which import Searcher
 from jaxid.estimation import Bench, start_values
@@ -290,6 +291,43 @@ def test_what_refines_an_effect_that_is_missing_comes_with_it(dry):
     assert d.which.verdict == "named" and set(found) == {"stribeck_friction"} | ({"coulomb_friction"} if dry else set())
     extra = found["stribeck_friction"]["extra"]
     assert extra.std is not None and abs(extra.value - 0.02) < 4 * extra.std
+
+
+def test_of_two_effects_neither_need_help_alone():
+    """A lag beside asymmetric friction explains the fit runs and spoils the validation runs, which go where the friction counts;
+    what a lag of the sensor explains is less, of both."""
+    data = recording("joint", 3, lag=0.0138, dry_asymmetry=0.0143, viscous_asymmetry=0.002)
+    timing = ["input_delay", "sensor_delay", "actuator_lag", "sensor_lag"]
+    d = jaxid.diagnose("joint", data, effects=[*timing, "asymmetric_friction", "position_dependent_friction"])
+    assert d.which.verdict == "named" and d.how_far.gap_after < 1.2
+    assert {e.effect for e in d.which.effects} == {"actuator_lag", "asymmetric_friction"}
+
+
+def test_what_was_passed_over_is_tried_again_beside_a_later_effect():
+    """In the place of the accepted effect, never of the last one, and with the numbers of that place where they were."""
+    names = ["input_delay", "actuator_lag", "spring_torque", "quadratic_drag"]
+    data = recording("pendulum", 1, load=0.1)
+    bench = Bench(bind("pendulum", data, candidates=[catalogue.effect_class(n) for n in names]))
+    delay, lag, spring, drag = (next(c for c in candidates(bench, names) if c.effect == n) for n in names)
+    theta = bench.binding.theta
+
+    def hypothesis(*effects, **numbers):
+        own = theta.copy()
+        for c in effects:
+            own[list(c.index)] = numbers[c.effect]
+        return Hypothesis(effects, own, None, None)  # type: ignore[arg-type]
+
+    both = hypothesis(delay, spring, input_delay=0.01, spring_torque=0.2)
+    rivals = {
+        delay: [hypothesis(lag, actuator_lag=0.012)],
+        spring: [hypothesis(delay, drag, input_delay=0.01, quadratic_drag=1e-3)],
+    }
+    ((effects, starts),) = exchanged(bench, [both], rivals)
+    assert effects == (lag, spring)
+    for start in starts:
+        assert start[list(delay.index)] == theta[list(delay.index)]
+        assert np.array_equal(start[list(spring.index)], both.theta[list(spring.index)])
+    assert starts[0][list(lag.index)] == starts[1][list(lag.index)] == 0.012
 
 
 @pytest.mark.slow

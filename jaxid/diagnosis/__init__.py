@@ -12,10 +12,11 @@ import numpy as np
 from jaxid import catalogue
 from jaxid.binding import bind, Binding, JITTER, resolve_model
 from jaxid.diagnosis import how_far as shrinking, timing, where as location
-from jaxid.diagnosis.evidence import held_out, knowledge
+from jaxid.diagnosis.choice import WHITE
+from jaxid.diagnosis.evidence import held_out, inflation, knowledge, worth
 from jaxid.diagnosis.hypothesis import Candidate, candidates, Hypothesis, Search
 from jaxid.diagnosis.next_experiment import advice
-from jaxid.diagnosis.which import Searcher, WHITE
+from jaxid.diagnosis.which import Searcher
 from jaxid.errors import nearest, UsageError
 from jaxid.estimation import (
     assemble,
@@ -357,8 +358,6 @@ def _ranked(search: Search) -> list[Ranked]:
         seen.add(key)
         last: Candidate = h.effects[-1]
         gap = float(np.sqrt(max(h.validation.loss, 0.0)))
-        from jaxid.diagnosis.evidence import inflation, worth
-
         evidence = worth(h.validation, nominal.validation, inflation(h.validation))
         beside = f" beside {' and '.join(str(c) for c in h.effects[:-1])}" if len(h.effects) > 1 else ""
         change = 100 * (1 - gap / max(np.sqrt(max(nominal.validation.loss, 1e-300)), 1e-300))

@@ -4,12 +4,13 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field
+from functools import cached_property
 
 import numpy as np
 
 from jaxid.added_effects import probes, read_off
 from jaxid.chain import Effect
-from jaxid.diagnosis.evidence import HeldOut
+from jaxid.diagnosis.evidence import HeldOut, memory
 from jaxid.estimation import Bench
 from jaxid.fitters import Path
 from jaxid.problem import Problem
@@ -45,6 +46,11 @@ class Hypothesis:
     def size(self) -> int:
         """Number of effect parameters."""
         return sum(len(c.index) for c in self.effects)
+
+    @cached_property
+    def fit_inflation(self) -> float:
+        """What `evidence.inflation` is for held-out runs, for the residual of the fit runs."""
+        return max(1.0, self.fit_loss) * memory(self.path.problem.residuals(self.path.z))
 
     @property
     def bic(self) -> float:

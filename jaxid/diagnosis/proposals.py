@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import itertools
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 
 import numpy as np
 
@@ -15,6 +15,8 @@ from jaxid.residual import InverseDynamics
 
 #: Pairs are made of so many of the best single effects.
 PAIRED = 4
+#: So many of those that an accepted effect was not clearly better than are tried in its place later on.
+RIVALS = 3
 #: By torque: kinds of effects tried at all joints at once, and effects whose removal is tried.
 SPREAD = 4
 #: So many of the starts also with the numbers of the model as the user gave them.
@@ -35,6 +37,26 @@ def pairs(bench: Bench, found: Sequence[Hypothesis]) -> list[Proposal]:
             theta[list(new.index)] = second.theta[list(new.index)]
             if new not in first.effects and sensible((*first.effects, new)):
                 sets.append(((*first.effects, new), [theta, *probes_of(bench, new, first.theta)[:2]]))
+    return sets
+
+
+def exchanged(bench: Bench, found: Sequence[Hypothesis], passed_over: Mapping[Candidate, Sequence[Hypothesis]]) -> list[Proposal]:
+    """Each hypothesis with another effect in the place of one that was there before its last: with that beside it, what could not
+    be told from the accepted effect (`passed_over`, for each of these) may be far better."""
+    sets: list[Proposal] = []
+    for h, (old, rivals) in itertools.product(found, passed_over.items()):
+        for rival in rivals:
+            new = rival.effects[-1]
+            effects = tuple(new if c is old else c for c in h.effects)
+            if old not in h.effects[:-1] or new in h.effects or not sensible(effects):
+                continue
+            without, beside = h.theta.copy(), rival.theta.copy()
+            without[list(old.index)] = bench.binding.theta[list(old.index)]
+            for c in h.effects[h.effects.index(old) + 1 :]:
+                beside[list(c.index)] = h.theta[list(c.index)]
+            own = without.copy()
+            own[list(new.index)] = rival.theta[list(new.index)]
+            sets.append((effects, [beside, own, *probes_of(bench, new, without)[:2]]))
     return sets
 
 

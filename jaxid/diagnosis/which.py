@@ -12,10 +12,10 @@ from dataclasses import replace
 
 import numpy as np
 
-from jaxid.diagnosis.evidence import held_out, inflation, knowledge, memory, worth
+from jaxid.diagnosis.choice import ALIKE, best, CONFLICT, equals, indistinct, joint_loss, significant
+from jaxid.diagnosis.evidence import held_out, knowledge, memory
 from jaxid.diagnosis.hypothesis import (
     Candidate,
-    family_of,
     Hypothesis,
     key_of,
     read_off_of,
@@ -23,9 +23,19 @@ from jaxid.diagnosis.hypothesis import (
     Search,
     sensible,
 )
-from jaxid.diagnosis.proposals import as_given, at_all_joints, least_missed, pairs, plain_pairs, torque_starts, with_refined
+from jaxid.diagnosis.proposals import (
+    as_given,
+    at_all_joints,
+    exchanged,
+    least_missed,
+    pairs,
+    plain_pairs,
+    RIVALS,
+    torque_starts,
+    with_refined,
+)
 from jaxid.diagnosis.screen import probe_residuals, Screened, screened
-from jaxid.diagnosis.shortlist import shortlist, TIMING
+from jaxid.diagnosis.shortlist import shortlist
 from jaxid.diagnosis.undetermined import brought_back
 from jaxid.estimation import Bench, estimate_starts
 from jaxid.fitter import Progress
@@ -35,19 +45,10 @@ from jaxid.residual import InverseDynamics, OutputError, Residual
 from jaxid.stepping import finer_predictions, step_error, STEP_SHARE
 
 
-#: A difference of held-out evidence below this many chi-square units (3 sigma) decides nothing.
-DECISIVE = 9.0
 #: Starts of each refit that come from the screen: two of the best to first order, and the best of all probes as they simulate.
 STARTS = 4
 #: So many hypotheses that explain the torque of the measured motion best are refitted to the end, however they do at first.
 SURE = 3
-#: A hypothesis that leaves less than this share of what the best one on validation data leaves of the fit runs, and less over
-#: both (mean logarithm), is preferred to it: validation runs may go where the fit runs tell little of any hypothesis.
-CONFLICT = 0.5
-#: A law of fewer numbers is as good if it leaves less than so much more: the noise itself is not known better.
-ALIKE = 1.02
-#: An effect must remove at least this share of what is left of the gap on validation data.
-GAIN = 0.02
 #: How often the step may be halved, and how often its defect is worked out anew for a chosen hypothesis.
 HALVINGS, CORRECTIONS = 3, 2
 #: Near the floor: nothing worth another effect is left below this mean square on validation data.
@@ -61,8 +62,6 @@ FREED = 0.5
 #: What leaves at most so many times what the best of a batch leaves of the fit runs, and so many times the noise (mean squares),
 #: is followed on validation runs.
 CLOSE, NEAR = 1.5, 6.0
-#: Residuals of fit runs at the noise, and white: their sums of squares count as they are.
-WHITE = 1.5
 
 
 class Searcher:
@@ -75,9 +74,11 @@ class Searcher:
         self.benches: list[Bench] = []  # coarser ones, left behind
         self.base_free = list(nominal.problem.free)
         self.nominal = self._hypotheses([((), nominal)])[0]
-        self._inflations: dict[frozenset[str], float] = {}
         self.known: dict[frozenset[str], Hypothesis] = {frozenset(): self.nominal}
         self._stale: dict[frozenset[str], Hypothesis] = {}  # refitted before the data were corrected for the step
+        self.tried: list[Hypothesis] = []  # on the way to what is chosen
+        self._singles: list[Hypothesis] = []  # those of the last step
+        self._passed_over: dict[Candidate, list[Hypothesis]] = {}  # what an accepted effect was not clearly better than
 
     # ---- hypotheses
 
@@ -161,48 +162,82 @@ class Searcher:
 
     def run(self, pool: Sequence[Candidate], max_effects: int) -> Search:
         """Forward selection up to `max_effects`, then each accepted effect is questioned again."""
-        chosen, tried, singles = self._refined(self.nominal), [], []
-        while self._named(chosen) < max_effects and not self._at_floor(chosen):
-            rest = [c for c in pool if c not in chosen.effects]
-            if not rest:
-                break
-            # By torque a law is tried at all joints once it is found: what it refines is there by then.
-            found = self._extend(chosen, rest, 1 if self.by_torque else max_effects - self._named(chosen))
-            if len(chosen.effects) == 1:  # two others may explain more than the first choice and one beside it
-                found += self.refit(pairs(self.bench, singles))
-            singles = found
-            tried += found
-            step = self._best(chosen, found)
+        chosen = self._refined(self.nominal)
+        while (room := max_effects - self._named(chosen)) > 0 and not self._at_floor(chosen):
+            found = self._beside(chosen, pool, room)
+            step = best(self.bench, chosen, found)
             if step is None and len(chosen.effects) + 2 <= max_effects:
-                step = self._best(chosen, self.refit(pairs(self.bench, found)))
-                tried += [step] if step else []
+                step = best(self.bench, chosen, self._as_pairs(chosen, found, pool))
+                self.tried += [step] if step else []
             if step is None:
                 break
             if (freed := self._freed(chosen, step)) is not chosen:
                 self.nominal = self.nominal if chosen.effects else freed
                 chosen = freed
-                if not self._significant(chosen, step):
+                if not significant(chosen, step):
                     continue  # look again from there
             if not chosen.effects and max_effects > 1:
-                rivals = self.refit(plain_pairs(self.bench, step.effects[0], pool, self.nominal.theta))
-                better = [h for h in rivals if self._significant(chosen, h) and h.validation.loss < step.validation.loss]
-                step = min([step, *better], key=lambda h: h.validation.loss)
-                tried += rivals
-            if self.by_torque:
-                shown = [h for h in (step, *found) if self._significant(chosen, h)]
-                spread = self.refit(at_all_joints(self.bench, shown, pool))
-                tried += spread
-                step = self._best(chosen, [step, *spread]) or step
+                step = self._plainer(chosen, step, pool)
+            step = self._at_all_joints(chosen, step, found, pool) if self.by_torque else self._exchanged(chosen, step, found)
             chosen = self._refined(step)
             if self._finished(chosen):
                 break
         chosen = self._questioned(chosen)
-        if chosen.effects and not self._significant(self.nominal, chosen):  # a pair that came down to one
+        if chosen.effects and not significant(self.nominal, chosen):  # a pair that came down to one
             chosen = self.nominal
-        mates = self._mates(chosen, pool)
+        mates = self._alternatives(chosen, pool)
+        plainest = min(mates.values(), key=lambda h: (h.size, joint_loss(h)), default=chosen)
+        if plainest.size < chosen.size and len(chosen.effects) > 1:  # a rich law chosen before the others were there
+            chosen = self._questioned(plainest)
+            mates = self._alternatives(chosen, pool)
         chosen = self._taught(self._settled(chosen))
         self.nominal = self._taught(self.nominal) if chosen.effects else chosen
-        return Search(self.nominal, chosen, tried, mates)
+        return Search(self.nominal, chosen, self.tried, list(mates))
+
+    def _beside(self, chosen: Hypothesis, pool: Sequence[Candidate], room: int) -> list[Hypothesis]:
+        """Refits of the chosen hypothesis with more in it, `room` effects at most; after the first choice also of two others,
+        which may explain more than it and one beside it."""
+        # By torque a law is tried at all joints once it is found: what it refines is there by then.
+        found = self._extend(chosen, [c for c in pool if c not in chosen.effects], 1 if self.by_torque else room)
+        if len(chosen.effects) == 1:
+            found += self._as_pairs(chosen, self._singles, pool)
+        self._singles = found
+        self.tried += found
+        return found
+
+    def _as_pairs(self, h: Hypothesis, found: Sequence[Hypothesis], pool: Sequence[Candidate]) -> list[Hypothesis]:
+        """Two effects at once: pairs of those found, and anything beside the one that explains far more of the fit runs than `h`
+        does, whatever it makes of validation runs without what else is missing."""
+        out = self.refit(pairs(self.bench, found))
+        lead = min(found, key=lambda f: f.fit_loss, default=h)
+        if lead.fit_loss < CONFLICT * h.fit_loss and not self.by_torque:
+            out += self._extend(lead, [c for c in pool if c not in lead.effects])
+        return out
+
+    def _plainer(self, chosen: Hypothesis, step: Hypothesis, pool: Sequence[Candidate]) -> Hypothesis:
+        """The first effect, or two plain laws in its place that explain more."""
+        two = self.refit(plain_pairs(self.bench, step.effects[0], pool, self.nominal.theta))
+        self.tried += two
+        better = [h for h in two if significant(chosen, h) and h.validation.loss < step.validation.loss]
+        return min([step, *better], key=lambda h: h.validation.loss)
+
+    def _exchanged(self, chosen: Hypothesis, step: Hypothesis, found: Sequence[Hypothesis]) -> Hypothesis:
+        """The step from the chosen hypothesis, or one with other effects in the place of those accepted before, if better."""
+        alike = [h for h in equals(self.bench, chosen, found) if h is not step and h.effects[:-1] == step.effects[:-1]]
+        alike = sorted(alike, key=joint_loss)[:RIVALS]
+        other = self.refit(exchanged(self.bench, [step, *alike], self._passed_over))
+        self.tried += other
+        self._passed_over[step.effects[-1]] = alike
+        return best(self.bench, chosen, [step, *other]) or step
+
+    def _at_all_joints(
+        self, chosen: Hypothesis, step: Hypothesis, found: Sequence[Hypothesis], pool: Sequence[Candidate]
+    ) -> Hypothesis:
+        """The step, or an effect that was found at one joint at all others too."""
+        shown = [h for h in (step, *found) if significant(chosen, h)]
+        spread = self.refit(at_all_joints(self.bench, shown, pool))
+        self.tried += spread
+        return best(self.bench, chosen, [step, *spread]) or step
 
     def _taught(self, h: Hypothesis) -> Hypothesis:
         """What the fit runs leave open, as the validation runs have it."""
@@ -235,7 +270,6 @@ class Searcher:
                 self._take_off(chosen)
                 chosen = self._descended(chosen)
             self.nominal = self._descended(self.nominal, BRIEF) if chosen.effects else chosen
-            self._inflations.clear()
             self._stale |= self.known
             self.known = {frozenset(): self.nominal, key_of(chosen.effects): chosen}
         return chosen
@@ -252,7 +286,6 @@ class Searcher:
         end = descend([(p, p.z(theta, richer.path.problem.starts(richer.path.z)))], *THOROUGH)[0]
         if end.loss > FREED * h.fit_loss:
             return h
-        self._inflations.pop(key_of(h.effects), None)
         self.known[key_of(h.effects)] = self._hypotheses([(h.effects, end)])[0]
         return self.known[key_of(h.effects)]
 
@@ -271,7 +304,6 @@ class Searcher:
         paths = descend([(p, self._z(p, h)) for p, h in zip(problems, hypotheses, strict=True)], *descent)
         found = self._hypotheses([(h.effects, path) for h, path in zip(hypotheses, paths, strict=True)])
         for h in found:
-            self._inflations.pop(key_of(h.effects), None)
             self.known[key_of(h.effects)] = h
         return found
 
@@ -307,7 +339,7 @@ class Searcher:
     def _finished(self, h: Hypothesis) -> bool:
         """Down to the noise: near the floor, or white close above it (a stated noise may be a little low)."""
         worst = max(h.validation.loss, h.fit_loss)
-        white = self.fit_inflation(h) < 1.5 * max(1.0, h.fit_loss) and memory(h.validation.settled) <= 2
+        white = h.fit_inflation < 1.5 * max(1.0, h.fit_loss) and memory(h.validation.settled) <= 2
         return worst < NEAR_FLOOR or (worst < 1.5 and white)
 
     def _extend(self, h: Hypothesis, rest: Sequence[Candidate], room: int = 1) -> list[Hypothesis]:
@@ -322,7 +354,7 @@ class Searcher:
             return []
         if self.progress:
             self.progress("screen", len(h.effects), 3, f"{len(ranked or by_torque)} candidates react to the data")
-        blind = not (by_torque or h.effects or self.by_torque)  # a model with inner states
+        blind = not (by_torque or self.by_torque)  # a model with inner states
         kept = shortlist(self.bench, ranked, by_torque, lambda c: bool(base[str(c)]), not h.effects, blind)
         if self.progress:
             self.progress("refit", len(h.effects), 3, f"{len(kept)} candidates")
@@ -332,65 +364,6 @@ class Searcher:
             wider = [*starts[:1], *best.get(str(c), []), *starts[1:], *as_given(self.bench, (*h.effects, c), starts)]
             sets.append(((*h.effects, *base[str(c)], c), with_refined(self.bench, base[str(c)], wider)))
         return self.refit(sets)
-
-    def _evidence(self, before: Hypothesis, after: Hypothesis) -> tuple[float, float]:
-        """Evidence for `after` in chi-square units: from the fit runs, and from the validation runs."""
-        fitted = (before.fit_loss - after.fit_loss) * after.path.count
-        return fitted / self.fit_inflation(after), worth(after.validation, before.validation, inflation(after.validation))
-
-    def fit_inflation(self, h: Hypothesis) -> float:
-        """The same as `inflation` for the residual of the fit runs."""
-        key = key_of(h.effects)
-        if key not in self._inflations:
-            series = h.path.problem.residuals(h.path.z)
-            self._inflations[key] = max(1.0, h.fit_loss) * memory(series)
-        return self._inflations[key]
-
-    def _significant(self, before: Hypothesis, after: Hypothesis) -> bool:
-        """Whether the effects that `after` has beyond `before` are there: fit and validation runs together decide, by more where
-        more is added (dozens of candidates are tried), and each of the two must agree."""
-        fitted, held = self._evidence(before, after)
-        left = max(before.validation.loss - 1.0, 1e-12)
-        share = (before.validation.loss - after.validation.loss) / left
-        size, more = after.size - before.size, max(1, len(after.effects) - len(before.effects))
-        # Where the fit runs are at the noise, evidence is exact, and the best of dozens of candidates reaches some by chance.
-        chance = DECISIVE if self.fit_inflation(after) < WHITE else 0.0
-        enough = fitted > chance + 2 * size and fitted + held > 3 * more * DECISIVE + 2 * size
-        return held > 0 and share > GAIN and enough
-
-    def _best(self, before: Hypothesis, found: Sequence[Hypothesis]) -> Hypothesis | None:
-        """The choice among refits: best on validation data; of those that it does not beat decisively, the one with the
-        fewest parameters, timing before physics, then the best evidence on fit and validation data together."""
-        good = [h for h in found if self._significant(before, h)]
-        if not good:
-            return None
-        top = min(good, key=lambda h: h.validation.loss)
-        both = lambda h: h.path.count * np.log(h.fit_loss) + h.validation.count * np.log(h.validation.loss)
-        rival = min(good, key=both)
-        if rival.fit_loss < CONFLICT * top.fit_loss:
-            top = rival
-            good = [h for h in good if CONFLICT * h.fit_loss < top.fit_loss]
-        factor = inflation(top.validation)
-        near = [h for h in good if worth(top.validation, h.validation, factor) < DECISIVE or self._simpler(h, top)]
-        fewest = min(h.size for h in near)
-        physics = lambda h: h.effects[-1].effect not in TIMING
-        return min((h for h in near if h.size == fewest), key=lambda h: (physics(h), self._joint(h)))
-
-    def _simpler(self, h: Hypothesis, top: Hypothesis) -> bool:
-        """Whether `h` has a law of fewer numbers in the same place, of the same kind or where the larger law ended at a bound
-        (as another one's limit), and leaves next to nothing more."""
-        place = lambda h: (h.effects[-1].location, h.effects[:-1])
-        kind = lambda h: family_of(self.bench, h.effects[-1])
-        p = top.path.problem
-        own = np.flatnonzero(np.isin(p.free, top.effects[-1].index))
-        at_bound = np.any((top.path.z[own] <= p.lower[own]) | (top.path.z[own] >= p.upper[own]))
-        alike = place(h) == place(top) and (kind(h) == kind(top) or at_bound)
-        return bool(h.size < top.size and alike and h.validation.loss < ALIKE * max(1.0, top.validation.loss))
-
-    def _joint(self, h: Hypothesis) -> float:
-        """Mean square over fit and validation samples together."""
-        total = h.fit_loss * h.path.count + h.validation.loss * h.validation.count
-        return total / (h.path.count + h.validation.count)
 
     def _questioned(self, h: Hypothesis) -> Hypothesis:
         """Takes out effects that are no longer needed beside the others, what one refines as well where there is none of it; the
@@ -404,16 +377,15 @@ class Searcher:
                 theta[list(c.index)] = self.bench.binding.theta[list(c.index)]
                 sets.append((tuple(e for e in h.effects if e is not c), [theta]))
             smaller = self.refit(sets)
-            needless = [s for s in smaller if not self._significant(s, h)]
+            needless = [s for s in smaller if not significant(s, h)]
             if not needless:
                 return h
             h = min(needless, key=lambda s: s.validation.loss)
         return h
 
-    def _mates(self, chosen: Hypothesis, pool: Sequence[Candidate]) -> list[Candidate]:
-        """What the data cannot tell from the named effects: alternatives in the place of each, the others kept."""
-        out: list[Candidate] = []
-        factor = inflation(chosen.validation)
+    def _alternatives(self, chosen: Hypothesis, pool: Sequence[Candidate]) -> dict[Candidate, Hypothesis]:
+        """What the data cannot tell from the named effects: other effects in the place of each, the others kept."""
+        out: dict[Candidate, Hypothesis] = {}
         for c in chosen.effects:
             others = tuple(e for e in chosen.effects if e is not c)
             missing = [e for e in pool if e not in chosen.effects and key_of((*others, e)) not in self.known | self._stale]
@@ -424,11 +396,8 @@ class Searcher:
                 h = self.known.get(key_of((*others, e)))
                 if e in chosen.effects or h is None or e in out or not sensible((*others, e)):
                     continue
-                both = self._joint(h) - self._joint(chosen)
-                count = chosen.path.count + chosen.validation.count
-                near = worth(chosen.validation, h.validation, factor) < DECISIVE
-                if near and both * count / factor < 2 * DECISIVE:
-                    out.append(e)
+                if indistinct(chosen, h):
+                    out[e] = h
         return out
 
     def _renew(self, keys: Sequence[frozenset[str]], chosen: frozenset[str]) -> None:

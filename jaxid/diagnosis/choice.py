@@ -1,0 +1,88 @@
+"""Which of several refitted hypotheses to believe: evidence of fit and validation runs, and the choice among those alike."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from jaxid.diagnosis.evidence import inflation, worth
+from jaxid.diagnosis.hypothesis import family_of, Hypothesis
+from jaxid.diagnosis.shortlist import TIMING
+from jaxid.estimation import Bench
+
+
+#: A difference of held-out evidence below this many chi-square units (3 sigma) decides nothing.
+DECISIVE = 9.0
+#: A hypothesis that leaves less than this share of what the best one on validation data leaves of the fit runs, and less over
+#: both (mean logarithm), is preferred to it: validation runs may go where the fit runs tell little of any hypothesis.
+CONFLICT = 0.5
+#: A law of fewer numbers is as good if it leaves less than so much more: the noise itself is not known better.
+ALIKE = 1.02
+#: An effect must remove at least this share of what is left of the gap on validation data.
+GAIN = 0.02
+#: Residuals of fit runs at the noise, and white: their sums of squares count as they are.
+WHITE = 1.5
+
+
+def joint_loss(h: Hypothesis) -> float:
+    """Mean square over fit and validation samples together."""
+    total = h.fit_loss * h.path.count + h.validation.loss * h.validation.count
+    return total / (h.path.count + h.validation.count)
+
+
+def significant(before: Hypothesis, after: Hypothesis) -> bool:
+    """Whether the effects that `after` has beyond `before` are there: fit and validation runs together decide, by more where
+    more is added (dozens of candidates are tried), and each of the two must agree."""
+    fitted = (before.fit_loss - after.fit_loss) * after.path.count / after.fit_inflation
+    held = worth(after.validation, before.validation, inflation(after.validation))
+    left = max(before.validation.loss - 1.0, 1e-12)
+    share = (before.validation.loss - after.validation.loss) / left
+    size, more = after.size - before.size, max(1, len(after.effects) - len(before.effects))
+    # Where the fit runs are at the noise, evidence is exact, and the best of dozens of candidates reaches some by chance.
+    chance = DECISIVE if after.fit_inflation < WHITE else 0.0
+    enough = fitted > chance + 2 * size and fitted + held > 3 * more * DECISIVE + 2 * size
+    return held > 0 and share > GAIN and enough
+
+
+def best(bench: Bench, before: Hypothesis, found: Sequence[Hypothesis]) -> Hypothesis | None:
+    """The choice among refits: best on validation data; of those that it does not beat decisively, the one with the fewest
+    parameters, timing before physics, then the best evidence on fit and validation data together."""
+    near = equals(bench, before, found)
+    fewest = min((h.size for h in near), default=0)
+    physics = lambda h: h.effects[-1].effect not in TIMING
+    return min((h for h in near if h.size == fewest), key=lambda h: (physics(h), joint_loss(h)), default=None)
+
+
+def equals(bench: Bench, before: Hypothesis, found: Sequence[Hypothesis]) -> list[Hypothesis]:
+    """Those of the refits that say more than `before` and that the best of them does not beat decisively."""
+    good = [h for h in found if significant(before, h)]
+    if not good:
+        return []
+    top = min(good, key=lambda h: h.validation.loss)
+    both = lambda h: h.path.count * np.log(h.fit_loss) + h.validation.count * np.log(h.validation.loss)
+    rival = min(good, key=both)
+    if rival.fit_loss < CONFLICT * top.fit_loss:
+        top = rival
+        good = [h for h in good if CONFLICT * h.fit_loss < top.fit_loss]
+    factor = inflation(top.validation)
+    return [h for h in good if worth(top.validation, h.validation, factor) < DECISIVE or _simpler(bench, h, top)]
+
+
+def _simpler(bench: Bench, h: Hypothesis, top: Hypothesis) -> bool:
+    """Whether `h` has a law of fewer numbers in the same place, of the same kind or where the larger law ended at a bound (as
+    another one's limit), and leaves next to nothing more."""
+    place = lambda h: (h.effects[-1].location, h.effects[:-1])
+    kind = lambda h: family_of(bench, h.effects[-1])
+    p = top.path.problem
+    own = np.flatnonzero(np.isin(p.free, top.effects[-1].index))
+    at_bound = np.any((top.path.z[own] <= p.lower[own]) | (top.path.z[own] >= p.upper[own]))
+    alike = place(h) == place(top) and (kind(h) == kind(top) or at_bound)
+    return bool(h.size < top.size and alike and h.validation.loss < ALIKE * max(1.0, top.validation.loss))
+
+
+def indistinct(chosen: Hypothesis, h: Hypothesis) -> bool:
+    """Whether neither the validation runs nor these and the fit runs together tell `h` from the chosen hypothesis."""
+    factor = inflation(chosen.validation)
+    both = (joint_loss(h) - joint_loss(chosen)) * (chosen.path.count + chosen.validation.count) / factor
+    return worth(chosen.validation, h.validation, factor) < DECISIVE and both < 2 * DECISIVE
