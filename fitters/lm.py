@@ -349,7 +349,8 @@ def _within(A: np.ndarray, b: np.ndarray, radius: float) -> np.ndarray:
     values, vectors = np.linalg.eigh(A)
     values = np.maximum(values, 1e-14)
     c = vectors.T @ b
-    mu, x = max(0.0, float(np.linalg.norm(c)) / radius - values[-1]), c  # no less will do
+    largest = max(float(np.max(np.abs(c))), 1e-300)  # whose square may overflow where a model has all but diverged
+    mu, x = max(0.0, largest * float(np.linalg.norm(c / largest)) / radius - values[-1]), c  # no less will do
     for _ in range(30):  # Newton on 1 / |x| - 1 / radius, which is nearly linear in mu
         x = c / (values + mu)
         size = np.linalg.norm(x)
