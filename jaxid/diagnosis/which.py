@@ -167,7 +167,7 @@ class Searcher:
             found = self._beside(chosen, pool, room)
             step = best(self.bench, chosen, found)
             if step is None and len(chosen.effects) + 2 <= max_effects:
-                step = best(self.bench, chosen, self._as_pairs(chosen, found, pool))
+                step = best(self.bench, chosen, self._as_pairs(chosen, found, pool, room))
                 self.tried += [step] if step else []
             if step is None:
                 break
@@ -200,17 +200,18 @@ class Searcher:
         # By torque a law is tried at all joints once it is found: what it refines is there by then.
         found = self._extend(chosen, [c for c in pool if c not in chosen.effects], 1 if self.by_torque else room)
         if len(chosen.effects) == 1:
-            found += self._as_pairs(chosen, self._singles, pool)
+            found += self._as_pairs(chosen, self._singles, pool, room)
         self._singles = found
         self.tried += found
         return found
 
-    def _as_pairs(self, h: Hypothesis, found: Sequence[Hypothesis], pool: Sequence[Candidate]) -> list[Hypothesis]:
+    def _as_pairs(self, h: Hypothesis, found: Sequence[Hypothesis], pool: Sequence[Candidate], room: int) -> list[Hypothesis]:
         """Two effects at once: pairs of those found, and anything beside the one that explains far more of the fit runs than `h`
-        does, whatever it makes of validation runs without what else is missing."""
-        out = self.refit(pairs(self.bench, found))
+        does, whatever it makes of validation runs without what else is missing; at most `room` more than `h` has."""
+        most = len(h.effects) + room
+        out = self.refit([(effects, starts) for effects, starts in pairs(self.bench, found) if len(effects) <= most])
         lead = min(found, key=lambda f: f.fit_loss, default=h)
-        if lead.fit_loss < CONFLICT * h.fit_loss and not self.by_torque:
+        if lead.fit_loss < CONFLICT * h.fit_loss and len(lead.effects) < most and not self.by_torque:
             out += self._extend(lead, [c for c in pool if c not in lead.effects])
         return out
 
