@@ -16,10 +16,10 @@ import pytest
 import jaxid
 from jaxid import catalogue
 from jaxid.binding import bind
-from jaxid.diagnosis import growth, upheld
+from jaxid.diagnosis import growth, judge, upheld
 from jaxid.diagnosis.evidence import held_out, HeldOut, inflation, knowledge, memory, shifted
 from jaxid.diagnosis.how_far import bootstrap, shrink
-from jaxid.diagnosis.hypothesis import candidates, Hypothesis
+from jaxid.diagnosis.hypothesis import candidates, Hypothesis, Search
 from jaxid.diagnosis.proposals import exchanged
 from jaxid.diagnosis.undetermined import brought_back
 from jaxid.diagnosis.which import Searcher
@@ -425,6 +425,18 @@ def test_a_run_that_diverges_is_held_against_no_other():
     for about in (np.full((1, 1), np.inf), np.eye(1)):
         moved, price = shifted(r, slopes, about, [np.eye(1), np.eye(1)])
         assert np.isfinite(price) and all(np.isfinite(m).all() for m in moved)
+
+
+@pytest.mark.parametrize(("full", "left", "verdict"), [(False, 9.0, "named"), (True, 9.0, "partly"), (True, 2.0, "named")])
+def test_as_many_effects_as_allowed_must_come_down_to_the_noise(full, left, verdict):
+    """Three effects that leave three times the noise of two thousand come close to something else."""
+
+    def hypothesis(loss: float, *effects: str) -> Any:
+        path = SimpleNamespace(count=4000)
+        return SimpleNamespace(effects=effects, fit_loss=loss, path=path, validation=SimpleNamespace(loss=loss, count=4000))
+
+    found, text = judge(Search(hypothesis(4e6), hypothesis(left, "one", "two", "three"), full=full))
+    assert found == verdict and "100 %" not in text
 
 
 @pytest.mark.parametrize(

@@ -254,12 +254,13 @@ def judge(search: Search) -> tuple[str, str]:
     closed = (nominal.loss - chosen.loss) / max(nominal.loss - 1, 1e-12)
     names = " and ".join(str(c) for c in search.chosen.effects)
     left = np.sqrt(max(chosen.loss, 1.0))
-    if chosen.loss <= max(floor, 1.1) or closed >= NAMED:
+    several = search.full and max(left, np.sqrt(search.chosen.fit_loss)) > LEFT  # together they only come close to something else
+    if chosen.loss <= max(floor, 1.1) or (closed >= NAMED and not several):
         return "named", f"The model lacks {names}; with it {left:.3g} times the noise is left on validation data."
     if closed >= PARTLY:
         return "partly", (
-            f"The model lacks {names}, which explains {100 * closed:.0f} % of the gap on validation data; a clear remainder "
-            f"({left:.3g} times the noise) stays unexplained."
+            f"The model lacks {names}, which explains {np.floor(100 * closed):.0f} % of the gap on validation data; a clear "
+            f"remainder ({left:.3g} times the noise) stays unexplained."
         )
     if search.chosen.fit_loss <= 1.1 < search.nominal.fit_loss:
         return "partly", (

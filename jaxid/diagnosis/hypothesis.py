@@ -61,12 +61,14 @@ class Hypothesis:
 
 @dataclass
 class Search:
-    """What the search found: the accepted steps, and all that was tried on the way."""
+    """What the search found: the accepted steps, and all that was tried on the way. `full`: several effects were chosen, and no
+    more were allowed."""
 
     nominal: Hypothesis
     chosen: Hypothesis
     tried: list[Hypothesis] = field(default_factory=list)
     confusable: list[Candidate] = field(default_factory=list)
+    full: bool = False
 
 
 def candidates(bench: Bench, allowed: Sequence[str], by_torque: bool = False) -> list[Candidate]:

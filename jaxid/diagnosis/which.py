@@ -192,7 +192,8 @@ class Searcher:
             mates = self._alternatives(chosen, pool)
         chosen = self._taught(self._settled(chosen))
         self.nominal = self._taught(self.nominal) if chosen.effects else chosen
-        return Search(self.nominal, chosen, self.tried, list(mates))
+        full = not self.by_torque and 1 < max_effects <= len(chosen.effects)
+        return Search(self.nominal, chosen, self.tried, list(mates), full)
 
     def _beside(self, chosen: Hypothesis, pool: Sequence[Candidate], room: int) -> list[Hypothesis]:
         """Refits of the chosen hypothesis with more in it, `room` effects at most; after the first choice also of two others,
