@@ -187,7 +187,8 @@ class Searcher:
             chosen = self.nominal
         mates = self._alternatives(chosen, pool)
         plainest = min(mates.values(), key=lambda h: (h.size, joint_loss(h)), default=chosen)
-        if plainest.size < chosen.size and len(chosen.effects) > 1:  # a rich law chosen before the others were there
+        if plainest.size < chosen.size and len(chosen.effects) > 1 and not self.by_torque:
+            # a rich law chosen before the others were there
             chosen = self._questioned(plainest)
             mates = self._alternatives(chosen, pool)
         chosen = self._taught(self._settled(chosen))
@@ -390,7 +391,8 @@ class Searcher:
         out: dict[Candidate, Hypothesis] = {}
         for c in chosen.effects:
             others = tuple(e for e in chosen.effects if e is not c)
-            missing = [e for e in pool if e not in chosen.effects and key_of((*others, e)) not in self.known | self._stale]
+            done = self.known.keys() | self._stale.keys()
+            missing = [e for e in pool if e not in chosen.effects and key_of((*others, e)) not in done]
             if missing and others and key_of(others) in self.known and not self.by_torque:
                 self._extend(self.known[key_of(others)], missing)
             self._renew([key_of((*others, e)) for e in pool if e not in chosen.effects], key_of(chosen.effects))
