@@ -31,7 +31,7 @@ WITHHELD = {
 
 def datasets() -> list[Any]:
     """One recording for each entry of `WITHHELD`, from rest, integrated side by side."""
-    from blind import commands, PLANTS
+    from blind_cases import commands, PLANTS
     from twins import NEUTRAL, recorded
 
     import jaxid

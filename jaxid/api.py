@@ -13,7 +13,8 @@ from jaxid.experiment import Dataset
 from jaxid.fitter import AbstractFitter, Progress
 from jaxid.problem import LOSSES
 from jaxid.residual import Residual, RESIDUALS
-from jaxid.results import Diagnosis, Fit, Simulation
+from jaxid.results import Diagnosis, Fit
+from jaxid.simulation_result import Simulation
 
 
 def fit(

@@ -138,12 +138,18 @@ def fit(dataset, out, model, fitter, effects, without, residual, loss, seed, bud
 @WITHOUT
 @RESIDUAL
 @SEED
+@click.option("--next", "next_", type=click.Path(path_type=Path), metavar="DIR", help="Also design what to record next.")
+@click.option("--limits", type=click.Path(path_type=Path), metavar="FILE", help="TOML: of that run; default: what was recorded.")
 @output_options
-def diagnose(dataset, out, model, max_effects, effects, without, residual, seed, as_json, quiet) -> int:
+def diagnose(dataset, out, model, max_effects, effects, without, residual, seed, next_, limits, as_json, quiet) -> int:
     """Say where a model is wrong, and which effect is missing.
 
-    Also says how far the gap shrinks once it is added. Writes diagnosis.json and report.html into DIR.
+    Also says how far the gap shrinks once it is added. Writes diagnosis.json and report.html into DIR. With --next, also the
+    input that best tells the two leading hypotheses apart, as a folder that `jaxid record --play` takes.
     """
+    from jaxid.hardware.limits import Limits
+
+    own = None if limits is None else Limits.read(limits)
     jaxid, data = start(dataset, out)
     with terminal.Progress(quiet) as progress:
         result = keeping_partial(
@@ -161,6 +167,10 @@ def diagnose(dataset, out, model, max_effects, effects, without, residual, seed,
         )
     save(result, out)
     show(result, as_json, quiet)
+    if next_ is not None:
+        from jaxid.cli_excite import design_next
+
+        design_next(result, next_, own, as_json or quiet)
     if result.nominal.failed:
         terminal.complain(f"the nominal fit failed: {result.nominal.stopped_because}")
         return FAILED

@@ -14,6 +14,8 @@ from jaxid.cli import OUT, output_options, SEED, SUCCESS
 
 if TYPE_CHECKING:
     from jaxid.excitation_result import Excitation
+    from jaxid.hardware.limits import Limits
+    from jaxid.results import Diagnosis
 
 
 def _numbers(_ctx, param, value: str | None) -> list[float] | None:
@@ -105,3 +107,17 @@ def excitation_text(made: Excitation, out: Path) -> str:
     parts += [f"note: {n}" for n in c["notes"]]
     parts.append(f"written to {out}; play it with: jaxid record … --play {out}")
     return "\n".join(parts)
+
+
+def design_next(diagnosis: Diagnosis, out: Path, limits: Limits | None, silent: bool) -> None:
+    """Writes the run that tells the two leading hypotheses apart; a diagnosis without such a run stands as it is."""
+    from jaxid.errors import UsageError
+
+    try:
+        made = diagnosis.next_run(limits=limits)
+        made.save(out)
+    except UsageError as error:
+        terminal.complain(f"--next: {error}")
+        return
+    if not silent:
+        terminal.say(f"{made.content['notes'][-1]}\nwritten to {out}; play it with: jaxid record … --play {out}")

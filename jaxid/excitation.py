@@ -271,8 +271,8 @@ def _input(chain, bounds, t, plan, criterion, starts, amplitude, gain, limits, p
         chain = Chain(chain.mechanism, chain.effects, signature=plain[0])
         signature = chain.signature
     nu = len(signature.inputs)
-    top = _widened("amplitude", amplitude, nu) if amplitude is not None else largest_inputs(chain, bounds)
-    gains = None if gain is None else _widened("gain", gain, nu)
+    top = widened("amplitude", amplitude, nu) if amplitude is not None else largest_inputs(chain, bounds)
+    gains = None if gain is None else widened("gain", gain, nu)
     if gains is not None and limits is not None and limits.current is not None:
         top = np.minimum(top, gains * np.array(limits.widened(nu).current))
     positions = all(u in ("rad", "m") for _, u in signature.inputs)
@@ -286,12 +286,21 @@ def _input(chain, bounds, t, plan, criterion, starts, amplitude, gain, limits, p
     noise = np.array([SENSOR.get(u, 1e-3) for _, u in signature.outputs])
     bench = Bench(chain, start, family, bounds, noise)
     u, _ = choose(bench, criterion, starts, plan["seed"], progress)
+    return described(bench, u, plan, criterion, gains)
+
+
+def described(bench: Bench, u: np.ndarray, plan: dict[str, Any], criterion: str, gains: np.ndarray | None) -> Excitation:
+    """A designed input [time nu] as what it does to the model of a bench, and what it shows of its parameters."""
+    chain, family, bounds, noise, start = bench.chain, bench.family, bench.bounds, bench.noise, bench.start
+    signature, top, t = chain.signature, family.top, family.t
+    plain = [s for s in chain.mechanism.signatures if all(u != "1" for _, u in s.inputs)]
     y, dy = bench.run(u[None])
     moving = {name for k, (name, _) in enumerate(signature.outputs) if np.ptp(y[0, :, k]) > 0}
     smaller = [s for s in plain if s.inputs == signature.inputs and {name for name, _ in s.outputs} <= moving]
     if len(moving) < len(signature.outputs) and smaller:  # a sensor that shows nothing here, such as a base that stands still
         chain = Chain(chain.mechanism, chain.effects, signature=smaller[0])
-        signature, noise = smaller[0], np.array([SENSOR.get(u, 1e-3) for _, u in smaller[0].outputs])
+        kept = [k for k, (name, _) in enumerate(signature.outputs) if name in dict(smaller[0].outputs)]
+        signature, noise = smaller[0], noise[kept]
         bench = Bench(chain, start, family, bounds, noise)
         y, dy = bench.run(u[None])
     F = bench.fisher(dy)[0]
@@ -309,13 +318,13 @@ def _input(chain, bounds, t, plan, criterion, starts, amplitude, gain, limits, p
                 "unit": unit,
                 "highest": high,
                 "limit": float(top[k]),
-                "share": high / float(top[k]),
+                "share": high / float(top[k]) if top[k] else 0.0,
             }
         )
     commands = {name: u[:, k] for k, (name, _) in enumerate(signature.inputs)}
     auxiliary: dict[str, np.ndarray] = {}
     if gains is not None:
-        if positions:
+        if family.slew is not None:
             raise UsageError(f"{chain.mechanism.name} takes positions: a gain (N m/A) has no meaning; leave out --gain")
         auxiliary = {_current(name): u[:, k] / gains[k] for k, (name, _) in enumerate(signature.inputs)}
     channels = tuple([*bench.channels] + [Channel(name, "auxiliary", "A") for name in auxiliary])
@@ -344,7 +353,7 @@ def _input(chain, bounds, t, plan, criterion, starts, amplitude, gain, limits, p
     return Excitation(dataset, commands | auxiliary, {}, tuple(used), about)
 
 
-def _widened(name: str, values: Sequence[float], count: int) -> np.ndarray:
+def widened(name: str, values: Sequence[float], count: int) -> np.ndarray:
     if len(values) not in (1, count) or min(values) <= 0:
         raise UsageError(f"--{name} has {len(values)} numbers for {count} inputs; write 1 or {count}, all above 0")
     return np.broadcast_to(np.asarray(values, float), (count,)).copy()

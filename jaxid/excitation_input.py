@@ -45,6 +45,7 @@ class Family:
     top: np.ndarray
     center: np.ndarray
     slew: tuple[np.ndarray, np.ndarray] | None  # (speed, acceleration) [nu] of inputs that are positions
+    lines: np.ndarray | None = None  # [harmonics] multiples of omega; None: 1, 2, 3 ...
 
     @property
     def each(self) -> int:
@@ -67,7 +68,7 @@ class Family:
         H = self.harmonics
         gain, ramp = np.exp(np.minimum(x[..., 0], 0.0)), np.tanh(x[..., 1])
         a, b, levels = x[..., 2 : 2 + H], x[..., 2 + H : 2 + 2 * H], np.tanh(x[..., 2 + 2 * H :])
-        angle = self.omega * np.arange(1, H + 1) * t[:, None]
+        angle = self.omega * (np.arange(1, H + 1) if self.lines is None else self.lines) * t[:, None]
         window = _window(t, SINES[0] * T, SINES[1] * T, 0.03 * T)
         sines = a @ np.sin(angle).T + b @ np.cos(angle).T
         sines = sines * window
@@ -167,7 +168,19 @@ class Bench:
 
     def run(self, u: np.ndarray, slopes: bool = True) -> tuple[np.ndarray, np.ndarray]:
         """Outputs [members time ny] and derivatives [members time ny parameters] by one unit of each parameter."""
-        t, count = self.family.t, len(u)
+        k = len(self.free) if slopes else 1
+        directions = np.zeros((k, len(self.layout)))
+        if slopes:
+            directions[np.arange(k), self.free] = self.unit[self.free]
+        y, dy = self.simulated(u, np.tile(self.layout.values, (k, 1)), directions, slopes)
+        return y[:, 0], np.moveaxis(dy, 1, 3) if slopes else np.zeros((*y[:, 0].shape, 0))
+
+    def simulated(
+        self, u: np.ndarray, theta: np.ndarray, directions: np.ndarray, slopes: bool = True
+    ) -> tuple[np.ndarray, np.ndarray]:
+        """Outputs and their derivatives along `directions`, both [members variants time ny], under inputs [members time nu] with
+        each of the parameter vectors `theta` [variants size]."""
+        t, count, k = self.family.t, len(u), len(theta)
         ny = len(self.chain.signature.outputs)
         experiments = [Experiment(f"run_{i + 1}", "fit", t, row, np.zeros((len(t), ny)), at_rest=True) for i, row in enumerate(u)]
         dataset = Dataset("excitation", self.channels, tuple(experiments))
@@ -178,19 +191,16 @@ class Bench:
             Record(i, int(p[0]), int(p[-1] - p[0] + 1), int(p[0]), int(p[-1]), 0, self.start, np.zeros(nq), known, p)
             for i, p in enumerate(positions)
         ]
-        size = len(self.layout)
-        engine = Engine(self.layout, samples, records, np.full((count, size), np.nan), simulate_lane)
-        start = np.concatenate([self.start, np.zeros(nq)])
-        k = len(self.free) if slopes else 1
+        engine = Engine(self.layout, samples, records, np.full((count, len(self.layout)), np.nan), simulate_lane)
         lanes = np.repeat(np.arange(count), k)
-        theta, starts = np.tile(self.layout.values, (len(lanes), 1)), np.tile(start, (len(lanes), 1))
+        values, starts = np.tile(theta, (count, 1)), np.tile(np.concatenate([self.start, np.zeros(nq)]), (len(lanes), 1))
         pick = positions[0] - positions[0][0]
+        shaped = lambda x: x[:, pick].reshape(count, k, len(t), ny)
         if not slopes:
-            return engine.outputs(theta, starts, lanes)[:, pick], np.zeros((count, len(t), ny, 0))
-        dtheta = np.zeros_like(theta)
-        dtheta[np.arange(len(lanes)), np.tile(self.free, count)] = np.tile(self.unit[self.free], count)
-        y, dy = engine.tangents(theta, starts, dtheta, np.zeros_like(starts), lanes)
-        return y[::k][:, pick], np.moveaxis(dy[:, pick].reshape(count, k, len(t), -1), 1, 3)
+            y = shaped(engine.outputs(values, starts, lanes))
+            return y, np.zeros_like(y)
+        y, dy = engine.tangents(values, starts, np.tile(directions, (count, 1)), np.zeros_like(starts), lanes)
+        return shaped(y), shaped(dy)
 
     def excess(self, y: np.ndarray) -> np.ndarray:
         """By which share of itself the worst limit is passed, [members]; 0 inside."""

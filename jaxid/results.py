@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Callable
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, TYPE_CHECKING
@@ -13,6 +12,9 @@ import numpy as np
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
+
+    from jaxid.excitation_result import Excitation
+    from jaxid.excitation_separate import Rivals
 
 
 SCHEMA = 1
@@ -339,6 +341,17 @@ class Diagnosis:
     missing_force: tuple[MissingForce, ...] = ()
     regimes: tuple[Regime, ...] = ()
     notes: tuple[str, ...] = ()
+    rivals: Rivals | None = field(default=None, repr=False, compare=False)
+
+    def next_run(self, **settings: Any) -> Excitation:
+        """What to record next: the input that best tells the two leading hypotheses apart, within what the recorded runs reached,
+        as a dataset to play: `.save(folder)`, then `jaxid record --play`. Settings: see `jaxid.excitation_separate.separate`.
+
+        Raises `UsageError` where no second hypothesis is left, or no input can be designed.
+        """
+        from jaxid.excitation_separate import separate
+
+        return separate(self.rivals, **settings)
 
     def to_dict(self) -> dict[str, Any]:
         return {
@@ -380,34 +393,6 @@ class Diagnosis:
         from jaxid.report import diagnosis_fragment
 
         return diagnosis_fragment(self)
-
-
-@dataclass(frozen=True)
-class Simulation:
-    """Free runs of a model on a dataset's inputs: per experiment `t` and the outputs, and the rmse per channel."""
-
-    model: str
-    runs: tuple[dict[str, np.ndarray], ...]
-    rmse: tuple[dict[str, float], ...]
-    units: dict[str, str]
-    notes: tuple[str, ...] = ()
-    motion: Callable[[int], Any] = field(default=lambda i: None, repr=False, compare=False)
-    """The mechanism in run i as a `jaxid.drawing.Motion` (`strip()`, `animate()`), or None where it has no outline."""
-
-    def to_dict(self) -> dict[str, Any]:
-        return {
-            "schema": SCHEMA,
-            "kind": "simulation",
-            "model": self.model,
-            "rmse": list(self.rmse),
-            "units": self.units,
-            "notes": list(self.notes),
-        }
-
-    def __repr__(self) -> str:
-        from jaxid.text import simulation_text
-
-        return simulation_text(self)
 
 
 def save_json(result: Any, path: str | Path) -> Path:

@@ -15,7 +15,7 @@ from jaxid.errors import UsageError
 from jaxid.estimation import Bench, estimate_starts, free_runs, scored
 from jaxid.experiment import Dataset
 from jaxid.precision import float64
-from jaxid.results import Simulation
+from jaxid.simulation_result import Simulation
 
 
 def simulate_dataset(content: Mapping[str, Any], dataset: Dataset, model: object) -> Simulation:

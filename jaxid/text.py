@@ -13,7 +13,8 @@ from jaxid.terminal import one_line
 
 if TYPE_CHECKING:
     from jaxid.comparison import Comparison, Typical
-    from jaxid.results import Diagnosis, EffectEstimate, Estimate, Finding, Fit, HowFar, Simulation, Which
+    from jaxid.results import Diagnosis, EffectEstimate, Estimate, Finding, Fit, HowFar, Which
+    from jaxid.simulation_result import Simulation
 
 
 def number(value: float | None, digits: int = 3) -> str:

@@ -18,10 +18,10 @@ from jaxid.results import (
     Ranked,
     Regime,
     Score,
-    Simulation,
     Trace,
     Which,
 )
+from jaxid.simulation_result import Simulation
 
 
 NOISE = 4e-4

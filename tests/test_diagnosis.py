@@ -427,15 +427,15 @@ def test_a_run_that_diverges_is_held_against_no_other():
         assert np.isfinite(price) and all(np.isfinite(m).all() for m in moved)
 
 
-@pytest.mark.parametrize(("full", "left", "verdict"), [(False, 9.0, "named"), (True, 9.0, "partly"), (True, 2.0, "named")])
-def test_as_many_effects_as_allowed_must_come_down_to_the_noise(full, left, verdict):
+@pytest.mark.parametrize(("several", "left", "verdict"), [(False, 9.0, "named"), (True, 9.0, "partly"), (True, 2.0, "named")])
+def test_several_effects_must_come_down_to_the_noise(several, left, verdict):
     """Three effects that leave three times the noise of two thousand come close to something else."""
 
     def hypothesis(loss: float, *effects: str) -> Any:
         path = SimpleNamespace(count=4000)
         return SimpleNamespace(effects=effects, fit_loss=loss, path=path, validation=SimpleNamespace(loss=loss, count=4000))
 
-    found, text = judge(Search(hypothesis(4e6), hypothesis(left, "one", "two", "three"), full=full))
+    found, text = judge(Search(hypothesis(4e6), hypothesis(left, "one", "two", "three"), several=several))
     assert found == verdict and "100 %" not in text
 
 

@@ -15,7 +15,7 @@ from jaxid.diagnosis import how_far as shrinking, timing, where as location
 from jaxid.diagnosis.choice import WHITE
 from jaxid.diagnosis.evidence import held_out, inflation, knowledge, worth
 from jaxid.diagnosis.hypothesis import Candidate, candidates, Hypothesis, Search
-from jaxid.diagnosis.next_experiment import advice
+from jaxid.diagnosis.next_experiment import advice, rivals_of
 from jaxid.diagnosis.which import Searcher
 from jaxid.errors import nearest, UsageError
 from jaxid.estimation import (
@@ -171,12 +171,14 @@ def _diagnosed(question: Question, scatter: timing.Scatter | None = None) -> tup
     mates = search.confusable if named else []
     findings, pictures, rows = _where(bench, search.nominal, final, verdict, named, seed)
     ranking = (*(scatter.ranked(bench, residual, search.nominal) if scatter else ()), *_ranked(search))
+    rivals = None if isinstance(residual, InverseDynamics) else rivals_of(bench, search)
     which = Which(verdict, estimates if named else (), tuple(EffectEstimate(c.effect, c.location) for c in mates), ranking, text)
     found = Diagnosis(
         binding.chain.mechanism.name, binding.dataset.name, binding.dataset.sha256, seed, residual.name, findings, which,
-        how_far, advice(verdict, [c.effect for c in named], [c.effect for c in mates]), time.perf_counter() - began,
+        how_far, advice(verdict, [c.effect for c in named], [c.effect for c in mates], rivals), time.perf_counter() - began,
         nominal_fit, final_fit, _traces(bench, residual, search.nominal, final, named), pictures, rows,
         (*binding.dataset.notes, *_notes(binding, final_fit, compile_time)),
+        rivals,
     )  # fmt: skip
     return found, growth(bench, search.nominal.theta) if isinstance(residual, OutputError) else 0.0
 
@@ -254,8 +256,9 @@ def judge(search: Search) -> tuple[str, str]:
     closed = (nominal.loss - chosen.loss) / max(nominal.loss - 1, 1e-12)
     names = " and ".join(str(c) for c in search.chosen.effects)
     left = np.sqrt(max(chosen.loss, 1.0))
-    several = search.full and max(left, np.sqrt(search.chosen.fit_loss)) > LEFT  # together they only come close to something else
-    if chosen.loss <= max(floor, 1.1) or (closed >= NAMED and not several):
+    # Several that leave more than the noise may together only come close to something else.
+    close = search.several and max(left, np.sqrt(search.chosen.fit_loss)) > LEFT
+    if chosen.loss <= max(floor, 1.1) or (closed >= NAMED and not close):
         return "named", f"The model lacks {names}; with it {left:.3g} times the noise is left on validation data."
     if closed >= PARTLY:
         return "partly", (

@@ -61,14 +61,15 @@ class Hypothesis:
 
 @dataclass
 class Search:
-    """What the search found: the accepted steps, and all that was tried on the way. `full`: several effects were chosen, and no
-    more were allowed."""
+    """What the search found: the accepted steps, and all that was tried on the way. `rivals`: the two hypotheses between which
+    further data should decide. `several`: more than one effect was chosen, and motions are simulated."""
 
     nominal: Hypothesis
     chosen: Hypothesis
     tried: list[Hypothesis] = field(default_factory=list)
     confusable: list[Candidate] = field(default_factory=list)
-    full: bool = False
+    rivals: tuple[Hypothesis, Hypothesis] | None = None
+    several: bool = False
 
 
 def candidates(bench: Bench, allowed: Sequence[str], by_torque: bool = False) -> list[Candidate]:

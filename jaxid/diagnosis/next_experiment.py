@@ -4,11 +4,53 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
+import numpy as np
+
 from jaxid import catalogue
+from jaxid.diagnosis.evidence import knowledge
+from jaxid.diagnosis.hypothesis import Hypothesis, Search
+from jaxid.estimation import Bench
+from jaxid.excitation_separate import recorded, Rivals
+from jaxid.layout import Layout
+from jaxid.samples import columns
 
 
-def advice(verdict: str, named: Sequence[str], mates: Sequence[str]) -> str:
-    """A sentence a person can act on; effects by id."""
+def rivals_of(bench: Bench, search: Search) -> Rivals | None:
+    """The two hypotheses that further data should decide between, as models without all other candidates."""
+    b = bench.binding
+    if search.rivals is None or not b.dataset.experiments:
+        return None
+    first, second = search.rivals
+    present = {c.effect for h in search.rivals for c in h.effects}
+    present |= {e.name for e in b.chain.effects if any(i in b.nominal for i in b.layout.of_effect(e.name))}
+    layout = Layout(b.chain.without(*(e.name for e in b.chain.effects if e.name not in present)))
+    at = [b.layout.index(name) for name in layout.names]
+    place = {i: k for k, i in enumerate(at)}
+    p, told = second.path.problem, knowledge(second.path)
+    free = [int(i) for i in p.free]
+    information = np.zeros((len(free), len(free))) if told is None else told[1]
+    iu, iy = columns(b.dataset, b.chain)
+    joints = [iy[k] for k in b.chain.joint_outputs]
+    return Rivals(
+        (words(first), words(second)), layout, np.array([h.theta[at] for h in search.rivals]), tuple(place[i] for i in free),
+        p.dtheta(second.path.z), information, b.sigma, recorded(b.dataset.experiments, iu, joints),
+    )  # fmt: skip
+
+
+def words(h: Hypothesis) -> str:
+    return " and ".join(str(c) for c in h.effects)
+
+
+def advice(verdict: str, named: Sequence[str], mates: Sequence[str], rivals: Rivals | None = None) -> str:
+    """Sentences a person can act on; effects by id."""
+    text = _advice(verdict, named, mates)
+    if rivals is None or not rivals.recorded.top.any() or verdict == "none" or (verdict == "named" and not mates):
+        return text
+    a, b = rivals.names
+    return f"{text} The option --next DIR designs the input that best tells {a} from {b}, and writes it to be played."
+
+
+def _advice(verdict: str, named: Sequence[str], mates: Sequence[str]) -> str:
     if verdict == "none":
         return "No further experiment is needed for this model: it reaches the noise floor on data that were not fitted."
     wanted = list(dict.fromkeys([*named, *mates]))

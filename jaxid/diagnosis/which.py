@@ -193,8 +193,19 @@ class Searcher:
             mates = self._alternatives(chosen, pool)
         chosen = self._taught(self._settled(chosen))
         self.nominal = self._taught(self.nominal) if chosen.effects else chosen
-        full = not self.by_torque and 1 < max_effects <= len(chosen.effects)
-        return Search(self.nominal, chosen, self.tried, list(mates), full)
+        several = not self.by_torque and len(chosen.effects) > 1
+        return Search(self.nominal, chosen, self.tried, list(mates), self._rivals(chosen, list(mates.values())), several)
+
+    def _rivals(self, chosen: Hypothesis, mates: Sequence[Hypothesis]) -> tuple[Hypothesis, Hypothesis] | None:
+        """The two hypotheses between which further data should decide: the chosen one (else the best) and what the data cannot
+        tell from it (else the best of those that are not the first with more or less in it)."""
+        nested = lambda a, b: key_of(a.effects) <= key_of(b.effects) or key_of(a.effects) >= key_of(b.effects)
+        ranked = sorted((h for h in self.known.values() if h.effects and np.isfinite(h.fit_loss)), key=joint_loss)
+        first = chosen if chosen.effects else next(iter(ranked), None)
+        if first is None or (not chosen.effects and self._at_floor(chosen)):
+            return None
+        others = [h for h in mates or ranked if not nested(h, first)]
+        return (first, min(others, key=joint_loss)) if others else None
 
     def _beside(self, chosen: Hypothesis, pool: Sequence[Candidate], room: int) -> list[Hypothesis]:
         """Refits of the chosen hypothesis with more in it, `room` effects at most; after the first choice also of two others,
