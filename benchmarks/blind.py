@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import argparse
 import json
+import subprocess
 import sys
 import time
 from functools import cache
@@ -115,7 +116,7 @@ def later(case: dict[str, Any], diagnosis: Diagnosis, u: np.ndarray, y: np.ndarr
     return shrink(before.gap**2, after.gap**2)
 
 
-def run(models: tuple[str, ...], seed: int, kinds: tuple[str, ...], share: float, store: Path, sets: Path) -> None:
+def run(model: str, seed: int, kind: str, share: float, store: Path, sets: Path) -> None:
     """Diagnoses and scores what is not yet in `store`."""
     done = set()
     if store.exists():
@@ -123,30 +124,28 @@ def run(models: tuple[str, ...], seed: int, kinds: tuple[str, ...], share: float
             row = json.loads(line)
             done.add((row["model"], row["kind"], row["case"], row["seed"]))
     store.parent.mkdir(exist_ok=True)
-    for model, kind in ((m, k) for m in models for k in kinds):
-        place = write_set(model, seed, kind, sets)
-        key, more = json.loads((place / "key.json").read_text()), np.load(place / "later.npz")
-        for k, case in enumerate(key):
-            label = " + ".join(f"{e} at {p}" for e, p in case["effects"]) or "nothing"
-            if kind in ("control", "outsider"):  # several of a kind
-                label += f", {k}"
-            if (k * 0.6180339887) % 1 >= share or (model, kind, label, seed) in done:
-                continue
-            folder = place / f"case_{k:02d}"
-            found, spent = answer(folder)
-            case["effects"] = [(e, p) for e, p in case["effects"]]
-            row = {"model": model, "kind": kind, "case": label, "seed": seed}
-            row |= score(case, found, *classes(model, tuple(case["without"]))) | {"cpu_s": spent}
-            if kind in (*STRENGTH, "pair"):
-                row["oracle"] = oracle(case, row, load_dataset(folder))
-            if kind == "many" and row["interval"]:
-                row["later"] = later(case, found, more["u"][k], more["y"][k])
-            with store.open("a") as f:
-                f.write(json.dumps(row, default=float) + "\n")
-            mark = "ok " if row["right"] else "set" if row["in_set"] else "---"
-            print(mark, model, kind, f"{label}:", row["verdict"], row["named"], "~", row["mates"],
-                  f"gap {row['gap']:.3g} -> {row['after']:.3g} {spent:.0f} s", row.get("oracle"), row["interval"],
-                  row.get("later"), flush=True)  # fmt: skip
+    place = write_set(model, seed, kind, sets)
+    key, more = json.loads((place / "key.json").read_text()), np.load(place / "later.npz")
+    for k, case in enumerate(key):
+        label = " + ".join(f"{e} at {p}" for e, p in case["effects"]) or "nothing"
+        if kind in ("control", "outsider"):  # several of a kind
+            label += f", {k}"
+        if (k * 0.6180339887) % 1 >= share or (model, kind, label, seed) in done:
+            continue
+        folder = place / f"case_{k:02d}"
+        found, spent = answer(folder)
+        case["effects"] = [(e, p) for e, p in case["effects"]]
+        row = {"model": model, "kind": kind, "case": label, "seed": seed}
+        row |= score(case, found, *classes(model, tuple(case["without"]))) | {"cpu_s": spent}
+        if kind in (*STRENGTH, "pair"):
+            row["oracle"] = oracle(case, row, load_dataset(folder))
+        if kind == "many" and row["interval"]:
+            row["later"] = later(case, found, more["u"][k], more["y"][k])
+        with store.open("a") as f:
+            f.write(json.dumps(row, default=float) + "\n")
+        mark = "ok " if row["right"] else "set" if row["in_set"] else "---"
+        gap = f"gap {row['gap']:.3g} -> {row['after']:.3g} {spent:.0f} s"
+        print(mark, model, kind, f"{label}:", row["verdict"], row["named"], "~", row["mates"], gap, flush=True)
 
 
 def main() -> dict[str, Any]:
@@ -213,4 +212,10 @@ if __name__ == "__main__":
     parser.add_argument("--store", type=Path, default=RESULTS)
     parser.add_argument("--sets", type=Path, default=Path("out/blind"), help="folder of the cases")
     o = parser.parse_args()
-    run(tuple(o.models.split(",")), o.seed, tuple(o.only.split(",")), o.share, o.store, o.sets)
+    pairs = [(m, k) for m in o.models.split(",") for k in o.only.split(",")]
+    for model, kind in pairs:
+        if len(pairs) == 1:
+            run(model, o.seed, kind, o.share, o.store, o.sets)
+        else:  # a process for each set: programs of hundreds of different models would fill what a process may map
+            own = ["--models", model, "--only", kind, "--seed", o.seed, "--share", o.share, "--store", o.store, "--sets", o.sets]
+            subprocess.run([sys.executable, __file__, *map(str, own)], check=True)

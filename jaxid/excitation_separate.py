@@ -149,7 +149,7 @@ def separate(
     made = described(plain, u, plan, "separation", None)
     a, b = rivals.names
     so_far = f"{before:.3g}" if np.isfinite(before) else "unknown"
-    far = f"after this run {a} and {b} are {after:.3g} standard deviations apart, by the recorded command {so_far}"
+    far = f'after this run "{a}" and "{b}" are {after:.3g} standard deviations apart, by the recorded command {so_far}'
     if not after >= TOLD:
         far += (
             "; no input within these limits tells them apart: allow more (limits, amplitude, duration), or take the simpler one"

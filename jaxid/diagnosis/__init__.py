@@ -146,7 +146,7 @@ def _diagnosed(question: Question, scatter: timing.Scatter | None = None) -> tup
     how_far = measure(final.theta)
     if named and binding.experiments("report"):
         judged, judged_text = verdict, text
-        verdict, text = upheld(verdict, text, how_far.gap_retuned, how_far.gap_after)
+        verdict, text = upheld(verdict, text, how_far.gap_retuned, how_far.gap_after, search.several)
         if verdict != judged:  # unless the model follows the fit runs, and what they leave open can account for it
             told = [knowledge(h.path) for h in (search.nominal, final)]
             seen = held_out(
@@ -157,7 +157,8 @@ def _diagnosed(question: Question, scatter: timing.Scatter | None = None) -> tup
                 told,
                 [None, final.path if final.fit_loss <= WHITE else None],
             )
-            verdict, text = upheld(judged, judged_text, *(float(np.sqrt(max(held.loss, 0.0))) for held in seen))
+            gaps = [float(np.sqrt(max(held.loss, 0.0))) for held in seen]
+            verdict, text = upheld(judged, judged_text, gaps[0], gaps[1], search.several)
             if verdict == judged:
                 text += (
                     f" The report data are {how_far.gap_after:.3g} times the noise away, but go where fit and validation data "
@@ -256,14 +257,16 @@ def judge(search: Search) -> tuple[str, str]:
     closed = (nominal.loss - chosen.loss) / max(nominal.loss - 1, 1e-12)
     names = " and ".join(str(c) for c in search.chosen.effects)
     left = np.sqrt(max(chosen.loss, 1.0))
+    each = ", ".join(f"without {c} {gap:.3g}" for c, gap in search.without)
+    each = f" What each contributes: {each} times the noise." if each else ""
     # Several that leave more than the noise may together only come close to something else.
     close = search.several and max(left, np.sqrt(search.chosen.fit_loss)) > LEFT
     if chosen.loss <= max(floor, 1.1) or (closed >= NAMED and not close):
-        return "named", f"The model lacks {names}; with it {left:.3g} times the noise is left on validation data."
+        return "named", f"The model lacks {names}; with it {left:.3g} times the noise is left on validation data.{each}"
     if closed >= PARTLY:
         return "partly", (
             f"The model lacks {names}, which explains {np.floor(100 * closed):.0f} % of the gap on validation data; a clear "
-            f"remainder ({left:.3g} times the noise) stays unexplained."
+            f"remainder ({left:.3g} times the noise) stays unexplained.{each}"
         )
     if search.chosen.fit_loss <= 1.1 < search.nominal.fit_loss:
         return "partly", (
@@ -276,9 +279,9 @@ def judge(search: Search) -> tuple[str, str]:
     )
 
 
-def upheld(verdict: str, text: str, retuned: float, after: float) -> tuple[str, str]:
+def upheld(verdict: str, text: str, retuned: float, after: float, several: bool = False) -> tuple[str, str]:
     """A verdict and its sentence once the report data have been seen, where the model re-tuned and the one with the effects leave
-    so many times the noise. They choose nothing, but what does not hold on them is not claimed."""
+    so many times the noise (`several` of them). They choose nothing, but what does not hold on them is not claimed."""
     if retuned <= SEEN:
         return verdict, text
     closed = shrinking.shrink(retuned**2, after**2)
@@ -286,6 +289,8 @@ def upheld(verdict: str, text: str, retuned: float, after: float) -> tuple[str, 
         return "unknown", (
             f"{text} On the report data that model is {after:.3g} times the noise away, {retuned:.3g} without: nothing claimed."
         )
+    if verdict == "named" and several and after > LEFT:
+        return "partly", f"{text} On the report data {after:.3g} times the noise is left."
     if verdict == "named" and (closed < PARTLY or (closed < HELD and after > LEFT)):
         return "partly", f"{text} On the report data it explains only {100 * closed:.0f} % of the gap."
     return verdict, text

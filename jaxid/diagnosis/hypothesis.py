@@ -61,8 +61,12 @@ class Hypothesis:
 
 @dataclass
 class Search:
-    """What the search found: the accepted steps, and all that was tried on the way. `rivals`: the two hypotheses between which
-    further data should decide. `several`: more than one effect was chosen, and motions are simulated."""
+    """What the search found: the accepted steps, and all that was tried on the way.
+
+    `rivals`: the two hypotheses between which further data should decide. `several`: more than one effect was chosen, and motions
+    are simulated. `without`: what is left on validation data, in multiples of the noise, where one of several is taken out and
+    the rest refitted; what is missed most comes first.
+    """
 
     nominal: Hypothesis
     chosen: Hypothesis
@@ -70,6 +74,7 @@ class Search:
     confusable: list[Candidate] = field(default_factory=list)
     rivals: tuple[Hypothesis, Hypothesis] | None = None
     several: bool = False
+    without: tuple[tuple[Candidate, float], ...] = ()
 
 
 def candidates(bench: Bench, allowed: Sequence[str], by_torque: bool = False) -> list[Candidate]:

@@ -47,7 +47,7 @@ def advice(verdict: str, named: Sequence[str], mates: Sequence[str], rivals: Riv
     if rivals is None or not rivals.recorded.top.any() or verdict == "none" or (verdict == "named" and not mates):
         return text
     a, b = rivals.names
-    return f"{text} The option --next DIR designs the input that best tells {a} from {b}, and writes it to be played."
+    return f'{text} The option --next DIR designs the input that best tells "{a}" from "{b}", and writes it to be played.'
 
 
 def _advice(verdict: str, named: Sequence[str], mates: Sequence[str]) -> str:

@@ -6,19 +6,22 @@ a poorer model has left them. Held-out runs that do tell them apart would then r
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 
 import numpy as np
 
 from jaxid.fitters import descend
 from jaxid.fitters.lm import Path
+from jaxid.problem import Problem
 
 
 #: A direction is left open where going all the way back costs less than this (half of the sum of squares, in noise variances).
 COST = 2.0
 #: A way back that is shorter than this, in typical changes of a parameter, is not gone.
 NEAR = 1.0
+#: So many numbers are put back at most, those that are further away than this.
+TRIED, SHORT = 3, 0.1
 
 
 def brought_back(paths: Sequence[Path], theta: np.ndarray, index: Sequence[int]) -> list[Path]:
@@ -32,6 +35,38 @@ def brought_back(paths: Sequence[Path], theta: np.ndarray, index: Sequence[int])
         if end.cost <= paths[k].cost + COST:
             out[k] = replace(end, linearisations=paths[k].linearisations + end.linearisations)
     return out
+
+
+def put_back(path: Path, theta: np.ndarray, index: Sequence[int], problem: Callable[[list[int], np.ndarray], Problem]) -> Path:
+    """The path with numbers at `index` put back to those of `theta` one after the other, the least certain first, where the rest,
+    refitted, follows the data as well without; `problem(free, theta)` is the same with other numbers free.
+
+    What a model leaves open may have gone as far as the data let it, to where it looks determined (a drive that no longer reaches
+    its limit): no step along an open direction leads back from there.
+    """
+    p = path.problem
+    if path.hessian is None or not np.isfinite(path.cost):
+        return path
+    n = p.free.size
+    home = p.theta(path.z).copy()
+    home[list(index)] = theta[list(index)]
+    away = np.abs(p.z(home)[:n] - path.z[:n])
+    variance = np.diag(np.linalg.pinv(path.hessian, rcond=1e-14, hermitian=True))[:n]
+    price = away**2 / np.maximum(variance, 1e-300)  # of each way as far as it can be seen from here
+    free, now = [int(i) for i in p.free], p.theta(path.z)
+    starts, moved = p.starts(path.z), False
+    for k in [k for k in np.argsort(price) if away[k] > SHORT * p.scale[k]][:TRIED]:
+        i = int(p.free[k])
+        tried = now.copy()
+        tried[i] = theta[i]
+        less = problem([f for f in free if f != i], tried)
+        end = descend([(less, less.z(tried, starts))], 12, 1e-6)[0]
+        if end.cost <= path.cost + COST:
+            free, now, starts, moved = [f for f in free if f != i], less.theta(end.z), less.starts(end.z), True
+    if not moved:
+        return path
+    end = descend([(p, p.z(now, starts))], 1, 1e-6)[0]
+    return end if end.cost <= path.cost + COST else path
 
 
 def _way_back(path: Path, theta: np.ndarray, index: Sequence[int]) -> np.ndarray | None:

@@ -36,7 +36,7 @@ from jaxid.diagnosis.proposals import (
 )
 from jaxid.diagnosis.screen import probe_residuals, Screened, screened
 from jaxid.diagnosis.shortlist import shortlist
-from jaxid.diagnosis.undetermined import brought_back
+from jaxid.diagnosis.undetermined import brought_back, put_back
 from jaxid.estimation import Bench, estimate_starts
 from jaxid.fitter import Progress
 from jaxid.fitters import descend, Path, race
@@ -191,10 +191,18 @@ class Searcher:
             # a rich law chosen before the others were there
             chosen = self._questioned(plainest)
             mates = self._alternatives(chosen, pool)
-        chosen = self._taught(self._settled(chosen))
+        chosen = self._taught(self._put_back(self._settled(chosen)))
         self.nominal = self._taught(self.nominal) if chosen.effects else chosen
         several = not self.by_torque and len(chosen.effects) > 1
-        return Search(self.nominal, chosen, self.tried, list(mates), self._rivals(chosen, list(mates.values())), several)
+        rivals = self._rivals(chosen, list(mates.values()))
+        return Search(self.nominal, chosen, self.tried, list(mates), rivals, several, self._without_each(chosen))
+
+    def _without_each(self, chosen: Hypothesis) -> tuple[tuple[Candidate, float], ...]:
+        """What the effects of a hypothesis contribute: see `Search.without`; the refits are those that questioned it."""
+        known = self._stale | self.known
+        smaller = [(c, known.get(key_of([e for e in chosen.effects if e is not c]))) for c in chosen.effects]
+        left = [(c, float(np.sqrt(max(h.validation.loss, 0.0)))) for c, h in smaller if h is not None and len(chosen.effects) > 1]
+        return tuple(sorted(left, key=lambda pair: -pair[1]))
 
     def _rivals(self, chosen: Hypothesis, mates: Sequence[Hypothesis]) -> tuple[Hypothesis, Hypothesis] | None:
         """The two hypotheses between which further data should decide: the chosen one (else the best) and what the data cannot
@@ -252,6 +260,17 @@ class Searcher:
         spread = self.refit(at_all_joints(self.bench, shown, pool))
         self.tried += spread
         return best(self.bench, chosen, [step, *spread]) or step
+
+    def _put_back(self, h: Hypothesis) -> Hypothesis:
+        """The hypothesis with those of the model's own numbers where the user put them that the data leave open."""
+        if not h.effects or self.by_torque:
+            return h
+        problem = lambda free, theta: self.bench.problem(self.residual, "fit", free, theta)
+        path = put_back(h.path, self.bench.binding.theta, self.base_free, problem)
+        if path is h.path:
+            return h
+        after = self._hypotheses([(h.effects, path)])[0]
+        return after if after.validation.loss < h.validation.loss * ALIKE else h
 
     def _taught(self, h: Hypothesis) -> Hypothesis:
         """What the fit runs leave open, as the validation runs have it."""
