@@ -31,8 +31,7 @@ prepare()
 
 from jaxid import catalogue  # noqa: E402
 from jaxid.api import diagnose, fit  # noqa: E402
-from jaxid.binding import bind  # noqa: E402
-from jaxid.chain import Chain  # noqa: E402
+from jaxid.binding import bind, resolve_model  # noqa: E402
 from jaxid.dataset_io import load_dataset  # noqa: E402
 from jaxid.diagnosis.evidence import held_out  # noqa: E402
 from jaxid.diagnosis.how_far import shrink  # noqa: E402
@@ -108,8 +107,8 @@ def later(case: dict[str, Any], diagnosis: Diagnosis, u: np.ndarray, y: np.ndarr
     """Shrinkage on further runs of the same twin, which the interval on report data is to hold."""
     model = case["model"]
     data = dataset(PLANTS[model], u, y, ("fit", *["report"] * (len(u) - 1)))
-    chain = Chain(catalogue.model_class(model)())
-    absent = [n for n in catalogue.effect_names() if n not in chain.contents or n in case["without"]]
+    chain = resolve_model(model, data, case["without"])
+    absent = [n for n in catalogue.effect_names() if n not in chain.contents]
     library = [k for n in absent if chain.offers(k := catalogue.effect_class(n))]
     bench = Bench(bind(model, data, without=case["without"], candidates=library))
     before, after = held_out(bench, "report", [diagnosis.nominal.theta, diagnosis.final.theta])
@@ -139,7 +138,7 @@ def run(model: str, seed: int, kind: str, share: float, store: Path, sets: Path)
         row |= score(case, found, *classes(model, tuple(case["without"]))) | {"cpu_s": spent}
         if kind in (*STRENGTH, "pair"):
             row["oracle"] = oracle(case, row, load_dataset(folder))
-        if kind == "many" and row["interval"]:
+        if kind == "many" and row["interval"] and "timestamp_jitter" not in str(row["named"]):  # (readings then count otherwise)
             row["later"] = later(case, found, more["u"][k], more["y"][k])
         with store.open("a") as f:
             f.write(json.dumps(row, default=float) + "\n")

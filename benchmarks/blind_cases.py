@@ -35,8 +35,9 @@ KINDS = {
 }
 STRENGTH = {"effect": 1.0, "strong": 3.0, "weak": 0.2, "poor": 1.0, "many": 1.0}
 SPLITS = ("fit", "fit", "validation", "report")
-#: Runs of every twin of kind `many` that are recorded for the scorer alone: the others' report run is too short for an interval.
-LATER = 8
+#: Runs of every twin of kind `many` that are recorded for the scorer alone (the others' report run is too short for an interval):
+#: so many that their own scatter hardly matters beside that of eight report runs.
+LATER = 40
 SECONDS = {"flexible_link": 4.0}
 
 
@@ -214,11 +215,11 @@ def recordings(cases: list[dict[str, Any]], seed: int) -> tuple[list[Dataset], n
     splits, more = ((*SPLITS, *["report"] * 7), LATER) if kind == "many" else (SPLITS, 0)
     first, drives = len(splits), []
     for case in cases:
-        u = commands(plant, rng, first + more)
+        u = commands(plant, rng, first)
         for r, split in enumerate(splits):
             if case["kind"] == "poor" and split == "fit":
                 u[r] = steps(plant, rng, r)
-        drives.append(u)
+        drives += [u, commands(plant, rng, more)]
     u = np.concatenate(drives)
     keys = dict.fromkeys(k for c in cases for k in (*c["numbers"], *NEUTRAL))
     width, runs = plant.n, first + more

@@ -13,6 +13,7 @@ import numpy as np
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
+    from jaxid.diagnosis.unseen import Unseen
     from jaxid.excitation_result import Excitation
     from jaxid.excitation_separate import Rivals
 
@@ -341,6 +342,7 @@ class Diagnosis:
     missing_force: tuple[MissingForce, ...] = ()
     regimes: tuple[Regime, ...] = ()
     notes: tuple[str, ...] = ()
+    unseen: tuple[Unseen, ...] = ()
     rivals: Rivals | None = field(default=None, repr=False, compare=False)
 
     def next_run(self, **settings: Any) -> Excitation:
@@ -366,6 +368,7 @@ class Diagnosis:
             "which": self.which.to_dict(),
             "how_far": self.how_far.to_dict(),
             "next_experiment": self.next_experiment,
+            "unseen": [u.to_dict() for u in self.unseen],
             "parameters": {k: v.to_dict() for k, v in self.final.parameters.items()},
             "wall_time_s": self.wall_time_s,
             "notes": list(self.notes),

@@ -16,6 +16,7 @@ from jaxid.diagnosis.choice import WHITE
 from jaxid.diagnosis.evidence import held_out, inflation, knowledge, worth
 from jaxid.diagnosis.hypothesis import Candidate, candidates, Hypothesis, Search
 from jaxid.diagnosis.next_experiment import advice, rivals_of
+from jaxid.diagnosis.unseen import Look, Looker
 from jaxid.diagnosis.which import Searcher
 from jaxid.errors import nearest, UsageError
 from jaxid.estimation import (
@@ -172,14 +173,23 @@ def _diagnosed(question: Question, scatter: timing.Scatter | None = None) -> tup
     mates = search.confusable if named else []
     findings, pictures, rows = _where(bench, search.nominal, final, verdict, named, seed)
     ranking = (*(scatter.ranked(bench, residual, search.nominal) if scatter else ()), *_ranked(search))
-    rivals = None if isinstance(residual, InverseDynamics) else rivals_of(bench, search)
+    by_torque = isinstance(residual, InverseDynamics)
+    looked, pair = Look(), search.rivals
+    if verdict in ("none", "unknown"):
+        pool = candidates(bench, question.allowed, by_torque) if verdict == "none" else []
+        looked = Looker(bench, residual, search.nominal).look([c for c in pool if c.effect != JITTER])
+        text = " ".join((text, *looked.signs))
+    if verdict == "none":
+        pair = (search.nominal, looked.rival) if looked.rival else None
+    rivals = None if by_torque or pair is None else rivals_of(bench, pair)
     which = Which(verdict, estimates if named else (), tuple(EffectEstimate(c.effect, c.location) for c in mates), ranking, text)
+    advised = advice(verdict, [c.effect for c in named], [c.effect for c in mates], rivals, looked.unseen)
     found = Diagnosis(
         binding.chain.mechanism.name, binding.dataset.name, binding.dataset.sha256, seed, residual.name, findings, which,
-        how_far, advice(verdict, [c.effect for c in named], [c.effect for c in mates], rivals), time.perf_counter() - began,
+        how_far, advised, time.perf_counter() - began,
         nominal_fit, final_fit, _traces(bench, residual, search.nominal, final, named), pictures, rows,
         (*binding.dataset.notes, *_notes(binding, final_fit, compile_time)),
-        rivals,
+        looked.unseen, rivals,
     )  # fmt: skip
     return found, growth(bench, search.nominal.theta) if isinstance(residual, OutputError) else 0.0
 

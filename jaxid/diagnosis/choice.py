@@ -23,6 +23,9 @@ ALIKE = 1.02
 GAIN = 0.02
 #: Residuals of fit runs at the noise, and white: their sums of squares count as they are.
 WHITE = 1.5
+#: Fit runs that show no gap at all say nothing against an effect with which validation runs, refitted together with them, leave
+#: less than this (mean square), if without it they stand so many chi-square units higher.
+EXPLAINED, OVERWHELMING = 1.1, 200.0
 
 
 def joint_loss(h: Hypothesis) -> float:
@@ -39,6 +42,8 @@ def significant(before: Hypothesis, after: Hypothesis) -> bool:
     left = max(before.validation.loss - 1.0, 1e-12)
     share = (before.validation.loss - after.validation.loss) / left
     size, more = after.size - before.size, max(1, len(after.effects) - len(before.effects))
+    if before.fit_inflation < WHITE and after.validation.loss < EXPLAINED and fitted > -DECISIVE:
+        return held > OVERWHELMING * more
     # Where the fit runs are at the noise, evidence is exact, and the best of dozens of candidates reaches some by chance.
     chance = DECISIVE if after.fit_inflation < WHITE else 0.0
     enough = fitted > chance + 2 * size and fitted + held > 3 * more * DECISIVE + 2 * size

@@ -122,7 +122,7 @@ def _free(
         count = sum(r.size for r in residual)
         out.append(HeldOut(residual, settled, total / max(count, 1), count))
     far = {k: path for k, path in enumerate(follow) if path is not None and out[k].loss > NEAR_FLOOR}
-    for (k, path), end in zip(far.items(), _together(bench, split, list(far.values()), starts[list(far)]), strict=True):
+    for (k, path), end in zip(far.items(), together(bench, split, list(far.values()), starts[list(far)]), strict=True):
         residual = end.problem.residuals(end.z)
         n = len(path.problem.records)
         settled = [_finite(r[inside]) for r, inside in zip(residual[n:], keep, strict=True)]
@@ -137,8 +137,8 @@ def _squares(residual: Sequence[np.ndarray]) -> float:
     return float(sum(np.sum(r**2) for r in residual))
 
 
-def _together(bench: Bench, split: str, paths: Sequence[Path], starts: np.ndarray) -> list[Path]:
-    """Models refitted to the fit runs and to those of a split at once, from where their fits ended; `starts` of the latter."""
+def together(bench: Bench, split: str, paths: Sequence[Path], starts: np.ndarray) -> list[Path]:
+    """Models refitted to the free runs of fit and of a split at once, from where their fits ended; `starts` of the latter."""
     jobs = []
     for path, own in zip(paths, starts, strict=True):
         theta = path.problem.theta(path.z)

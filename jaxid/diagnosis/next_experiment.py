@@ -8,20 +8,21 @@ import numpy as np
 
 from jaxid import catalogue
 from jaxid.diagnosis.evidence import knowledge
-from jaxid.diagnosis.hypothesis import Hypothesis, Search
+from jaxid.diagnosis.hypothesis import Hypothesis
+from jaxid.diagnosis.unseen import Unseen
 from jaxid.estimation import Bench
 from jaxid.excitation_separate import recorded, Rivals
 from jaxid.layout import Layout
 from jaxid.samples import columns
 
 
-def rivals_of(bench: Bench, search: Search) -> Rivals | None:
+def rivals_of(bench: Bench, pair: tuple[Hypothesis, Hypothesis]) -> Rivals | None:
     """The two hypotheses that further data should decide between, as models without all other candidates."""
     b = bench.binding
-    if search.rivals is None or not b.dataset.experiments:
+    if not b.dataset.experiments:
         return None
-    first, second = search.rivals
-    present = {c.effect for h in search.rivals for c in h.effects}
+    first, second = pair
+    present = {c.effect for h in pair for c in h.effects}
     present |= {e.name for e in b.chain.effects if any(i in b.nominal for i in b.layout.of_effect(e.name))}
     layout = Layout(b.chain.without(*(e.name for e in b.chain.effects if e.name not in present)))
     at = [b.layout.index(name) for name in layout.names]
@@ -32,27 +33,39 @@ def rivals_of(bench: Bench, search: Search) -> Rivals | None:
     iu, iy = columns(b.dataset, b.chain)
     joints = [iy[k] for k in b.chain.joint_outputs]
     return Rivals(
-        (words(first), words(second)), layout, np.array([h.theta[at] for h in search.rivals]), tuple(place[i] for i in free),
+        (words(first), words(second)), layout, np.array([h.theta[at] for h in pair]), tuple(place[i] for i in free),
         p.dtheta(second.path.z), information, b.sigma, recorded(b.dataset.experiments, iu, joints),
     )  # fmt: skip
 
 
 def words(h: Hypothesis) -> str:
-    return " and ".join(str(c) for c in h.effects)
+    return " and ".join(str(c) for c in h.effects) or "the model as it is"
 
 
-def advice(verdict: str, named: Sequence[str], mates: Sequence[str], rivals: Rivals | None = None) -> str:
+def advice(
+    verdict: str, named: Sequence[str], mates: Sequence[str], rivals: Rivals | None = None, unseen: Sequence[Unseen] = ()
+) -> str:
     """Sentences a person can act on; effects by id."""
-    text = _advice(verdict, named, mates)
-    if rivals is None or not rivals.recorded.top.any() or verdict == "none" or (verdict == "named" and not mates):
+    text = _advice(verdict, named, mates, unseen)
+    open_ = any(not u.absorbed for u in unseen) if verdict == "none" else verdict != "named" or mates
+    if rivals is None or not rivals.recorded.top.any() or not open_:
         return text
     a, b = rivals.names
     return f'{text} The option --next DIR designs the input that best tells "{a}" from "{b}", and writes it to be played.'
 
 
-def _advice(verdict: str, named: Sequence[str], mates: Sequence[str]) -> str:
+def _advice(verdict: str, named: Sequence[str], mates: Sequence[str], unseen: Sequence[Unseen]) -> str:
     if verdict == "none":
-        return "No further experiment is needed for this model: it reaches the noise floor on data that were not fitted."
+        text = "No further experiment is needed for this model: it reaches the noise floor on data that were not fitted."
+        others = [u for u in unseen if not u.absorbed]
+        if others:
+            first = others[0]
+            text += f" Motions of another kind may need more: {first} would not show in these"
+            if first.moved:
+                m = first.moved[0]
+                text += f" ({m.name} would pass for it: {m.without:.3g} {m.unit} fitted, {m.beside:.3g} with it)"
+            text += f"; to see it: {catalogue.effect_class(first.effect).excitation}."
+        return text
     wanted = list(dict.fromkeys([*named, *mates]))
     if mates:
         parts = [f"for {name}: {catalogue.effect_class(name).excitation}" for name in wanted]

@@ -13,7 +13,7 @@ from dataclasses import replace
 import numpy as np
 
 from jaxid.diagnosis.choice import ALIKE, best, CONFLICT, equals, indistinct, joint_loss, significant
-from jaxid.diagnosis.evidence import held_out, knowledge, memory
+from jaxid.diagnosis.evidence import held_out, knowledge, memory, together
 from jaxid.diagnosis.hypothesis import (
     Candidate,
     Hypothesis,
@@ -36,7 +36,7 @@ from jaxid.diagnosis.proposals import (
 )
 from jaxid.diagnosis.screen import probe_residuals, Screened, screened
 from jaxid.diagnosis.shortlist import shortlist
-from jaxid.diagnosis.undetermined import brought_back, put_back
+from jaxid.diagnosis.undetermined import brought_back, moved_to, put_back
 from jaxid.estimation import Bench, estimate_starts
 from jaxid.fitter import Progress
 from jaxid.fitters import descend, Path, race
@@ -62,6 +62,8 @@ FREED = 0.5
 #: What leaves at most so many times what the best of a batch leaves of the fit runs, and so many times the noise (mean squares),
 #: is followed on validation runs.
 CLOSE, NEAR = 1.5, 6.0
+#: Validation runs that are so much further away than they need be with what the fit runs leave open (mean squares) settle it.
+OPEN = 0.3
 
 
 class Searcher:
@@ -274,13 +276,16 @@ class Searcher:
 
     def _taught(self, h: Hypothesis) -> Hypothesis:
         """What the fit runs leave open, as the validation runs have it."""
-        if h.validation.theta is None or self.by_torque:
+        theta = h.validation.theta
+        if theta is None and h.validation.gap**2 > h.validation.loss + OPEN and isinstance(self.residual, OutputError):
+            starts = estimate_starts(self.bench, "validation", [h.theta])
+            theta = (end := together(self.bench, "validation", [h.path], starts)[0]).problem.theta(end.z)
+        if theta is None or self.by_torque:
             return h
-        path = brought_back([h.path], h.validation.theta, h.path.problem.free)[0]
-        if path is h.path:
-            return h
-        after = self._hypotheses([(h.effects, path)])[0]
-        return after if after.validation.loss < h.validation.loss * ALIKE else h
+        paths = [brought_back([h.path], theta, h.path.problem.free)[0], moved_to(h.path, theta)]
+        moved = [(h.effects, path) for path in paths if path is not h.path]
+        good = [g for g in (self._hypotheses(moved) if moved else []) if g.validation.loss < h.validation.loss * ALIKE]
+        return min([h, *good], key=lambda g: g.validation.gap)
 
     def _named(self, h: Hypothesis) -> int:
         """How many effects a hypothesis names; by torque one at several joints counts once."""

@@ -17,6 +17,7 @@ from jaxid.report import (
     recorded,
     studied,
     traces,
+    unseen,
 )
 from jaxid.report.page import render, render_fragment
 from jaxid.terminal import one_line
@@ -34,6 +35,7 @@ def write_diagnosis(diagnosis: Diagnosis, path: str | Path) -> Path:
     """Writes the page of a diagnosis (whole or not at all) and returns its path."""
     sections = [
         answer.section(diagnosis),
+        unseen.section(diagnosis.unseen),
         traces.section(diagnosis.traces),
         missing_force.section(diagnosis.missing_force, diagnosis.regimes),
         ranking.section(diagnosis.which),

@@ -64,7 +64,9 @@ def which_card(diagnosis: Diagnosis) -> tuple[str, list[str]]:
     which = diagnosis.which
     if which.verdict in ("none", "unknown"):
         fact = "None" if which.verdict == "none" else "Unknown"
-        return fact, [which.text or text.which_sentence(which)]
+        hidden = [u for u in diagnosis.unseen if u.moved and not u.absorbed]
+        rest = f"Other motions may show more: {len(hidden)} effects could hide in these recordings (below)." if hidden else ""
+        return fact, [s for s in (which.text or text.which_sentence(which), rest) if s]
     sentences = []
     for effect in which.effects:
         prefix = f"{words(effect)}: " if len(which.effects) > 1 else ""

@@ -1,0 +1,297 @@
+"""What a model without a gap may still lack: effects that the recordings would not show, and signs below the noise as a whole.
+
+An effect that re-tuning hides, or that the motion never stirs, leaves no residual. Which ones these are can be computed: each is
+switched on at its probes, the model with it is re-tuned to the plain model's own simulation of the same runs, and what is left
+between the two is compared with the noise.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from scipy.stats import chi2
+
+from jaxid.diagnosis.evidence import knowledge, memory
+from jaxid.diagnosis.hypothesis import Candidate, Hypothesis, probes_of
+from jaxid.diagnosis.screen import probe_residuals, Retuning
+from jaxid.estimation import Bench, estimate_starts
+from jaxid.fitters import descend, Path
+from jaxid.problem import Rows, rows
+from jaxid.residual import OutputError, Residual
+
+
+#: Closer simulations than this (standard deviations of the noise, all samples together) are not told apart.
+TOLD = 3.0
+#: A share of a probe so small that re-tuning takes out what is absorbed exactly but for this share.
+WEAK, ABSORBED = 1e-5, 5e-5
+#: A candidate that stands out by so many standard deviations is a sign, and so is a number that differs between parts of the
+#: recordings with less than this probability by chance.
+SIGN, CHANCE = 5.0, 1e-6
+#: An effect hides in a number that it moves by this share (of its value, or of its typical change) and so many of the standard
+#: deviations that the fit states.
+MOVED, BEYOND = 0.05, 2.0
+#: So many effects are re-tuned in earnest, in so many rounds and iterations, at a size that moves no number further than this (in
+#: factors of e, or in so many typical changes), where the first order still leads.
+MOST, ROUNDS, ITERATIONS, REACH, CHANGES = 20, 3, 3, 0.7, 5.0
+
+
+@dataclass(frozen=True)
+class Moved:
+    """A number of the model, as fitted, and as it would be with an effect beside it."""
+
+    name: str
+    unit: str
+    without: float
+    beside: float
+
+
+@dataclass(frozen=True)
+class Unseen:
+    """An effect that the recordings would not show at the size `parameters`: after re-tuning it changes what is simulated by
+    `distance` standard deviations, all samples together, and by `stirred` without re-tuning. It hides in the numbers `moved`,
+    most changed first; where there is none, the motion does not stir it. `absorbed`: the model's own numbers take it in whole,
+    so that no motion of this kind would show it."""
+
+    effect: str
+    location: str
+    parameters: dict[str, tuple[float, str]]
+    distance: float
+    stirred: float
+    absorbed: bool
+    moved: tuple[Moved, ...]
+
+    def __str__(self) -> str:
+        return f"{self.effect} at {self.location}"
+
+    def to_dict(self) -> dict[str, Any]:
+        return {
+            "effect": self.effect,
+            "location": self.location,
+            "parameters": {k: {"value": v, "unit": unit} for k, (v, unit) in self.parameters.items()},
+            "distance": self.distance,
+            "without_retuning": self.stirred,
+            "absorbed": self.absorbed,
+            "hides_in": [{"parameter": m.name, "unit": m.unit, "fitted": m.without, "with_it": m.beside} for m in self.moved],
+        }
+
+
+@dataclass(frozen=True)
+class Look:
+    """What the recordings would not show, worst first; signs that something is missing all the same; and the first of what they
+    would not show that others could, as a hypothesis to design them for."""
+
+    unseen: tuple[Unseen, ...] = ()
+    signs: tuple[str, ...] = ()
+    rival: Hypothesis | None = None
+
+
+@dataclass(frozen=True)
+class Probe:
+    """A probe of a candidate to first order: parameters with it, the change of z by re-tuning, how much it changes what is
+    simulated without and with that, and whether it is absorbed."""
+
+    candidate: Candidate
+    full: np.ndarray
+    step: np.ndarray
+    stirred: float
+    left: float
+    absorbed: bool
+
+    far: float  # the largest change of a number, against how far the first order leads
+    most: float  # how many times as large its bounds let it be
+
+    @property
+    def largest(self) -> float:
+        """As many times as large its bounds let it be, and the first order still leads."""
+        return min(self.most, 1 / max(self.far, 1e-300))
+
+    @property
+    def size(self) -> float:
+        """As many times as large it is not seen, to first order."""
+        return min(self.largest, 0.8 * TOLD / max(self.left, 1e-300))
+
+
+class Looker:
+    """Looks behind a nominal model that reaches the noise, on the runs that fitted and chose."""
+
+    def __init__(self, bench: Bench, residual: Residual, nominal: Hypothesis):
+        self.bench, self.residual, self.nominal = bench, residual, nominal
+        held = "validation" if bench.binding.experiments("validation") else ""
+        self.split = f"fit+{held}" if held else "fit"
+        own = nominal.path.problem
+        p = bench.problem(residual, self.split, own.free, nominal.theta)
+        starts = p.start0.copy()
+        starts[: len(own.records)] = own.starts(nominal.path.z)
+        if held and isinstance(residual, OutputError):
+            starts[len(own.records) :] = estimate_starts(bench, held, [nominal.theta])[0]
+        path = descend([(p, p.z(nominal.theta, starts))], 12, 1e-6)[0]
+        self.p, self.z, self.theta = path.problem, path.z, path.problem.theta(path.z)
+        self.parts = list(rows([(self.p, self.z)]))
+        self.retuning = Retuning(self.parts, self.p.size)
+        self.inflation = max(1.0, path.loss) * memory([part.r for part in self.parts])
+        told = knowledge(path)
+        size = 0 if told is None else self.p.free.size
+        information = np.zeros((size, size)) if told is None else told[1]
+        self.std = np.sqrt(np.diag(np.linalg.pinv(information, hermitian=True)) * self.inflation)
+
+    def look(self, pool: Sequence[Candidate]) -> Look:
+        probes, signs = self._probed(pool)
+        hiding = sorted((q for q in probes if self._hides(q.size * q.step).size), key=lambda q: (q.absorbed, -self._worst(q)))
+        found = self._matched(hiding[:MOST])
+        found.sort(key=lambda f: f[0].absorbed)
+        unstirred = [
+            Unseen(
+                q.candidate.effect, q.candidate.location, self._numbers(q.candidate, q.full), q.left, q.stirred, q.absorbed, ()
+            )
+            for q in probes
+            if q.stirred < TOLD and q not in hiding
+        ]
+        rival = next((Hypothesis((c,), end.problem.theta(end.z), end, self.nominal.validation) for u, c, end in found
+                      if not u.absorbed), None)  # fmt: skip
+        drift = self._drift()
+        return Look((*(u for u, *_ in found), *unstirred), (*signs, *([drift] if drift else [])), rival)
+
+    def _probed(self, pool: Sequence[Candidate]) -> tuple[list[Probe], list[str]]:
+        """For each candidate the probe that hides most (else the largest), and a sign of the one that stands out most."""
+        before = np.concatenate([part.r.ravel() for part in self.parts])
+        rest = self.retuning.remaining(before)
+        probes = [(c, full) for c in pool for full in probes_of(self.bench, c, self.theta)]
+        weak = [self._sized(full, WEAK) for _, full in probes]
+        if not probes:
+            return [], []
+        found = probe_residuals(self.p, self.z, [full for _, full in probes] + weak)
+        best: dict[Candidate, Probe] = {}
+        told: dict[Candidate, float] = {}
+        share = lambda left, change: float(np.linalg.norm(left) / max(np.linalg.norm(change), 1e-300))
+        for k, (c, full) in enumerate(probes):
+            change, small = (np.nan_to_num(found[i] - before, nan=1e100, posinf=1e100) for i in (k, k + len(probes)))
+            stirred = float(np.linalg.norm(change))
+            if not stirred < 1e50:
+                continue
+            rest_of = self.retuning.remaining(change)
+            distance = float(np.linalg.norm(rest_of))
+            tangent = self.retuning.remaining(small)  # of a finite probe, second order is left as well
+            absorbed = min(share(rest_of, change), share(tangent, small)) < ABSORBED
+            if distance > 1e-3:
+                told[c] = max(told.get(c, 0.0), abs(float(rest @ rest_of)) / distance / np.sqrt(self.inflation))
+            step = self.retuning.step(change)
+            n = self.p.free.size
+            far = float(np.max(np.abs(step[:n]) / np.where(self.p.log, REACH, CHANGES * self.p.scale[:n]), initial=0.0))
+            probe = Probe(
+                c, full, step, stirred, min(distance, float(np.linalg.norm(tangent)) / WEAK), absorbed, far, self._room(c, full)
+            )
+            if c not in best or self._worst(probe) >= self._worst(best[c]):
+                best[c] = probe
+        strongest = sorted(((s, c) for c, s in told.items() if s > SIGN), key=lambda found: -found[0])
+        signs = [
+            f"{c} would explain something that stands out by {s:.2g} standard deviations, although the gap as a whole is at the "
+            "noise."
+            for s, c in strongest[:1]
+        ]
+        return list(best.values()), signs
+
+    def _sized(self, full: np.ndarray, size: float) -> np.ndarray:
+        """Parameters with a share of a probe; shapes stay as they are."""
+        return np.where(self.bench.binding.layout.log, full, self.theta + size * (full - self.theta))
+
+    def _room(self, c: Candidate, full: np.ndarray) -> float:
+        """How many times as large as a probe an effect may be."""
+        b, at = self.bench.binding, [i for i in c.index if not self.bench.binding.layout.log[i] and full[i] != self.theta[i]]
+        way = full[at] - self.theta[at]
+        room = np.where(way > 0, b.upper[at] - self.theta[at], self.theta[at] - b.lower[at]) / np.abs(way)
+        return float(np.min(room, initial=np.inf)) if at else 1.0
+
+    def _hides(self, step: np.ndarray) -> np.ndarray:
+        """Positions of the free numbers that a change of z moves by far more than they are said to be uncertain."""
+        n = self.p.free.size
+        share = np.abs(step[:n]) / np.where(self.p.log, 1.0, np.maximum(np.abs(self.z[:n]), self.p.scale[:n]))
+        return np.flatnonzero((share > MOVED) & (np.abs(step[:n]) > BEYOND * self.std)) if self.std.size else np.zeros(0, int)
+
+    def _worst(self, q: Probe) -> float:
+        n = self.p.free.size
+        return float(np.max(q.size * np.abs(q.step[:n]) / np.maximum(self.std, 1e-300), initial=0.0)) if self.std.size else 0.0
+
+    def _numbers(self, c: Candidate, theta: np.ndarray) -> dict[str, tuple[float, str]]:
+        entries = self.bench.binding.layout.entries
+        return {entries[i].field: (float(theta[i]), entries[i].unit) for i in c.index}
+
+    def _matched(self, hiding: Sequence[Probe]) -> list[tuple[Unseen, Candidate, Path]]:
+        """Those that are not seen after true re-tuning either, to what the model without them simulates."""
+        targets = self.p.targets.copy()
+        for number, prediction in zip(self.p.records, self.p.predictions(self.z), strict=True):
+            targets[self.p.runs.record(number).samples] = prediction
+        sizes, steps = [q.size for q in hiding], [q.step for q in hiding]
+        kept: list[Path | None] = [None] * len(hiding)
+        for _ in range(ROUNDS if hiding else 0):
+            jobs = []
+            for q, size, step in zip(hiding, sizes, steps, strict=True):
+                p = self.bench.problem(self.residual, self.split, self.p.free, self._sized(q.full, size)).with_targets(targets)
+                jobs.append((p, np.clip(self.z + size * step, p.lower, p.upper)))
+            for k, (q, end) in enumerate(zip(hiding, descend(jobs, ITERATIONS, 1e-3), strict=True)):
+                distance = float(np.sqrt(2 * end.cost))
+                if distance < TOLD:
+                    kept[k], steps[k] = end, (end.z - self.z) / sizes[k]
+                if np.isfinite(distance):  # more or less is left of it than the first order said
+                    sizes[k] = min(sizes[k] * 0.8 * TOLD / max(distance, 1e-9), q.largest)
+        out = []
+        for q, end in zip(hiding, kept, strict=True):
+            if end is None or not (moved := self._hides(end.z - self.z)).size:
+                continue
+            entries, theta = self.bench.binding.layout.entries, end.problem.theta(end.z)
+            moved = sorted(moved, key=lambda k: -abs(end.z[k] - self.z[k]) / self.std[k])
+            at = [int(self.p.free[k]) for k in moved]
+            parts = tuple(Moved(entries[i].name, entries[i].unit, float(self.theta[i]), float(theta[i])) for i in at)
+            c, numbers = q.candidate, self._numbers(q.candidate, end.problem.base)
+            change = probe_residuals(self.p, self.z, [end.problem.base])[0] - np.concatenate([r.r.ravel() for r in self.parts])
+            stirred, distance = float(np.linalg.norm(change)), float(np.sqrt(2 * end.cost))
+            out.append((Unseen(c.effect, c.location, numbers, distance, stirred, q.absorbed, parts), c, end))
+        return out
+
+    def _drift(self) -> str:
+        """The number that differs most between the parts of the recordings (halves of each run), if by more than chance."""
+        rest = self.retuning.remaining(np.concatenate([part.r.ravel() for part in self.parts]))
+        pieces, ends = list(self._halves()), np.cumsum([part.r.size for part in self.parts])[:-1]
+        worst: tuple[float, int, np.ndarray] | None = None
+        for k in range(self.p.free.size):
+            columns = np.zeros((rest.size, len(pieces)))
+            for g, (_, inside, part, own) in enumerate(pieces):
+                if k in part.z_columns:
+                    columns[inside, g] = part.J[own, :, part.z_columns.index(k)].ravel()
+            size = np.linalg.norm(columns, axis=0)
+            seen = size > 0
+            left = self.retuning.remaining(columns[:, seen] / size[seen])
+            shift, _, rank, _ = np.linalg.lstsq(left, rest, rcond=1e-6)
+            told = left @ shift
+            after = [x.reshape(part.r.shape) for x, part in zip(np.split(rest - told, ends), self.parts, strict=True)]
+            level = max(1.0, float(np.mean((rest - told) ** 2)))
+            gain = float(told @ told) / (level * memory(after))
+            chance = float(chi2.sf(gain, max(int(rank), 1)))
+            if chance < CHANCE / self.p.free.size and (worst is None or chance < worst[0]):
+                every = np.full(len(pieces), np.nan)
+                every[seen] = -shift / size[seen]
+                worst = chance, k, every
+        if worst is None:
+            return ""
+        chance, k, shift = worst
+        i = int(self.p.free[k])
+        entry, slope = self.bench.binding.layout.entries[i], self.p.dtheta(self.z)[k]
+        low, high = int(np.nanargmin(shift)), int(np.nanargmax(shift))
+        say = lambda g: f"{self.theta[i] + slope * shift[g]:.5g} {entry.unit} in {pieces[g][0]}"
+        odds = f"by chance with probability {chance:.1g}" if chance > 1e-12 else "far beyond chance"
+        return (
+            f"{entry.name} is not the same in all of the recordings ({say(low)}, {say(high)}; {odds}): something changed, or the "
+            "model lacks what acts differently there."
+        )
+
+    def _halves(self) -> Iterator[tuple[str, slice, Rows, slice]]:
+        """First and second half of each record: name, place in all residuals, and samples of which rows."""
+        start = 0
+        for part in self.parts:
+            run = self.p.runs.experiments[self.p.runs.record(part.record).experiment].name
+            n, columns = part.r.shape
+            for half, own in (("first", slice(0, n // 2)), ("second", slice(n // 2, n))):
+                yield f"the {half} half of {run}", slice(start + columns * own.start, start + columns * own.stop), part, own
+            start += part.r.size
