@@ -3,7 +3,7 @@ PYTHON ?= $(shell command -v python3.11 || command -v python3 || command -v pyth
 BIN := .venv/bin
 PYTEST := OPENBLAS_NUM_THREADS=1 $(BIN)/python -m pytest -q
 
-.PHONY: demo test test-all lint format notebooks docs benchmark benchmark-reliability clean
+.PHONY: demo test test-all lint format notebooks docs benchmark benchmark-blind benchmark-reliability clean
 
 demo: .venv/installed
 	$(BIN)/jaxid diagnose examples/servo_pendulum --out out/demo
@@ -28,6 +28,12 @@ format: .venv/installed-dev
 
 benchmark: .venv/installed-dev
 	$(BIN)/python benchmarks/run_all.py $(ARGS)
+
+# New blind cases (hours): make benchmark-blind SEED=29 BLIND="--models joint,servo --only effect,pair,control"
+SEED ?= 0
+benchmark-blind: .venv/installed-dev
+	$(BIN)/python benchmarks/blind.py --seed $(SEED) $(BLIND)
+	$(BIN)/python benchmarks/run_all.py blind blind_summary
 
 benchmark-reliability: .venv/installed-dev
 	$(BIN)/python benchmarks/run_all.py reliability study_throughput

@@ -53,6 +53,9 @@ def write(folder: Path, root: Path) -> None:
     (folder / "fitters.md").write_text(fitters(), encoding="utf-8")
     results = (root / "benchmarks" / "RESULTS.md").read_text(encoding="utf-8")
     (folder / "benchmarks.md").write_text(results.replace("# Measured results", "# Benchmarks", 1), encoding="utf-8")
+    (folder / "results").mkdir(exist_ok=True)
+    for picture in (root / "benchmarks" / "results").glob("*.png"):
+        shutil.copy(picture, folder / "results")
     present = [n for n in NOTEBOOKS if (root / "notebooks" / f"{n}.py").is_file()]
     (folder / "notebooks.md").write_text(notebooks(present), encoding="utf-8")
 

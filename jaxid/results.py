@@ -13,6 +13,7 @@ import numpy as np
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
+    from jaxid.diagnosis.breakdown import Share
     from jaxid.diagnosis.unseen import Unseen
     from jaxid.excitation_result import Excitation
     from jaxid.excitation_separate import Rivals
@@ -307,6 +308,8 @@ class HowFar:
     interval_reason: str
     per_channel: dict[str, ChannelGap]
     text: str = ""
+    per_run: tuple[Share, ...] = ()
+    per_regime: tuple[Share, ...] = ()
 
     def to_dict(self) -> dict[str, Any]:
         return {
@@ -318,6 +321,8 @@ class HowFar:
             "shrinkage_interval_95": None if self.shrinkage_interval_95 is None else list(self.shrinkage_interval_95),
             "interval_reason": self.interval_reason,
             "per_channel": {k: v.to_dict() for k, v in self.per_channel.items()},
+            "per_experiment": [s.to_dict() for s in self.per_run],
+            "per_regime": [s.to_dict() for s in self.per_regime],
             "text": self.text,
         }
 

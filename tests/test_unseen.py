@@ -51,7 +51,7 @@ def diagnosed(data: jaxid.Dataset, *effects: str) -> jaxid.Diagnosis:
 SMALL, LARGE = (0.015,) * 4, (0.4,) * 4
 
 
-def test_a_spring_hides_in_gravity_where_the_pendulum_hardly_moves():
+def test_a_spring_hides_in_gravity_where_the_pendulum_hardly_moves(tmp_path):
     """sin q is q there; with large motion the same effect would show. A twin that has a spring of the size that is stated fits as
     well without it, with the gravity torque that is stated."""
     small = diagnosed(recording(SMALL))
@@ -63,19 +63,31 @@ def test_a_spring_hides_in_gravity_where_the_pendulum_hardly_moves():
     assert unit == "N m/rad" and moved.without - moved.beside == pytest.approx(size, rel=0.1)
     assert "spring_torque" in small.next_experiment and small.rivals is not None
     assert small.to_dict()["unseen"][0]["location"] in ("q", "tau")
+    assert "What these recordings would not show" in small.report(tmp_path / "report.html").read_text()
     large = diagnosed(recording(LARGE))
     assert large.which.verdict == "none" and not [u for u in large.unseen if u.effect == "spring_torque" and u.moved]
     truth = 0.9 - size
     with_it = diagnosed(recording(SMALL, truth, size))
     fitted = with_it.nominal.parameters["gravity_torque"]
-    assert with_it.which.verdict == "none" and abs(fitted.value - 0.9) < 3 * fitted.std < 0.2 * abs(fitted.value - truth)
+    assert with_it.which.verdict == "none" and fitted.std is not None
+    assert abs(fitted.value - 0.9) < 3 * fitted.std < 0.2 * abs(fitted.value - truth)
 
 
-def test_what_fit_runs_cannot_show_validation_runs_name():
+def test_what_fit_runs_cannot_show_validation_runs_name(tmp_path):
     """Fitted where it hardly moves, judged where it swings: the fit runs come down to the noise without the spring."""
     found = diagnosed(recording((0.015, 0.015, 0.4, 0.4), spring=0.3))
     assert [str(e) for e in found.which.effects] == ["spring_torque at q"] and found.how_far.gap_after < 1.3
     assert found.final.parameters["gravity_torque"].value == pytest.approx(0.9, rel=0.02)
+    far = found.how_far
+    (whole,) = far.per_run
+    assert (whole.part, whole.after) == ("run_4", pytest.approx(far.gap_after)) and whole.retuned == pytest.approx(
+        far.gap_retuned
+    )
+    parts = [s for s in far.per_regime if s.part in ("forward", "backward", "standstill")]  # every sample is in one of them
+    assert sum(s.samples for s in parts) == whole.samples
+    assert sum(s.samples * s.retuned**2 for s in parts) == pytest.approx(whole.samples * far.gap_retuned**2)
+    page = found.report(tmp_path / "report.html").read_text()
+    assert "situation by situation" in page and "would not show" not in page
 
 
 def test_a_number_that_drifts_is_a_sign():

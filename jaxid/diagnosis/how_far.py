@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
+from jaxid.diagnosis.breakdown import by_regime, by_run
 from jaxid.diagnosis.evidence import held_out, HeldOut, memory
 from jaxid.estimation import Bench
 from jaxid.residual import InverseDynamics, Residual
@@ -66,7 +67,10 @@ def measure(
         f"gap on {split} data: {gaps[0]:.3g} times the noise before, {gaps[1]:.3g} after re-tuning the old parameters alone, "
         f"{gaps[2]:.3g} with the effects added"
     )
-    return HowFar(gaps[0], gaps[1], gaps[2], 1.0, shrinkage, interval, reason, per_channel, f"{text}. {note}".strip())
+    return HowFar(
+        gaps[0], gaps[1], gaps[2], 1.0, shrinkage, interval, reason, per_channel, f"{text}. {note}".strip(),
+        by_run(bench, split, runs), by_regime(bench, split, runs),
+    )  # fmt: skip
 
 
 def shrink(before: float, after: float) -> float:

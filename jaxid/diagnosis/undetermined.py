@@ -72,7 +72,8 @@ def put_back(path: Path, theta: np.ndarray, index: Sequence[int], problem: Calla
 def moved_to(path: Path, theta: np.ndarray) -> Path:
     """The path with all its free numbers as in `theta`, if its data are followed as well there but for what noise may do."""
     p = path.problem
-    still = Problem(p.runs, theta, [], *p.whole[:2], p.records, p.loss_name, p.whole[2], p.differences).with_targets(p.targets)
+    lower, upper, scale = p.whole
+    still = Problem(p.runs, theta, [], lower, upper, p.records, p.loss_name, scale, p.differences).with_targets(p.targets)
     starts = still.starts(descend([(still, still.z(theta, p.starts(path.z)))], 8, 1e-6)[0].z)
     end = descend([(p, p.z(theta, starts))], 0, 1e-6)[0]
     return end if end.cost <= path.cost + COST + p.free.size else path

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING
 from jaxid.report import (
     answer,
     background,
+    breakdown,
     compared,
     fitted,
     identified,
@@ -37,6 +38,7 @@ def write_diagnosis(diagnosis: Diagnosis, path: str | Path) -> Path:
         answer.section(diagnosis),
         unseen.section(diagnosis.unseen),
         traces.section(diagnosis.traces),
+        breakdown.section(diagnosis),
         missing_force.section(diagnosis.missing_force, diagnosis.regimes),
         ranking.section(diagnosis.which),
         parameters.section(diagnosis.final, diagnosis.nominal),

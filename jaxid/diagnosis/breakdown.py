@@ -1,0 +1,73 @@
+"""How far the gap shrinks run by run and regime by regime: whether what was found holds elsewhere, and where it does not."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from jaxid.diagnosis.evidence import HeldOut
+from jaxid.diagnosis.where import Missing, regimes
+from jaxid.estimation import Bench, scored
+from jaxid.samples import columns
+
+
+#: A regime with fewer samples is left out.
+SAMPLES = 20
+
+
+@dataclass(frozen=True)
+class Share:
+    """Gap of a part of the held-out data, in multiples of the noise: the model as stated, re-tuned, and with the effects."""
+
+    part: str
+    joint: str
+    samples: int
+    before: float
+    retuned: float
+    after: float
+
+    def to_dict(self) -> dict[str, float | str | int]:
+        own = {"samples": self.samples, "gap_before": self.before, "gap_retuned": self.retuned, "gap_after": self.after}
+        return ({"regime": self.part, "joint": self.joint} if self.joint else {"experiment": self.part}) | own
+
+
+def by_run(bench: Bench, split: str, models: Sequence[HeldOut]) -> tuple[Share, ...]:
+    """Of every run of a split; `models` as stated, re-tuned, with the effects."""
+    names = [e.name for e in bench.binding.experiments(split)]
+    if any(len(m.residual) != len(names) for m in models):
+        return ()
+    return tuple(_share(name, "", [[m.residual[k]] for m in models]) for k, name in enumerate(names))
+
+
+def by_regime(bench: Bench, split: str, models: Sequence[HeldOut]) -> tuple[Share, ...]:
+    """Of the situations that the machine was in, joint by joint; none where joints are not measured or torques are compared."""
+    b = bench.binding
+    runs = b.experiments(split)
+    if not b.motions or b.chain.mechanism.hidden_states or any(e.name not in b.motions for e in runs):
+        return ()
+    keep = [scored(e, split) for e in runs]
+    if any([len(r) for r in m.residual] != [int(np.sum(k)) for k in keep] for m in models):
+        return ()
+    iu, _ = columns(b.dataset, b.chain)
+    out = []
+    moved = []
+    for e in runs:
+        m = b.motions[e.name]
+        load = e.u[:, iu] if b.chain.direct and len(iu) else np.zeros((len(e.t), b.chain.nq))
+        none = np.zeros((0, len(e.t), b.chain.nq))
+        moved.append(Missing(e, np.ones(len(e.t), bool), m.q, m.qd, m.qdd, load, none, none))
+    for j, joint in enumerate(b.chain.signature.joints):
+        masks = [regimes(m, j) for m in moved]
+        for name in dict.fromkeys(n for mask in masks for n in mask):
+            own = [mask.get(name, np.zeros(len(k), bool))[k] for mask, k in zip(masks, keep, strict=True)]
+            if sum(int(x.sum()) for x in own) >= SAMPLES:
+                parts = [[r[x] for r, x in zip(m.residual, own, strict=True)] for m in models]
+                out.append(_share(name, joint, parts))
+    return tuple(out)
+
+
+def _share(part: str, joint: str, residuals: Sequence[Sequence[np.ndarray]]) -> Share:
+    gaps = [float(np.sqrt(np.mean(np.concatenate(r) ** 2))) for r in residuals]
+    return Share(part, joint, sum(len(r) for r in residuals[0]), *gaps)

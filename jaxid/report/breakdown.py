@@ -1,0 +1,23 @@
+"""How far the gap shrinks in each held-out run, and in each situation the machine was in."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+from jaxid import text
+from jaxid.report.page import Section
+
+
+if TYPE_CHECKING:
+    from jaxid.results import Diagnosis
+
+
+def section(diagnosis: Diagnosis) -> Section | None:
+    far = diagnosis.how_far
+    if not diagnosis.which.effects or not (far.per_regime or len(far.per_run) > 1):
+        return None
+    joints = {s.joint for s in far.per_regime}
+    name = lambda s: f"{s.joint}, {text.regime_words(s.part)}" if len(joints) > 1 else text.regime_words(s.part)
+    rows = [(s.part, s) for s in far.per_run] if len(far.per_run) > 1 else []
+    rows += [(name(s), s) for s in sorted(far.per_regime, key=lambda s: -s.after)]
+    return Section("breakdown.html", {"rows": rows})
