@@ -562,3 +562,30 @@ def test_a_model_in_a_local_minimum_is_freed_by_a_richer_one():
     freed = searcher._freed(searcher.nominal, richer)
     assert searcher.nominal.fit_loss > 100 and not freed.effects and freed.fit_loss < 1.2
     assert searcher._freed(freed, richer) is freed
+
+
+class Held(Searcher):
+    """Its nominal model stands in a minimum of its own until the search is over."""
+
+    def _descended(self, h, *descent):
+        return super()._descended(h, *descent) if h.effects else h
+
+    def _settled(self, chosen):
+        self.nominal = super()._descended(self.nominal)
+        return chosen
+
+
+def test_an_effect_that_only_led_out_of_a_local_minimum_is_not_named(monkeypatch):
+    """The effect's refit comes down to the noise and is accepted; once the model without it gets there too, it names nothing."""
+    binding = bind("pendulum", recording("pendulum", 2), candidates=[catalogue.effect_class("quadratic_drag")])
+    bench = Bench(binding, differences=1)
+    p = bench.problem(OutputError(), "fit", binding.free, binding.theta)
+    right = descend([(p, p.z(start_values(bench, binding.free, 0)[0]))], 20, 1e-8)[0]
+    theta = p.theta(right.z)
+    theta[binding.layout.index("inertia")] *= 1.2
+    off = descend([(p, p.z(theta, p.starts(right.z)))], 0, 1e-8)[0]
+    assert off.loss > 100
+    monkeypatch.setattr("jaxid.diagnosis.which.FAR", np.inf)  # as if it were too close to be freed
+    found = Held(bench, OutputError(), off, None).run(candidates(bench, ["quadratic_drag"]), 3)
+    assert any(h.effects and h.fit_loss < 1.1 for h in found.tried)
+    assert not found.chosen.effects and not found.confusable and found.nominal.fit_loss < 1.1

@@ -14,15 +14,7 @@ import numpy as np
 
 from jaxid.diagnosis.choice import ALIKE, best, CONFLICT, equals, indistinct, joint_loss, significant
 from jaxid.diagnosis.evidence import held_out, knowledge, memory, together
-from jaxid.diagnosis.hypothesis import (
-    Candidate,
-    Hypothesis,
-    key_of,
-    read_off_of,
-    refined_by,
-    Search,
-    sensible,
-)
+from jaxid.diagnosis.hypothesis import Candidate, Hypothesis, key_of, read_off_of, refined_by, Search, sensible
 from jaxid.diagnosis.proposals import (
     as_given,
     at_all_joints,
@@ -195,6 +187,8 @@ class Searcher:
             mates = self._alternatives(chosen, pool)
         chosen = self._taught(self._put_back(self._settled(chosen)))
         self.nominal = self._taught(self.nominal) if chosen.effects else chosen
+        if chosen.effects and self._at_floor(self.nominal):  # freed of a local minimum on the way
+            chosen, mates = self.nominal, {}
         several = not self.by_torque and len(chosen.effects) > 1
         rivals = self._rivals(chosen, list(mates.values()))
         return Search(self.nominal, chosen, self.tried, list(mates), rivals, several, self._without_each(chosen))
