@@ -70,11 +70,12 @@ def main() -> dict[str, Any]:
     )  # fmt: skip
     picture(single, HERE / "results" / "blind_confusion.png")
     text = (
-        "The cases of the next section counted together; intervals are Wilson's. `class`: an effect or an equal of it on that "
+        "The cases of the section before counted together; intervals are Wilson's. `class`: an effect or an equal of it on that "
         "model. The told fit knows what is missing and where; of "
         f"{len(with_oracle)} of its fits {len(with_oracle) - len(fair)} closed less than half of the gap (a local minimum, or a "
-        "law that slow steps do not determine) and are left out of the comparison. Later runs: eight further commands to the "
-        "same twin, for models with eight report runs; one report run of 8 s is too short for an interval.\n\n"
+        "law that slow steps do not determine) and are left out of the comparison. Later runs: forty further commands to the "
+        "same twin, for models with eight report runs; one report run of 8 s is too short for an interval. What they miss are "
+        "means that a few runs make, where the model goes where it was never fitted.\n\n"
         "![What was named for what was withheld](results/blind_confusion.png)"
     )
     return {"title": "Blind cases, against what was asked", "rows": table, "text": text}

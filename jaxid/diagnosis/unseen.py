@@ -88,7 +88,7 @@ class Look:
     rival: Hypothesis | None = None
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Probe:
     """A probe of a candidate to first order: parameters with it, the change of z by re-tuning, how much it changes what is
     simulated without and with that, and whether it is absorbed."""
@@ -99,7 +99,6 @@ class Probe:
     stirred: float
     left: float
     absorbed: bool
-
     far: float  # the largest change of a number, against how far the first order leads
     most: float  # how many times as large its bounds let it be
 
@@ -142,12 +141,10 @@ class Looker:
         hiding = sorted((q for q in probes if self._hides(q.size * q.step).size), key=lambda q: (q.absorbed, -self._worst(q)))
         found = self._matched(hiding[:MOST])
         found.sort(key=lambda f: f[0].absorbed)
+        still = [q for q in probes if q.stirred < TOLD and q not in hiding]
         unstirred = [
-            Unseen(
-                q.candidate.effect, q.candidate.location, self._numbers(q.candidate, q.full), q.left, q.stirred, q.absorbed, ()
-            )
-            for q in probes
-            if q.stirred < TOLD and q not in hiding
+            Unseen(c.effect, c.location, self._numbers(c, q.full), q.left, q.stirred, q.absorbed, ())
+            for c, q in ((q.candidate, q) for q in still)
         ]
         rival = next((Hypothesis((c,), end.problem.theta(end.z), end, self.nominal.validation) for u, c, end in found
                       if not u.absorbed), None)  # fmt: skip
