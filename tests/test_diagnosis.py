@@ -22,7 +22,7 @@ from jaxid.diagnosis.how_far import bootstrap, shrink
 from jaxid.diagnosis.hypothesis import candidates, Hypothesis, Search
 from jaxid.diagnosis.proposals import exchanged
 from jaxid.diagnosis.undetermined import brought_back, put_back
-from jaxid.diagnosis.which import Searcher
+from jaxid.diagnosis.which import Searcher, THOROUGH
 from jaxid.estimation import Bench, start_values
 from jaxid.experiment import ModelSpec, ParameterPrior
 from jaxid.fitters import descend
@@ -567,8 +567,8 @@ def test_a_model_in_a_local_minimum_is_freed_by_a_richer_one():
 class Held(Searcher):
     """Its nominal model stands in a minimum of its own until the search is over."""
 
-    def _descended(self, h, *descent):
-        return super()._descended(h, *descent) if h.effects else h
+    def _descended(self, h, descent=THOROUGH):
+        return super()._descended(h, descent) if h.effects else h
 
     def _settled(self, chosen):
         self.nominal = super()._descended(self.nominal)

@@ -155,7 +155,8 @@ def test_the_site_builds_without_warnings(tmp_path):
     leave = shutil.ignore_patterns("__pycache__", "generated", "*.ipynb", "ipynb_checkpoints")
     for folder in ("docs", "notebooks", "examples"):
         shutil.copytree(ROOT / folder, source / folder, ignore=leave)
-    (source / "benchmarks").mkdir()
+    pictures = shutil.ignore_patterns("*.json", "*.jsonl")
+    shutil.copytree(ROOT / "benchmarks" / "results", source / "benchmarks" / "results", ignore=pictures)
     shutil.copy(ROOT / "benchmarks" / "RESULTS.md", source / "benchmarks")
     for folder in ("jaxid", "models"):
         (source / folder).symlink_to(ROOT / folder)
