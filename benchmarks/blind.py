@@ -161,7 +161,7 @@ def main() -> dict[str, Any]:
         "after small effects of a pendulum that got one together, seed 27, a row that gave way to seed 28); numbers that data "
         "leave open are put back (after the servo's rows of seed 26: its class was right, but a delay and a scale of the sensor "
         "did not hold on report data); an effect that only led the model out of a local minimum is not named (after a control "
-        "of the servo of seed 28: of 45 controls of four models, run by themselves, this one got a name; with the rule, none). "
+        "of the servo of seed 28, whose controls gave way to seed 29: there one gets a name all the same). "
         "Rows of seeds 6, 16 and 17 are of earlier rules altogether. The planar arm swings freely and over the top, and a case "
         "of it that ends in `unknown` takes up to 25 minutes: not all of its outsiders were run, nor its weak effects and poor "
         "excitations. "

@@ -129,12 +129,12 @@ class Looker:
         path = descend([(p, p.z(nominal.theta, starts))], 12, 1e-6)[0]
         self.p, self.z, self.theta = path.problem, path.z, path.problem.theta(path.z)
         self.parts = list(rows([(self.p, self.z)]))
+        self.before = np.concatenate([part.r.ravel() for part in self.parts])
         self.retuning = Retuning(self.parts, self.p.size)
         self.inflation = max(1.0, path.loss) * memory([part.r for part in self.parts])
-        told = knowledge(path)
-        size = 0 if told is None else self.p.free.size
-        information = np.zeros((size, size)) if told is None else told[1]
-        self.std = np.sqrt(np.diag(np.linalg.pinv(information, hermitian=True)) * self.inflation)
+        self.std = np.full(self.p.free.size, np.inf)  # of the free numbers; nothing hides in what is not known at all
+        if (told := knowledge(path)) is not None:
+            self.std = np.sqrt(np.diag(np.linalg.pinv(told[1], hermitian=True)) * self.inflation)
 
     def look(self, pool: Sequence[Candidate]) -> Look:
         probes, signs = self._probed(pool)
@@ -153,8 +153,7 @@ class Looker:
 
     def _probed(self, pool: Sequence[Candidate]) -> tuple[list[Probe], list[str]]:
         """For each candidate the probe that hides most (else the largest), and a sign of the one that stands out most."""
-        before = np.concatenate([part.r.ravel() for part in self.parts])
-        rest = self.retuning.remaining(before)
+        rest = self.retuning.remaining(self.before)
         probes = [(c, full) for c in pool for full in probes_of(self.bench, c, self.theta)]
         weak = [self._sized(full, WEAK) for _, full in probes]
         if not probes:
@@ -164,7 +163,7 @@ class Looker:
         told: dict[Candidate, float] = {}
         share = lambda left, change: float(np.linalg.norm(left) / max(np.linalg.norm(change), 1e-300))
         for k, (c, full) in enumerate(probes):
-            change, small = (np.nan_to_num(found[i] - before, nan=1e100, posinf=1e100) for i in (k, k + len(probes)))
+            change, small = (np.nan_to_num(found[i] - self.before, nan=1e100, posinf=1e100) for i in (k, k + len(probes)))
             stirred = float(np.linalg.norm(change))
             if not stirred < 1e50:
                 continue
@@ -205,11 +204,11 @@ class Looker:
         """Positions of the free numbers that a change of z moves by far more than they are said to be uncertain."""
         n = self.p.free.size
         share = np.abs(step[:n]) / np.where(self.p.log, 1.0, np.maximum(np.abs(self.z[:n]), self.p.scale[:n]))
-        return np.flatnonzero((share > MOVED) & (np.abs(step[:n]) > BEYOND * self.std)) if self.std.size else np.zeros(0, int)
+        return np.flatnonzero((share > MOVED) & (np.abs(step[:n]) > BEYOND * self.std))
 
     def _worst(self, q: Probe) -> float:
         n = self.p.free.size
-        return float(np.max(q.size * np.abs(q.step[:n]) / np.maximum(self.std, 1e-300), initial=0.0)) if self.std.size else 0.0
+        return float(np.max(q.size * np.abs(q.step[:n]) / np.maximum(self.std, 1e-300), initial=0.0))
 
     def _numbers(self, c: Candidate, theta: np.ndarray) -> dict[str, tuple[float, str]]:
         entries = self.bench.binding.layout.entries
@@ -233,23 +232,24 @@ class Looker:
                     kept[k], steps[k] = end, (end.z - self.z) / sizes[k]
                 if np.isfinite(distance):  # more or less is left of it than the first order said
                     sizes[k] = min(sizes[k] * 0.8 * TOLD / max(distance, 1e-9), q.largest)
+        ends = [(q, end) for q, end in zip(hiding, kept, strict=True) if end is not None]
+        plain = probe_residuals(self.p, self.z, [end.problem.base for _, end in ends]) if ends else []
         out = []
-        for q, end in zip(hiding, kept, strict=True):
-            if end is None or not (moved := self._hides(end.z - self.z)).size:
+        for (q, end), residual in zip(ends, plain, strict=True):
+            if not (moved := self._hides(end.z - self.z)).size:
                 continue
             entries, theta = self.bench.binding.layout.entries, end.problem.theta(end.z)
             moved = moved[np.argsort(-np.abs(end.z - self.z)[moved] / self.std[moved])]
             at = [int(self.p.free[k]) for k in moved]
             parts = tuple(Moved(entries[i].name, entries[i].unit, float(self.theta[i]), float(theta[i])) for i in at)
             c, numbers = q.candidate, self._numbers(q.candidate, end.problem.base)
-            change = probe_residuals(self.p, self.z, [end.problem.base])[0] - np.concatenate([r.r.ravel() for r in self.parts])
-            stirred, distance = float(np.linalg.norm(change)), float(np.sqrt(2 * end.cost))
+            stirred, distance = float(np.linalg.norm(residual - self.before)), float(np.sqrt(2 * end.cost))
             out.append((Unseen(c.effect, c.location, numbers, distance, stirred, q.absorbed, parts), c, end))
         return out
 
     def _drift(self) -> str:
         """The number that differs most between the parts of the recordings (halves of each run), if by more than chance."""
-        rest = self.retuning.remaining(np.concatenate([part.r.ravel() for part in self.parts]))
+        rest = self.retuning.remaining(self.before)
         pieces, ends = list(self._halves()), np.cumsum([part.r.size for part in self.parts])[:-1]
         worst: tuple[float, int, np.ndarray] | None = None
         for k in range(self.p.free.size):

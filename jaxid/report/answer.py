@@ -65,7 +65,8 @@ def which_card(diagnosis: Diagnosis) -> tuple[str, list[str]]:
     if which.verdict in ("none", "unknown"):
         fact = "None" if which.verdict == "none" else "Unknown"
         hidden = [u for u in diagnosis.unseen if u.moved and not u.absorbed]
-        rest = f"Other motions may show more: {len(hidden)} effects could hide in these recordings (below)." if hidden else ""
+        many = f"{len(hidden)} effects" if len(hidden) > 1 else "one effect"
+        rest = f"Other motions may show more: {many} could hide in these recordings (below)." if hidden else ""
         return fact, [s for s in (which.text or text.which_sentence(which), rest) if s]
     sentences = []
     for effect in which.effects:
