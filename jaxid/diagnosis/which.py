@@ -187,7 +187,8 @@ class Searcher:
             mates = self._alternatives(chosen, pool)
         chosen = self._taught(self._put_back(self._settled(chosen)))
         self.nominal = self._taught(self.nominal) if chosen.effects else chosen
-        if chosen.effects and self._at_floor(self.nominal):  # freed of a local minimum on the way
+        needless = not self.by_torque and not significant(self.nominal, chosen)
+        if chosen.effects and (needless or self._at_floor(self.nominal)):  # freed of a local minimum on the way
             chosen, mates = self.nominal, {}
         several = not self.by_torque and len(chosen.effects) > 1
         rivals = self._rivals(chosen, list(mates.values()))
@@ -308,18 +309,19 @@ class Searcher:
 
     def _freed(self, h: Hypothesis, richer: Hypothesis) -> Hypothesis:
         """`h` from where a richer hypothesis ended, if far less is left there than where it stands: an effect may have led out of
-        a local minimum and be of no other use."""
-        if h.fit_loss < FAR or self.by_torque:
+        a local minimum, or along what the fit runs leave open, and be of no other use."""
+        if joint_loss(h) < FAR or self.by_torque:
             return h
         theta = richer.theta.copy()
         for c in richer.effects:
             theta[list(c.index)] = (h.theta if c in h.effects else self.bench.binding.theta)[list(c.index)]
         p = self.problem(h.effects, theta)
         end = descend([(p, p.z(theta, richer.path.problem.starts(richer.path.z)))], *THOROUGH)[0]
-        if end.loss > FREED * h.fit_loss:
+        freed = self._hypotheses([(h.effects, end)])[0]
+        if joint_loss(freed) > FREED * joint_loss(h):
             return h
-        self.known[key_of(h.effects)] = self._hypotheses([(h.effects, end)])[0]
-        return self.known[key_of(h.effects)]
+        self.known[key_of(h.effects)] = freed
+        return freed
 
     def _halved(self) -> Bench:
         return replace(self.accurate, step=self.accurate.step / 2, defects={})
