@@ -24,13 +24,13 @@ import numpy as np
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 
-from benchmarks.blind_cases import dataset, KINDS, STRENGTH, write_set  # noqa: E402
-from benchmarks.twins import PLANTS  # noqa: E402
 from jaxid.runtime import prepare  # noqa: E402
 
 
 prepare()
 
+from benchmarks.blind_cases import dataset, KINDS, STRENGTH, write_set  # noqa: E402
+from benchmarks.twins import PLANTS  # noqa: E402
 from jaxid import catalogue  # noqa: E402
 from jaxid.api import diagnose, fit  # noqa: E402
 from jaxid.binding import bind, resolve_model  # noqa: E402

@@ -6,7 +6,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from jaxid.diagnosis.evidence import inflation, worth
+from jaxid.diagnosis.evidence import inflation, memory, worth
 from jaxid.diagnosis.hypothesis import family_of, Hypothesis
 from jaxid.diagnosis.shortlist import TIMING
 from jaxid.estimation import Bench
@@ -26,6 +26,8 @@ WHITE = 1.5
 #: Fit runs that show no gap at all say nothing against an effect with which validation runs, refitted together with them, leave
 #: less than this (mean square), if without it they stand so many chi-square units higher.
 EXPLAINED, OVERWHELMING = 1.1, 200.0
+#: Nothing worth another effect is left below the first (mean square); below the second something small may be.
+NEAR_FLOOR, CLOSE_ABOVE = 1.02, 1.5
 
 
 def joint_loss(h: Hypothesis) -> float:
@@ -42,8 +44,9 @@ def significant(before: Hypothesis, after: Hypothesis) -> bool:
     left = max(before.validation.loss - 1.0, 1e-12)
     share = (before.validation.loss - after.validation.loss) / left
     size, more = after.size - before.size, max(1, len(after.effects) - len(before.effects))
-    if before.fit_inflation < WHITE and after.validation.loss < EXPLAINED and fitted > -DECISIVE:
-        return held > OVERWHELMING * more
+    silent = before.fit_inflation < WHITE and after.validation.loss < EXPLAINED and fitted > -DECISIVE
+    if silent and held > OVERWHELMING * more:
+        return True
     # Where the fit runs are at the noise, evidence is exact, and the best of dozens of candidates reaches some by chance.
     chance = DECISIVE if after.fit_inflation < WHITE else 0.0
     enough = fitted > chance + 2 * size and fitted + held > 3 * more * DECISIVE + 2 * size
@@ -91,3 +94,24 @@ def indistinct(chosen: Hypothesis, h: Hypothesis) -> bool:
     factor = inflation(chosen.validation)
     both = (joint_loss(h) - joint_loss(chosen)) * (chosen.path.count + chosen.validation.count) / factor
     return worth(chosen.validation, h.validation, factor) < DECISIVE and both < 2 * DECISIVE
+
+
+def at_floor(h: Hypothesis) -> bool:
+    """Nothing is left to explain: the noise, and white."""
+    level = lambda count: 1 + 4 * np.sqrt(2 / max(1, count))
+    low = h.fit_loss <= level(h.path.count) and h.validation.loss <= level(h.validation.count)
+    return bool(low and max(memory(h.validation.settled), memory(h.path.problem.residuals(h.path.z))) <= 2)
+
+
+def finished(h: Hypothesis, by_torque: bool) -> bool:
+    """Nothing more is to be found. Something small is looked for beside other effects only, and by free runs."""
+    low = max(h.validation.loss, h.fit_loss) < NEAR_FLOOR
+    if h.effects and not by_torque:
+        return low
+    return at_floor(h) or bool(h.effects) and (low or close_to_noise(h))
+
+
+def close_to_noise(h: Hypothesis) -> bool:
+    """White and close above the noise: a stated noise may be a little low, or something small is left."""
+    white = h.fit_inflation < 1.5 * max(1.0, h.fit_loss) and memory(h.validation.settled) <= 2
+    return max(h.validation.loss, h.fit_loss) < CLOSE_ABOVE and white

@@ -12,8 +12,19 @@ from dataclasses import replace
 
 import numpy as np
 
-from jaxid.diagnosis.choice import ALIKE, best, CONFLICT, equals, indistinct, joint_loss, significant
-from jaxid.diagnosis.evidence import held_out, knowledge, memory, together
+from jaxid.diagnosis.choice import (
+    ALIKE,
+    at_floor,
+    best,
+    close_to_noise,
+    CONFLICT,
+    equals,
+    finished,
+    indistinct,
+    joint_loss,
+    significant,
+)
+from jaxid.diagnosis.evidence import held_out, knowledge, together
 from jaxid.diagnosis.hypothesis import Candidate, Hypothesis, key_of, read_off_of, refined_by, Search, sensible
 from jaxid.diagnosis.proposals import (
     as_given,
@@ -43,8 +54,8 @@ STARTS = 4
 SURE = 3
 #: How often the step may be halved, and how often its defect is worked out anew for a chosen hypothesis.
 HALVINGS, CORRECTIONS = 3, 2
-#: Near the floor: nothing worth another effect is left below this mean square on validation data.
-NEAR_FLOOR = 1.02
+#: What is refitted where a model is close above the noise already: candidates that explain so much of the sum of squares.
+STANDING_OUT = 25.0
 #: Iterations and tolerance of a descent to the end, and of that of a nominal model to which something better is compared.
 THOROUGH, BRIEF = (20, 1e-8), (6, 1e-5)
 #: A nominal model that leaves more (mean square over the noise) is one that something better will be compared to.
@@ -157,7 +168,7 @@ class Searcher:
     def run(self, pool: Sequence[Candidate], max_effects: int) -> Search:
         """Forward selection up to `max_effects`, then each accepted effect is questioned again."""
         chosen = self._refined(self.nominal)
-        while (room := max_effects - self._named(chosen)) > 0 and not self._at_floor(chosen):
+        while (room := max_effects - self._named(chosen)) > 0 and not finished(chosen, self.by_torque):
             found = self._beside(chosen, pool, room)
             step = best(self.bench, chosen, found)
             if step is None and len(chosen.effects) + 2 <= max_effects:
@@ -174,8 +185,6 @@ class Searcher:
                 step = self._plainer(chosen, step, pool)
             step = self._at_all_joints(chosen, step, found, pool) if self.by_torque else self._exchanged(chosen, step, found)
             chosen = self._refined(step)
-            if self._finished(chosen):
-                break
         chosen = self._questioned(chosen)
         if chosen.effects and not significant(self.nominal, chosen):  # a pair that came down to one
             chosen = self.nominal
@@ -188,7 +197,7 @@ class Searcher:
         chosen = self._taught(self._put_back(self._settled(chosen)))
         self.nominal = self._taught(self.nominal) if chosen.effects else chosen
         needless = not self.by_torque and not significant(self.nominal, chosen)
-        if chosen.effects and (needless or self._at_floor(self.nominal)):  # freed of a local minimum on the way
+        if chosen.effects and (needless or at_floor(self.nominal)):  # freed of a local minimum on the way
             chosen, mates = self.nominal, {}
         several = not self.by_torque and len(chosen.effects) > 1
         rivals = self._rivals(chosen, list(mates.values()))
@@ -207,7 +216,7 @@ class Searcher:
         nested = lambda a, b: key_of(a.effects) <= key_of(b.effects) or key_of(a.effects) >= key_of(b.effects)
         ranked = sorted((h for h in self.known.values() if h.effects and np.isfinite(h.fit_loss)), key=joint_loss)
         first = chosen if chosen.effects else next(iter(ranked), None)
-        if first is None or (not chosen.effects and self._at_floor(chosen)):
+        if first is None or (not chosen.effects and at_floor(chosen)):
             return None
         others = [h for h in mates or ranked if not nested(h, first)]
         return (first, min(others, key=joint_loss)) if others else None
@@ -217,7 +226,7 @@ class Searcher:
         which may explain more than it and one beside it."""
         # By torque a law is tried at all joints once it is found: what it refines is there by then.
         found = self._extend(chosen, [c for c in pool if c not in chosen.effects], 1 if self.by_torque else room)
-        if len(chosen.effects) == 1:
+        if len(chosen.effects) == 1 and not close_to_noise(chosen):
             found += self._as_pairs(chosen, self._singles, pool, room)
         self._singles = found
         self.tried += found
@@ -270,7 +279,9 @@ class Searcher:
         return after if after.validation.loss < h.validation.loss * ALIKE else h
 
     def _taught(self, h: Hypothesis) -> Hypothesis:
-        """What the fit runs leave open, as the validation runs have it."""
+        """What the fit runs leave open, as the validation runs have it, for a model that follows the fit runs."""
+        if h.fit_loss > NEAR:
+            return h
         theta = h.validation.theta
         if theta is None and h.validation.gap**2 > h.validation.loss + OPEN and isinstance(self.residual, OutputError):
             starts = estimate_starts(self.bench, "validation", [h.theta])
@@ -364,24 +375,15 @@ class Searcher:
             chosen = rest[0] if rest else self.nominal
         return chosen
 
-    def _at_floor(self, h: Hypothesis) -> bool:
-        """Nothing is left to explain: the noise, and white."""
-        level = lambda count: 1 + 4 * np.sqrt(2 / max(1, count))
-        low = h.fit_loss <= level(h.path.count) and h.validation.loss <= level(h.validation.count)
-        return low and max(memory(h.validation.settled), memory(h.path.problem.residuals(h.path.z))) <= 2
-
-    def _finished(self, h: Hypothesis) -> bool:
-        """Down to the noise: near the floor, or white close above it (a stated noise may be a little low)."""
-        worst = max(h.validation.loss, h.fit_loss)
-        white = h.fit_inflation < 1.5 * max(1.0, h.fit_loss) and memory(h.validation.settled) <= 2
-        return worst < NEAR_FLOOR or (worst < 1.5 and white)
-
     def _extend(self, h: Hypothesis, rest: Sequence[Candidate], room: int = 1) -> list[Hypothesis]:
         """Refits of `h` with one more effect each, for all that the screen lets pass; one that refines another which is missing
         comes with that one, where there is room for two."""
         base = {str(c): [] if sensible((*h.effects, c)) else refined_by(c, rest) for c in rest}
         rest = [c for c in rest if sensible((*h.effects, *base[str(c)], c)) and len(base[str(c)]) < room]
         ranked = self.screen(h, rest) if rest else []
+        if h.effects and close_to_noise(h) and not self.by_torque:
+            ranked = [f for f in ranked if f[0] * h.fit_loss * h.path.count > STANDING_OUT]
+            rest = [c for _, c, _ in ranked]
         # A free run that has gone far astray says little to first order: what the torque screen puts first is tried as well.
         by_torque = self.torque_screen(h, [c for _, c, _ in ranked] or rest) if rest else []
         if not (ranked or by_torque):
