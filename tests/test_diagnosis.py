@@ -304,6 +304,17 @@ def test_of_two_effects_neither_need_help_alone():
     assert {e.effect for e in d.which.effects} == {"actuator_lag", "asymmetric_friction"}
 
 
+def test_something_small_is_found_beside_what_was_named():
+    """The first effect brings the model to 1.04 times the noise; what is left is white, and has the shape of the second."""
+    data = recording("pendulum", 1, load=0.1, drag=1e-4)
+    d = jaxid.diagnose("pendulum", data, effects=[*CHOICE, "spring_torque"])
+    assert d.which.verdict == "named"
+    found = {e.effect: e.parameters for e in d.which.effects}
+    assert set(found) == {"load_dependent_friction", "quadratic_drag"}
+    (drag,) = found["quadratic_drag"].values()
+    assert drag.std is not None and abs(drag.value - 1e-4) < 4 * drag.std
+
+
 def test_what_was_passed_over_is_tried_again_beside_a_later_effect():
     """In the place of the accepted effect, never of the last one, and with the numbers of that place where they were."""
     names = ["input_delay", "actuator_lag", "spring_torque", "quadratic_drag"]
@@ -417,6 +428,17 @@ def test_free_pendulum_has_dry_friction_and_drag_for_its_viscous_term():
     assert {"quadratic_drag", "coulomb_friction"} <= named
     assert d.final.parameters["viscous"].value < 0.02 * d.nominal.parameters["viscous"].value
     assert d.final.scores["fit"]["q"].rmse <= 3.0e-3
+
+
+@pytest.mark.slow
+@pytest.mark.skipif(not (DATA / "xl330_pendulum").is_dir(), reason="the XL330 recording is not in $JAXID_DATA")
+def test_a_recorded_servo_lacks_load_dependent_friction():
+    """Neither model comes near the noise, and the nominal one must not be bent to the runs that choose."""
+    from benchmarks import xl330
+
+    row = xl330.diagnosed()
+    assert row["friction"] == "partly: load_dependent_friction at q"
+    assert row["MAE of the logs with gain 200, held out, rad"] < 0.032
 
 
 def test_a_run_that_diverges_is_held_against_no_other():
@@ -562,6 +584,9 @@ def test_a_model_in_a_local_minimum_is_freed_by_a_richer_one():
     freed = searcher._freed(searcher.nominal, richer)
     assert searcher.nominal.fit_loss > 100 and not freed.effects and freed.fit_loss < 1.2
     assert searcher._freed(freed, richer) is freed
+    # The same where it follows the fit runs, and others along what these leave open only.
+    astray = dataclasses.replace(freed, validation=dataclasses.replace(freed.validation, loss=1e3))
+    assert searcher._freed(astray, richer).validation.loss < 1.2
 
 
 class Held(Searcher):
