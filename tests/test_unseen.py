@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 import jaxid
+from jaxid.runtime import Interrupted
 from reference import multisine
 
 
@@ -94,3 +95,17 @@ def test_a_number_that_drifts_is_a_sign():
     assert "viscous is not the same in all of the recordings" in drifts.which.text and "half of run_2" in drifts.which.text
     steady = diagnosed(recording((0.2,) * 4), "dead_zone")
     assert steady.which.verdict == "none" and "not the same" not in steady.which.text and "stands out" not in steady.which.text
+
+
+def test_what_is_known_survives_an_interruption(monkeypatch):
+    """Ctrl-C while it is worked out what the recordings would not show: the verdict was there before."""
+
+    def stopped(*_):
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr("jaxid.diagnosis.Looker.look", stopped)
+    with pytest.raises(Interrupted) as caught:
+        diagnosed(recording(SMALL), "quadratic_drag")
+    partial = caught.value.partial
+    assert isinstance(partial, jaxid.Diagnosis) and partial.which.verdict == "none" and not partial.unseen
+    assert "Stopped before" in partial.which.text

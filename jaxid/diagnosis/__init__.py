@@ -174,10 +174,13 @@ def _diagnosed(question: Question, scatter: timing.Scatter | None = None) -> tup
     findings, pictures, rows = _where(bench, search.nominal, final, verdict, named, seed)
     ranking = (*(scatter.ranked(bench, residual, search.nominal) if scatter else ()), *_ranked(search))
     by_torque = isinstance(residual, InverseDynamics)
-    looked, pair = Look(), search.rivals
+    looked, pair, stopped = Look(), search.rivals, None
     if verdict in ("none", "unknown"):
         pool = candidates(bench, question.allowed, by_torque) if verdict == "none" else []
-        looked = Looker(bench, residual, search.nominal).look([c for c in pool if c.effect != JITTER])
+        try:
+            looked = Looker(bench, residual, search.nominal).look([c for c in pool if c.effect != JITTER])
+        except KeyboardInterrupt as stop:
+            stopped, text = stop, f"{text} Stopped before it was known what these recordings would not show."
         text = " ".join((text, *looked.signs))
     if verdict == "none":
         pair = (search.nominal, looked.rival) if looked.rival else None
@@ -191,6 +194,8 @@ def _diagnosed(question: Question, scatter: timing.Scatter | None = None) -> tup
         (*binding.dataset.notes, *_notes(binding, final_fit, compile_time)),
         looked.unseen, rivals,
     )  # fmt: skip
+    if stopped:
+        raise Interrupted(found) from stopped
     return found, growth(bench, search.nominal.theta) if isinstance(residual, OutputError) else 0.0
 
 
