@@ -9,10 +9,11 @@ from __future__ import annotations
 
 import os
 import time
-from collections import deque
+from collections import deque, OrderedDict
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
 from functools import partial
+from threading import Lock
 from typing import Any, NamedTuple
 
 import jax
@@ -179,27 +180,38 @@ class Programs(NamedTuple):
     ready: dict[str, Future | None]  # which are there; those that another thread reads or compiles, as its task
 
 
-_PROGRAMS: dict[Any, Programs] = {}
+#: So many kinds of programs are kept, those used last. A compiled one of the flexible link takes about 460 regions of memory, of
+#: which Linux gives a process 65530: a process that diagnoses one recording after the other would die of them.
+KEPT = 80
+_PROGRAMS: OrderedDict[Any, Programs] = OrderedDict()
+_LOCK = Lock()
 
 
 def programs_for(layout: Layout, lane: Lane, length: int, reach: int, burn: bool) -> Programs:
     """Programs shared by all engines of the same structure: numbers, data and lengths up to the bucket are arguments."""
     key = (jax.tree.structure(layout.chain), lane, length, reach, burn)
-    if key not in _PROGRAMS:
+    with _LOCK:
+        if key not in _PROGRAMS:
+            _PROGRAMS[key] = _programs(layout, lane, length, reach, burn)
+        _PROGRAMS.move_to_end(key)
+        if len(_PROGRAMS) > KEPT:
+            _PROGRAMS.popitem(last=False)
+        return _PROGRAMS[key]
 
-        def predict(theta, start, where, samples, steps):
-            return lane(layout.model(theta), samples, where, start, steps, length, reach, burn)
 
-        def tangent(theta, start, dtheta, dstart, where, samples, steps):
-            f = lambda theta, start: predict(theta, start, where, samples, steps)
-            return jax.jvp(f, (theta, start), (dtheta, dstart))
+def _programs(layout: Layout, lane: Lane, length: int, reach: int, burn: bool) -> Programs:
+    def predict(theta, start, where, samples, steps):
+        return lane(layout.model(theta), samples, where, start, steps, length, reach, burn)
 
-        batch = over_lanes(predict, (0, 0, 0, None, None))
-        tangents = over_lanes(tangent, (0, 0, 0, 0, 0, None, None))
-        about = key_of(lane, layout.model(np.zeros(len(layout))), layout.names, length, reach, burn)
-        traced = lambda f, name: Traced(f, about and f"{name}\n{about}")
-        _PROGRAMS[key] = Programs(predict, traced(batch, "outputs"), traced(tangents, "tangents"), {}, {})
-    return _PROGRAMS[key]
+    def tangent(theta, start, dtheta, dstart, where, samples, steps):
+        f = lambda theta, start: predict(theta, start, where, samples, steps)
+        return jax.jvp(f, (theta, start), (dtheta, dstart))
+
+    batch = over_lanes(predict, (0, 0, 0, None, None))
+    tangents = over_lanes(tangent, (0, 0, 0, 0, 0, None, None))
+    about = key_of(lane, layout.model(np.zeros(len(layout))), layout.names, length, reach, burn)
+    traced = lambda f, name: Traced(f, about and f"{name}\n{about}")
+    return Programs(predict, traced(batch, "outputs"), traced(tangents, "tangents"), {}, {})
 
 
 def families(layout: Layout) -> dict[str, np.ndarray]:
@@ -252,7 +264,7 @@ class Engine:
         self._kind = lane, self.length, reach, burn or any(r.lead for r in self.records)
         self._families = {} if whole else families(layout)
         self._neutral = np.array([e.spec.value for e in layout.entries])
-        self._restricted: dict[frozenset[str], tuple[Programs, np.ndarray]] = {}
+        self._restricted: dict[frozenset[str], tuple[Layout, np.ndarray]] = {}
         self.where = np.array([[r.offset - r.lead, r.first, r.last, r.lead] for r in self.records], np.int32)
         self.steps = np.array([r.count + r.lead for r in self.records], np.int32)
 
@@ -320,8 +332,9 @@ class Engine:
         if kept not in self._restricted:
             everything = self.layout, np.arange(len(self.layout))
             small, index = restricted(self.layout, kept) if len(kept) < len(self._families) else everything
-            self._restricted[kept] = programs_for(small, *self._kind), index
-        return self._restricted[kept]
+            self._restricted[kept] = small, index
+        small, index = self._restricted[kept]
+        return programs_for(small, *self._kind), index
 
     def _could_work(self, theta: np.ndarray, free: Sequence[int] | np.ndarray) -> frozenset[str]:
         """Families that can be at work where numbers equal theta but in `free`."""
