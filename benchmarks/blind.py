@@ -80,7 +80,6 @@ def score(case: dict[str, Any], diagnosis: Diagnosis, groups: list[set[str]], ab
         "named": [text(p) for p in named],
         "mates": [text(p) for p in mates],
         "verdict": diagnosis.which.verdict,
-        "missed": [text(p) for p in truth if p not in covered],
         "right": len(hit) == len(truth) == len(named),
         "in_set": len(covered) == len(truth) if truth else not named,
         "wrong": bool(named) and bool(truth) and not covered,
@@ -104,21 +103,6 @@ def oracle(case: dict[str, Any], row: dict[str, Any], data: Dataset) -> float | 
         return None
     bench = Bench(bind(case["model"], data, **settings))
     return shrink(row["gap"] ** 2, held_out(bench, "report", [told.theta])[0].gap ** 2)
-
-
-def mark(case: dict[str, Any], row: dict[str, Any], data: Dataset) -> float:
-    """How much more (chi-square) a fit that is told all but what was missed leaves of all runs than one that is told all: a few
-    units, and these recordings do not show it."""
-    left = []
-    for told in (row["truth"], [t for t in row["truth"] if t not in row["missed"]]):
-        settings = {"effects": [t.replace(" at ", "@") for t in told], "without": case["without"]}
-        found = fit(case["model"], data, **settings)
-        if found.failed:
-            return float("nan")
-        bench = Bench(bind(case["model"], data, **settings))
-        parts = [held_out(bench, split, [found.theta])[0] for split in ("fit", "validation", "report")]
-        left.append(sum(part.gap**2 * part.count for part in parts))
-    return left[1] - left[0]
 
 
 def later(case: dict[str, Any], diagnosis: Diagnosis, u: np.ndarray, y: np.ndarray) -> float:
@@ -156,15 +140,13 @@ def run(model: str, seed: int, kind: str, share: float, store: Path, sets: Path)
         row |= score(case, found, *classes(model, tuple(case["without"]))) | {"cpu_s": spent}
         if kind in (*STRENGTH, "pair"):
             row["oracle"] = oracle(case, row, load_dataset(folder))
-            if row["missed"]:
-                row["mark"] = mark(case, row, load_dataset(folder))
         if kind == "many" and row["interval"] and "timestamp_jitter" not in str(row["named"]):  # (readings then count otherwise)
             row["later"] = later(case, found, more["u"][k], more["y"][k])
         with store.open("a") as f:
             f.write(json.dumps(row, default=float) + "\n")
-        sign = "ok " if row["right"] else "set" if row["in_set"] else "---"
+        mark = "ok " if row["right"] else "set" if row["in_set"] else "---"
         gap = f"gap {row['gap']:.3g} -> {row['after']:.3g} {spent:.0f} s"
-        print(sign, model, kind, f"{label}:", row["verdict"], row["named"], "~", row["mates"], gap, flush=True)
+        print(mark, model, kind, f"{label}:", row["verdict"], row["named"], "~", row["mates"], gap, flush=True)
 
 
 def main() -> dict[str, Any]:

@@ -305,7 +305,7 @@ def test_of_two_effects_neither_need_help_alone():
 
 
 def test_something_small_is_found_beside_what_was_named():
-    """The first effect brings the model to 1.04 times the noise; what is left is white, and has the shape of the second."""
+    """The first effect brings the model to 1.05 times the noise; what is left is white, and has the shape of the second."""
     data = recording("pendulum", 1, load=0.1, drag=1e-4)
     d = jaxid.diagnose("pendulum", data, effects=[*CHOICE, "spring_torque"])
     assert d.which.verdict == "named"

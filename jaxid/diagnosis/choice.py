@@ -105,10 +105,10 @@ def at_floor(h: Hypothesis) -> bool:
 
 def finished(h: Hypothesis, by_torque: bool) -> bool:
     """Nothing more is to be found. Something small is looked for beside other effects only, and by free runs."""
+    if not h.effects:
+        return at_floor(h)
     low = max(h.validation.loss, h.fit_loss) < NEAR_FLOOR
-    if h.effects and not by_torque:
-        return low
-    return at_floor(h) or bool(h.effects) and (low or close_to_noise(h))
+    return low or (by_torque and (at_floor(h) or close_to_noise(h)))
 
 
 def close_to_noise(h: Hypothesis) -> bool:
