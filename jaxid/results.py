@@ -297,7 +297,11 @@ class ChannelGap:
 
 @dataclass(frozen=True)
 class HowFar:
-    """Gaps on report data, as multiples of the noise floor (1 = down to the noise)."""
+    """Gaps on report data, as multiples of the noise floor (1 = down to the noise).
+
+    `shrinkage` is that of all report data; `shrinkage_interval_95` that of one further run like them, made of `interval_from`:
+    "runs", or "blocks" of fewer than eight runs, which do not know how runs differ.
+    """
 
     gap_before: float
     gap_retuned: float
@@ -310,6 +314,7 @@ class HowFar:
     text: str = ""
     per_run: tuple[Share, ...] = ()
     per_regime: tuple[Share, ...] = ()
+    interval_from: str = ""
 
     def to_dict(self) -> dict[str, Any]:
         return {
@@ -320,6 +325,7 @@ class HowFar:
             "shrinkage": self.shrinkage,
             "shrinkage_interval_95": None if self.shrinkage_interval_95 is None else list(self.shrinkage_interval_95),
             "interval_reason": self.interval_reason,
+            "interval_from": self.interval_from,
             "per_channel": {k: v.to_dict() for k, v in self.per_channel.items()},
             "per_experiment": [s.to_dict() for s in self.per_run],
             "per_regime": [s.to_dict() for s in self.per_regime],

@@ -45,6 +45,8 @@ def percent(fraction: float | None) -> str:
     """A fraction in percent, with the digits that still tell 99.8 from 99.98 and 0.1 from 0.01."""
     if fraction is None or not math.isfinite(fraction):
         return "–"
+    if fraction < -1:
+        return "below −100 %"
     rest = min(abs(fraction), abs(1 - abs(fraction)))
     if 0 < rest < 5e-5 and fraction > 0.5:
         return "over 99.99 %" if fraction < 1 else "100 %"
@@ -145,8 +147,15 @@ def shrinkage_sentence(how_far: HowFar, verdict: str) -> str:
     if how_far.shrinkage_interval_95 is None:
         reason = one_line(how_far.interval_reason).rstrip(".").removeprefix("no interval: ")
         return f"{head} (no interval: {reason})." if reason else f"{head}."
-    low, high = how_far.shrinkage_interval_95
-    return f"{head} (95 % interval {percent(low)} to {percent(high)})."
+    return f"{head} (of a further run like these {interval(how_far)})."
+
+
+def interval(how_far: HowFar) -> str:
+    """What a further run like the report runs is to show."""
+    assert how_far.shrinkage_interval_95 is not None
+    low, high = (percent(min(x, 1.0)) for x in how_far.shrinkage_interval_95)
+    doubt = "; how runs differ is not known from fewer than eight" if how_far.interval_from == "blocks" else ""
+    return f"{low} to {high}, with 95 % probability{doubt}"
 
 
 def channel_sentence(how_far: HowFar, name: str, verdict: str) -> str:

@@ -18,7 +18,7 @@ from jaxid import catalogue
 from jaxid.binding import bind
 from jaxid.diagnosis import growth, judge, upheld
 from jaxid.diagnosis.evidence import held_out, HeldOut, inflation, knowledge, memory, shifted
-from jaxid.diagnosis.how_far import bootstrap, shrink
+from jaxid.diagnosis.how_far import interval_of_further_run, shrink
 from jaxid.diagnosis.hypothesis import candidates, Hypothesis, Search
 from jaxid.diagnosis.proposals import exchanged
 from jaxid.diagnosis.undetermined import brought_back, put_back
@@ -397,11 +397,39 @@ def test_evidence_counts_memory():
     held = HeldOut([white], [white], 1.0, 4000)
     assert inflation(held) == 1.0
     assert shrink(100.0, 1.0) == 1.0
-    before = HeldOut([10 * white], [white], 100.0, 4000)
-    interval, reason = bootstrap(before, held, 0)
-    assert reason == "" and interval is not None and interval[0] <= shrink(100.0, float(np.mean(white**2))) <= interval[1]
-    interval, reason = bootstrap(HeldOut([slow[:300]], [slow[:300]], 1.0, 300), held, 0)
-    assert interval is None and "blocks" in reason
+
+
+def test_an_interval_holds_a_further_run():
+    """Of runs whose errors are alike, and of those of which few are far worse than the others (log-normal)."""
+    rng = np.random.default_rng(1)
+
+    def runs(count: int, spread: float) -> tuple[HeldOut, HeldOut]:
+        sizes = np.exp(spread * rng.normal(size=count))
+        noise = lambda: [rng.normal(size=(300, 1)) for _ in sizes]
+        before = [r + 30.0 for r in noise()]
+        after = [r + 0.5 * s for r, s in zip(noise(), sizes, strict=True)]
+        return HeldOut(before, before, 900.0, 300 * count), HeldOut(after, after, 1.25, 300 * count)
+
+    shares = lambda b, a: [shrink(float(np.mean(x**2)), float(np.mean(y**2))) for x, y in zip(b.residual, a.residual, strict=True)]
+    for spread in (0.0, 1.5):
+        hits = []
+        for _ in range(60):
+            interval, made_of, _ = interval_of_further_run(*runs(8, spread))
+            assert interval is not None and made_of == "runs"
+            hits += [interval[0] <= s <= interval[1] for s in shares(*runs(20, spread))]
+        assert 0.9 <= np.mean(hits) <= 0.98
+
+
+def test_an_interval_needs_blocks():
+    rng = np.random.default_rng(0)
+    white = rng.normal(size=(4000, 1))
+    slow = np.convolve(rng.normal(size=4050), np.ones(50) / np.sqrt(50), "valid")[:4000, None]
+    held = HeldOut([white], [white], 1.0, 4000)
+    interval, made_of, reason = interval_of_further_run(HeldOut([10 * white], [white], 100.0, 4000), held)
+    assert (made_of, reason) == ("blocks", "") and interval is not None
+    assert interval[0] < shrink(100.0 * float(np.mean(white**2)), float(np.mean(white**2))) < interval[1]
+    interval, made_of, reason = interval_of_further_run(HeldOut([slow[:300]], [slow[:300]], 1.0, 300), held)
+    assert interval is None and not made_of and "blocks" in reason
 
 
 @pytest.mark.slow

@@ -143,7 +143,7 @@ def _diagnosed(question: Question, scatter: timing.Scatter | None = None) -> tup
 
     before, note = _before(binding, search.nominal)
     alike = scatter.bench(bench) if scatter else bench
-    measure = lambda after: shrinking.measure(bench, residual, before, search.nominal.theta, after, verdict, seed, note, alike)
+    measure = lambda after: shrinking.measure(bench, residual, before, search.nominal.theta, after, verdict, note, alike)
     how_far = measure(final.theta)
     if named and binding.experiments("report"):
         judged, judged_text = verdict, text

@@ -12,9 +12,8 @@ from jaxid.results import ChannelGap, HowFar
 from jaxid.samples import columns
 
 
-#: An interval needs at least this many independent blocks.
+#: An interval needs at least this many runs, or independent blocks of fewer runs.
 BLOCKS = 8
-DRAWS = 2000
 #: A model without a gap on fit and validation data is told of one this large (in multiples of the noise) on report data.
 UNSEEN = 1.5
 
@@ -26,7 +25,6 @@ def measure(
     retuned: np.ndarray,
     after: np.ndarray,
     verdict: str,
-    seed: int,
     note: str,
     alike: Bench,
 ) -> HowFar:
@@ -50,7 +48,7 @@ def measure(
         floor = sigma if alike is bench else rms([e.noise(b.sigma, iy)[:, c] for e in b.experiments(split)])
         per_channel[name] = ChannelGap(unit, rmse[0], rmse[1], rmse[2], floor, source)
     shrinkage = interval = None
-    reason = ""
+    reason = made_of = ""
     if verdict == "none":
         reason = "the verdict is none: there is no gap to shrink"
         if gaps[2] > UNSEEN:
@@ -62,14 +60,14 @@ def measure(
         reason = "the gap was at the noise floor on report data before any effect was added"
     else:
         shrinkage = shrink(gaps[0] ** 2, gaps[2] ** 2)
-        interval, reason = bootstrap(runs[0], runs[2], seed)
+        interval, made_of, reason = interval_of_further_run(runs[0], runs[2])
     text = (
         f"gap on {split} data: {gaps[0]:.3g} times the noise before, {gaps[1]:.3g} after re-tuning the old parameters alone, "
         f"{gaps[2]:.3g} with the effects added"
     )
     return HowFar(
         gaps[0], gaps[1], gaps[2], 1.0, shrinkage, interval, reason, per_channel, f"{text}. {note}".strip(),
-        by_run(bench, split, runs), by_regime(bench, split, runs),
+        by_run(bench, split, runs), by_regime(bench, split, runs), made_of,
     )  # fmt: skip
 
 
@@ -78,25 +76,50 @@ def shrink(before: float, after: float) -> float:
     return 1 - (after - 1) / (before - 1)
 
 
-def bootstrap(before: HeldOut, after: HeldOut, seed: int) -> tuple[tuple[float, float] | None, str]:
-    """95 % interval of the shrinkage from resampled blocks of the report runs, or the reason why there is none.
+def interval_of_further_run(before: HeldOut, after: HeldOut) -> tuple[tuple[float, float] | None, str, str]:
+    """95 % interval of the shrinkage in a further run like the report runs; what it is made of; or the reason why there is none.
 
-    A free run drifts: its error is one slow curve, so blocks are as long as the residual's memory (the longer of both).
+    Student's prediction interval. Eight runs or more are its samples: now and then a run goes where errors grow a thousandfold,
+    which shows between runs and not within one, so shares left are taken as the inverse hyperbolic sine, whose linear part is
+    what noise alone scatters. Of fewer runs it is blocks; a free run drifts, its error is one slow curve, so they are twice as
+    long as the residual's memory (the longer of both).
     """
+    if len(after.residual) >= BLOCKS:
+        return _from_runs(*(np.array([np.mean(r**2) for r in h.residual]) for h in (before, after)), after.count), "runs", ""
     length = 2 * max(memory(before.residual), memory(after.residual))
-    pairs = []
-    for a, b in zip(before.residual, after.residual, strict=True):
-        for k in range(0, len(a) - length + 1, length):
-            pairs.append((np.sum(a[k : k + length] ** 2), np.sum(b[k : k + length] ** 2), a[k : k + length].size))
-    if len(pairs) < BLOCKS:
-        return None, (
+    blocks = np.array([
+        (np.mean(a[k : k + length] ** 2), np.mean(b[k : k + length] ** 2))
+        for a, b in zip(before.residual, after.residual, strict=True)
+        for k in range(0, len(a) - length + 1, length)
+    ])  # fmt: skip
+    if len(blocks) < BLOCKS:
+        return None, "", (
             f"no interval: residuals remember themselves for {length // 2} samples, so the report data hold only "
-            f"{len(pairs)} independent blocks and {BLOCKS} are needed"
+            f"{len(blocks)} independent blocks and {BLOCKS} are needed"
         )
-    table = np.array(pairs)
-    draw = np.random.default_rng(seed).integers(0, len(table), (DRAWS, len(table)))
-    s = table[draw].sum(1)
-    first, last = s[:, 0] / s[:, 2], s[:, 1] / s[:, 2]
-    values = shrink(np.maximum(first, 1 + 1e-9), last)
-    low, high = np.percentile(values, [2.5, 97.5])
-    return (float(low), float(high)), ""
+    return _from_blocks(*blocks.T, len(blocks) / len(after.residual)), "blocks", ""
+
+
+def _from_runs(before: np.ndarray, after: np.ndarray, samples: int) -> tuple[float, float]:
+    """From mean squares of runs, of so many samples together."""
+    from scipy.stats import t as student
+
+    n = len(after)
+    scatter = np.sqrt(2 * n / samples)
+    gap = np.maximum(before - 1, scatter)
+    scale = scatter / np.median(gap)
+    left = np.arcsinh((after - 1) / gap / scale)
+    reach = student.ppf(0.975, n - 1) * np.sqrt(1 + 1 / n) * left.std(ddof=1)
+    low, high = np.sinh(np.clip([left.mean() - reach, left.mean() + reach], -300.0, 300.0)) * scale
+    return float(1 - high), float(1 - low)
+
+
+def _from_blocks(before: np.ndarray, after: np.ndarray, per_run: float) -> tuple[float, float]:
+    """From mean squares of blocks, for a run of so many of them."""
+    from scipy.stats import t as student
+
+    n, gap = len(after), max(float(np.mean(before - 1)), 1e-9)
+    left = float(np.mean(after - 1)) / gap
+    own = ((after - 1) - left * (before - 1)) / gap
+    reach = float(student.ppf(0.975, n - 1) * np.sqrt(1 / per_run + 1 / n) * own.std(ddof=1))
+    return 1 - left - reach, 1 - left + reach

@@ -92,8 +92,7 @@ def far_card(diagnosis: Diagnosis) -> tuple[str, list[str]]:
     elif how_far.shrinkage_interval_95 is None:
         sentences.append(f"No interval: {how_far.interval_reason.rstrip('.').removeprefix('no interval: ')}.")
     else:
-        low, high = how_far.shrinkage_interval_95
-        sentences.append(f"95 % interval: {text.percent(low)} to {text.percent(high)}.")
+        sentences.append(f"Of a further run like these: {text.interval(how_far)}.")
     return fact, [s for s in sentences if s]
 
 
