@@ -43,8 +43,8 @@ from jaxid.uncertainty import covariance
 NAMED, PARTLY = 0.97, 0.5
 #: Gap of the re-tuned model on report data, times the noise, above which they can withdraw a verdict.
 SEEN = 1.2
-#: What is `named` closes this share of the gap on report data, or leaves no more than so many times the noise.
-HELD, LEFT = 0.9, 1.5
+#: What is `named` closes that share of the gap on fit and report data too, or leaves no more than so many times the noise there.
+LEFT = 1.5
 #: Free runs in which a difference at the start (rad, m) grows by more than this are not trusted where they find no answer, or one
 #: that leaves so many times the noise.
 SENSITIVE, DIFFERENCE, REMAINDER = 50.0, 1e-7, 10.0
@@ -276,7 +276,9 @@ def judge(search: Search) -> tuple[str, str]:
     each = f" What each contributes: {each} times the noise." if each else ""
     # Several that leave more than the noise may together only come close to something else.
     close = search.several and max(left, np.sqrt(search.chosen.fit_loss)) > LEFT
-    if chosen.loss <= max(floor, 1.1) or (closed >= NAMED and not close):
+    followed = 1 - (search.chosen.fit_loss - 1) / max(search.nominal.fit_loss - 1, 1e-12)
+    closed_on_both = closed >= NAMED and (followed >= NAMED or search.chosen.fit_loss <= LEFT**2)
+    if chosen.loss <= max(floor, 1.1) or (closed_on_both and not close):
         return "named", f"The model lacks {names}; with it {left:.3g} times the noise is left on validation data.{each}"
     if closed >= PARTLY:
         return "partly", (
@@ -306,8 +308,8 @@ def upheld(verdict: str, text: str, retuned: float, after: float, several: bool 
         )
     if verdict == "named" and several and after > LEFT:
         return "partly", f"{text} On the report data {after:.3g} times the noise is left."
-    if verdict == "named" and (closed < PARTLY or (closed < HELD and after > LEFT)):
-        return "partly", f"{text} On the report data it explains only {100 * closed:.0f} % of the gap."
+    if verdict == "named" and (closed < PARTLY or (closed < NAMED and after > LEFT)):
+        return "partly", f"{text} On the report data it explains {100 * closed:.0f} % of the gap."
     return verdict, text
 
 

@@ -85,7 +85,8 @@ def interval_of_further_run(before: HeldOut, after: HeldOut) -> tuple[tuple[floa
     long as the residual's memory (the longer of both).
     """
     if len(after.residual) >= BLOCKS:
-        return _from_runs(*(np.array([np.mean(r**2) for r in h.residual]) for h in (before, after)), after.count), "runs", ""
+        squares = lambda held: np.array([np.mean(r**2) for r in held.residual])
+        return _from_runs(squares(before), squares(after), after.count), "runs", ""
     length = 2 * max(memory(before.residual), memory(after.residual))
     blocks = np.array([
         (np.mean(a[k : k + length] ** 2), np.mean(b[k : k + length] ** 2))
@@ -93,11 +94,15 @@ def interval_of_further_run(before: HeldOut, after: HeldOut) -> tuple[tuple[floa
         for k in range(0, len(a) - length + 1, length)
     ])  # fmt: skip
     if len(blocks) < BLOCKS:
-        return None, "", (
-            f"no interval: residuals remember themselves for {length // 2} samples, so the report data hold only "
-            f"{len(blocks)} independent blocks and {BLOCKS} are needed"
+        return (
+            None,
+            "",
+            (
+                f"no interval: residuals remember themselves for {length // 2} samples, so the report data hold only "
+                f"{len(blocks)} independent blocks and {BLOCKS} are needed"
+            ),
         )
-    return _from_blocks(*blocks.T, len(blocks) / len(after.residual)), "blocks", ""
+    return _from_blocks(blocks[:, 0], blocks[:, 1], len(blocks) / len(after.residual)), "blocks", ""
 
 
 def _from_runs(before: np.ndarray, after: np.ndarray, samples: int) -> tuple[float, float]:
