@@ -98,10 +98,10 @@ def autoregressions(parts: Sequence[Part], inverse: np.ndarray) -> list[Autoregr
 
 def student(parts: Sequence[Part], noise: Sequence[Autoregression], parameters: int) -> float:
     """By how much the ends of a 95 % interval lie further out than a normal distribution's, for want of independent samples."""
-    from scipy.stats import norm, t
+    from scipy.special import ndtri, stdtrit
 
     worth = sum(np.count_nonzero(p.r[:, c]) / column.memory() for p in parts for c, column in enumerate(noise))
-    return float(t.ppf(0.975, max(2.0, worth - parameters)) / norm.ppf(0.975))
+    return float(stdtrit(max(2.0, worth - parameters), 0.975) / ndtri(0.975))
 
 
 def score_covariance(parts: Sequence[Part], noise: Sequence[Autoregression]) -> np.ndarray:

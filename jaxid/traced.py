@@ -110,11 +110,10 @@ def _own_sources() -> str:
     import jaxid.models
 
     found = []
-    for package in (jaxid, jaxid.models, jaxid.fitters):
-        for folder in package.__path__:
-            for file in sorted(Path(folder).rglob("*.py")):
-                status = file.stat()
-                found.append(f"{file.name} {status.st_size} {status.st_mtime_ns}")
+    for package in (jaxid, jaxid.models, jaxid.fitters):  # of a checkout `__path__` names its root, too
+        for file in sorted(Path(package.__file__ or "").parent.rglob("*.py")):
+            status = file.stat()
+            found.append(f"{file.name} {status.st_size} {status.st_mtime_ns}")
     return hashlib.sha256("\n".join(found).encode()).hexdigest()
 
 

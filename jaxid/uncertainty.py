@@ -137,7 +137,7 @@ def _pseudo_inverse(a: np.ndarray) -> np.ndarray:
 
 def _whiteness(series: list[np.ndarray], lags: int = 20) -> tuple[bool, int]:
     """Ljung-Box test at 0.1 %, and the residual's memory in samples (first lag whose correlation is lost in the noise)."""
-    from scipy.stats import chi2
+    from scipy.special import chdtri
 
     statistic, total, memory = 0.0, 0, 1
     for r in series:
@@ -154,7 +154,7 @@ def _whiteness(series: list[np.ndarray], lags: int = 20) -> tuple[bool, int]:
         total += lags
         below = np.flatnonzero(np.abs(rho) < max(0.05, 2 / np.sqrt(n)))
         memory = max(memory, int(below[0]) if below.size else n // 4)
-    return total == 0 or bool(statistic < chi2.ppf(0.999, total)), memory
+    return total == 0 or bool(statistic < chdtri(total, 0.001)), memory
 
 
 def _long_run(scores: list[tuple[list[int], np.ndarray]], n: int, memory: int) -> np.ndarray:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import numpy as np
+from scipy.special import stdtrit
 
 from jaxid.diagnosis.breakdown import by_regime, by_run
 from jaxid.diagnosis.evidence import held_out, HeldOut, memory
@@ -107,24 +108,20 @@ def interval_of_further_run(before: HeldOut, after: HeldOut) -> tuple[tuple[floa
 
 def _from_runs(before: np.ndarray, after: np.ndarray, samples: int) -> tuple[float, float]:
     """From mean squares of runs, of so many samples together."""
-    from scipy.stats import t as student
-
     n = len(after)
     scatter = np.sqrt(2 * n / samples)
     gap = np.maximum(before - 1, scatter)
     scale = scatter / np.median(gap)
     left = np.arcsinh((after - 1) / gap / scale)
-    reach = student.ppf(0.975, n - 1) * np.sqrt(1 + 1 / n) * left.std(ddof=1)
+    reach = stdtrit(n - 1, 0.975) * np.sqrt(1 + 1 / n) * left.std(ddof=1)
     low, high = np.sinh(np.clip([left.mean() - reach, left.mean() + reach], -300.0, 300.0)) * scale
     return float(1 - high), float(1 - low)
 
 
 def _from_blocks(before: np.ndarray, after: np.ndarray, per_run: float) -> tuple[float, float]:
     """From mean squares of blocks, for a run of so many of them."""
-    from scipy.stats import t as student
-
     n, gap = len(after), max(float(np.mean(before - 1)), 1e-9)
     left = float(np.mean(after - 1)) / gap
     own = ((after - 1) - left * (before - 1)) / gap
-    reach = float(student.ppf(0.975, n - 1) * np.sqrt(1 / per_run + 1 / n) * own.std(ddof=1))
+    reach = float(stdtrit(n - 1, 0.975) * np.sqrt(1 / per_run + 1 / n) * own.std(ddof=1))
     return 1 - left - reach, 1 - left + reach

@@ -87,11 +87,12 @@ class Retuning:
         return out
 
 
-def probe_residuals(p: Problem, z: np.ndarray, thetas: Sequence[np.ndarray]) -> list[np.ndarray]:
-    """Weighted residual vectors at the samples for full parameter vectors, from the starts of z."""
+def probe_residuals(p: Problem, z: np.ndarray | Sequence[np.ndarray], thetas: Sequence[np.ndarray]) -> list[np.ndarray]:
+    """Weighted residual vectors at the samples for full parameter vectors, from the starts of z (one, or one for each)."""
     runs, n = p.runs, len(p.records)
     record = np.tile(np.array(p.records), len(thetas))
-    y = runs.engine.outputs(np.repeat(np.array(thetas), n, 0), np.tile(p.starts(z), (len(thetas), 1)), record)
+    starts = np.tile(p.starts(z), (len(thetas), 1)) if isinstance(z, np.ndarray) else np.concatenate([p.starts(x) for x in z])
+    y = runs.engine.outputs(np.repeat(np.array(thetas), n, 0), starts, record)
     each = []
     for k, number in enumerate(record):
         at = runs.record(number).samples

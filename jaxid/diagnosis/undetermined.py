@@ -53,16 +53,23 @@ def put_back(path: Path, theta: np.ndarray, index: Sequence[int], problem: Calla
     away = np.abs(p.z(home)[:n] - path.z[:n])
     variance = np.diag(np.linalg.pinv(path.hessian, rcond=1e-14, hermitian=True))[:n]
     price = away**2 / np.maximum(variance, 1e-300)  # of each way as far as it can be seen from here
-    free, now = [int(i) for i in p.free], p.theta(path.z)
-    starts, moved = p.starts(path.z), False
-    for k in [k for k in np.argsort(price) if away[k] > SHORT * p.scale[k]][:TRIED]:
-        i = int(p.free[k])
-        tried = now.copy()
-        tried[i] = theta[i]
-        less = problem([f for f in free if f != i], tried)
-        end = descend([(less, less.z(tried, starts))], 12, 1e-6)[0]
-        if end.cost <= path.cost + COST:
-            free, now, starts, moved = [f for f in free if f != i], less.theta(end.z), less.starts(end.z), True
+    free, now, starts = [int(i) for i in p.free], p.theta(path.z), p.starts(path.z)
+    rest = [int(p.free[k]) for k in np.argsort(price) if away[k] > SHORT * p.scale[k]][:TRIED]
+    moved = False
+    while rest:  # all that are left at once, the first that may go back goes, and those behind it are tried without it
+        jobs = []
+        for i in rest:
+            tried = now.copy()
+            tried[i] = theta[i]
+            less = problem([f for f in free if f != i], tried)
+            jobs.append((less, less.z(tried, starts)))
+        ends = descend(jobs, 12, 1e-6)
+        k = next((k for k, end in enumerate(ends) if end.cost <= path.cost + COST), None)
+        if k is None:
+            break
+        less, end = jobs[k][0], ends[k]
+        free, now, starts, moved = [f for f in free if f != rest[k]], less.theta(end.z), less.starts(end.z), True
+        rest = rest[k + 1 :]
     if not moved:
         return path
     end = descend([(p, p.z(now, starts))], 1, 1e-6)[0]
