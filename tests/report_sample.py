@@ -135,6 +135,7 @@ def sample_diagnosis(samples: int = 4000) -> Diagnosis:
             (0.9922, 0.9993),
             "",
             {"q": ChannelGap("rad", 3.72e-3, 3.54e-3, 4.3e-4, NOISE, "sensor")},
+            interval_from="runs",
         ),
         next_experiment="Record slow motion (below 0.05 rad/s) both ways: it separates Stribeck from Coulomb friction.",
         wall_time_s=21.4,

@@ -95,14 +95,11 @@ def interval_of_further_run(before: HeldOut, after: HeldOut) -> tuple[tuple[floa
         for k in range(0, len(a) - length + 1, length)
     ])  # fmt: skip
     if len(blocks) < BLOCKS:
-        return (
-            None,
-            "",
-            (
-                f"no interval: residuals remember themselves for {length // 2} samples, so the report data hold only "
-                f"{len(blocks)} independent blocks and {BLOCKS} are needed"
-            ),
+        reason = (
+            f"no interval: residuals remember themselves for {length // 2} samples, so the report data hold only "
+            f"{len(blocks)} independent blocks and {BLOCKS} are needed"
         )
+        return None, "", reason
     return _from_blocks(blocks[:, 0], blocks[:, 1], len(blocks) / len(after.residual)), "blocks", ""
 
 
