@@ -147,7 +147,7 @@ def shrinkage_sentence(how_far: HowFar, verdict: str) -> str:
     if how_far.shrinkage_interval_95 is None:
         reason = one_line(how_far.interval_reason).rstrip(".").removeprefix("no interval: ")
         return f"{head} (no interval: {reason})." if reason else f"{head}."
-    return f"{head} (of a further run like these {interval(how_far)})."
+    return f"{head} (in a further run like these {interval(how_far)})."
 
 
 def interval(how_far: HowFar) -> str:

@@ -92,7 +92,7 @@ def far_card(diagnosis: Diagnosis) -> tuple[str, list[str]]:
     elif how_far.shrinkage_interval_95 is None:
         sentences.append(f"No interval: {how_far.interval_reason.rstrip('.').removeprefix('no interval: ')}.")
     else:
-        sentences.append(f"Of a further run like these: {text.interval(how_far)}.")
+        sentences.append(f"In a further run like these: {text.interval(how_far)}.")
     return fact, [s for s in sentences if s]
 
 
