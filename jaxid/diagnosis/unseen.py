@@ -8,7 +8,7 @@ between the two is compared with the noise.
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
@@ -35,9 +35,11 @@ SIGN, CHANCE = 8.0, 1e-12
 MOVED, BEYOND = 0.05, 2.0
 #: So many effects are re-tuned in earnest, in so many rounds and iterations, at a size that moves no number further than this (in
 #: factors of e, or in so many typical changes), where the first order still leads.
-MOST, ROUNDS, ITERATIONS, REACH, CHANGES = 20, 3, 5, 0.7, 5.0
-#: Re-tuning goes on while what is left falls below this share.
-ENOUGH = 0.95
+MOST, ROUNDS, ITERATIONS, REACH, CHANGES = 20, 3, 16, 0.7, 5.0
+#: Re-tuning ends where what is left did not fall below this share so many times after each other.
+ENOUGH, FAILED, SECANTS = 0.9, 4, 6
+#: After so many trials it ends where what is left is this often what is told.
+HOPELESS = ((8, 10.0), (3, 100.0))
 
 
 @dataclass(frozen=True)
@@ -122,7 +124,41 @@ class Match:
     problem: Problem
     z: np.ndarray
     distance: float = np.inf
-    done: bool = False
+    tried: list[tuple[np.ndarray, np.ndarray]] = field(default_factory=list)  # z and the difference there, the nearest first
+    failed: int = 0
+
+    def take(self, z: np.ndarray, difference: np.ndarray) -> None:
+        distance = float(np.linalg.norm(difference))
+        if not np.isfinite(distance):
+            self.failed = FAILED
+            return
+        self.failed = 0 if distance < ENOUGH * self.distance else self.failed + 1
+        nearer = distance < self.distance
+        self.tried.insert(0 if nearer else 1, (z, difference))
+        if nearer:
+            self.z, self.distance = z, distance
+
+    @property
+    def improving(self) -> bool:
+        """Whether more re-tuning may help: neither as good as the same already, nor still far from it."""
+        limit = next((share for count, share in HOPELESS if len(self.tried) >= count), np.inf)
+        return self.failed < FAILED and TOLD / 10 < self.distance < limit * TOLD
+
+    def next(self, retuning: Retuning) -> np.ndarray:
+        """What is left is made small along the secants first, and then along the slopes without the effect."""
+        (z, rest), *others = self.tried
+        if others:
+            way, change = (np.stack([o[k] - here for o in others[:SECANTS]], -1) for k, here in ((0, z), (1, rest)))
+            size = np.maximum(np.linalg.norm(change, axis=0), 1e-300)
+            share = np.linalg.lstsq(change / size, -rest, rcond=1e-6)[0] / size
+            z, rest = z + way @ share, rest + change @ share
+        return self._near(z + retuning.step(rest))
+
+    def _near(self, z: np.ndarray) -> np.ndarray:
+        """No further away than where the first order leads, and half as far after each failure."""
+        here, p, n = self.tried[0][0], self.problem, self.problem.free.size
+        far = np.max(np.abs(z - here)[:n] / np.where(p.log, REACH, CHANGES * p.scale[:n]), initial=0.0)
+        return here + (z - here) * min(1.0, 0.5**self.failed / max(far, 1e-300))
 
 
 class Looker:
@@ -233,17 +269,21 @@ class Looker:
         """Those that are not seen after true re-tuning either, to what the model without them simulates."""
         sizes, steps = [q.size for q in hiding], [q.step for q in hiding]
         kept: list[Match | None] = [None] * len(hiding)
-        for _ in range(ROUNDS if hiding else 0):
-            tried = [
-                Match(self._with(self._sized(q.full, size)), self.z + size * step)
-                for q, size, step in zip(hiding, sizes, steps, strict=True)
-            ]
+        again = list(range(len(hiding)))
+        for _ in range(ROUNDS):
+            tried = [Match(self._with(self._sized(hiding[k].full, sizes[k])), self.z + sizes[k] * steps[k]) for k in again]
             self._retune(tried)
-            for k, (q, end) in enumerate(zip(hiding, tried, strict=True)):
+            for k, end in zip(again, tried, strict=True):
+                before = sizes[k]
                 if end.distance < TOLD:
                     kept[k], steps[k] = end, (end.z - self.z) / sizes[k]
                 if np.isfinite(end.distance):  # more or less is left of it than the first order said
-                    sizes[k] = min(sizes[k] * 0.8 * TOLD / max(end.distance, 1e-9), q.largest)
+                    sizes[k] = min(sizes[k] * 0.8 * TOLD / max(end.distance, 1e-9), hiding[k].largest)
+                if kept[k] is end and sizes[k] < 1.05 * before:
+                    sizes[k] = np.nan  # as large as it goes
+            again = [k for k in again if np.isfinite(sizes[k])]
+            if not again:
+                break
         ends = [(q, end) for q, end in zip(hiding, kept, strict=True) if end is not None]
         plain = probe_residuals(self.p, self.z, [end.problem.base for _, end in ends]) if ends else []
         out = []
@@ -267,20 +307,14 @@ class Looker:
         return np.clip(z, self.p.lower, self.p.upper)
 
     def _retune(self, matches: Sequence[Match]) -> None:
-        """Re-tunes each, all at once, by the slopes of the model without an effect, which cost nothing: a few percent of a number
-        are near enough for them."""
-        trials, active = [self._inside(m.z) for m in matches], list(range(len(matches)))
-        for _ in range(ITERATIONS + 1):
-            thetas = [matches[k].problem.theta(trials[k]) for k in active]
-            found = probe_residuals(self.p, [trials[k] for k in active], thetas)
-            for k, residual in zip(active, found, strict=True):
-                rest = np.nan_to_num(residual - self.before, nan=1e100, posinf=1e100, neginf=-1e100)
-                m, distance = matches[k], float(np.linalg.norm(rest))
-                m.done = not distance < ENOUGH * m.distance
-                if distance < m.distance:
-                    m.z, m.distance = trials[k], distance
-                    trials[k] = self._inside(m.z + self.retuning.step(rest))
-            active = [k for k in active if not matches[k].done]
+        """Re-tunes each, all at once, without slopes of their own: by those of the model without an effect, and by secants."""
+        trials, active = [self._inside(m.z) for m in matches], list(matches)
+        for _ in range(ITERATIONS):
+            found = probe_residuals(self.p, trials, [m.problem.theta(z) for m, z in zip(active, trials, strict=True)])
+            for m, z, residual in zip(active, trials, found, strict=True):
+                m.take(z, np.nan_to_num(residual - self.before, nan=1e100, posinf=1e100, neginf=-1e100))
+            active = [m for m in active if m.improving]
+            trials = [self._inside(m.next(self.retuning)) for m in active]
             if not active:
                 break
 
