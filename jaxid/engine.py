@@ -180,9 +180,9 @@ class Programs(NamedTuple):
     ready: dict[str, Future | None]  # which are there; those that another thread reads or compiles, as its task
 
 
-#: So many kinds of programs are kept, those used last. A compiled one of the flexible link takes about 460 regions of memory, of
+#: So many kinds of programs are kept, those used last. A compiled one of the flexible link takes about 500 regions of memory, of
 #: which Linux gives a process 65530: a process that diagnoses one recording after the other would die of them.
-KEPT = 80
+KEPT = 48
 _PROGRAMS: OrderedDict[Any, Programs] = OrderedDict()
 _LOCK = Lock()
 

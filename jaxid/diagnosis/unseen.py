@@ -270,7 +270,7 @@ class Looker:
         sizes, steps = [q.size for q in hiding], [q.step for q in hiding]
         kept: list[Match | None] = [None] * len(hiding)
         again = list(range(len(hiding)))
-        for _ in range(ROUNDS):
+        for _ in range(ROUNDS if hiding else 0):
             tried = [Match(self._with(self._sized(hiding[k].full, sizes[k])), self.z + sizes[k] * steps[k]) for k in again]
             self._retune(tried)
             for k, end in zip(again, tried, strict=True):
