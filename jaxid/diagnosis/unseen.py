@@ -40,6 +40,8 @@ MOST, ROUNDS, ITERATIONS, REACH, CHANGES = 20, 3, 16, 0.7, 5.0
 ENOUGH, FAILED, SECANTS = 0.9, 4, 6
 #: After so many trials it ends where what is left is this often what is told.
 HOPELESS = ((8, 10.0), (3, 100.0))
+#: A difference as large is that of a run that diverged.
+DIVERGED = 1e50
 
 
 @dataclass(frozen=True)
@@ -124,31 +126,33 @@ class Match:
     problem: Problem
     z: np.ndarray
     distance: float = np.inf
-    tried: list[tuple[np.ndarray, np.ndarray]] = field(default_factory=list)  # z and the difference there, the nearest first
+    tried: list[tuple[np.ndarray, np.ndarray]] = field(default_factory=list)  # z and the difference there: the nearest, the last
+    trials: int = 0
     failed: int = 0
 
     def take(self, z: np.ndarray, difference: np.ndarray) -> None:
-        distance = float(np.linalg.norm(difference))
-        if not np.isfinite(distance):
+        self.trials, distance = self.trials + 1, float(np.linalg.norm(difference))
+        if not distance < DIVERGED:
             self.failed = FAILED
             return
         self.failed = 0 if distance < ENOUGH * self.distance else self.failed + 1
         nearer = distance < self.distance
         self.tried.insert(0 if nearer else 1, (z, difference))
+        del self.tried[SECANTS + 1 :]
         if nearer:
             self.z, self.distance = z, distance
 
     @property
     def improving(self) -> bool:
         """Whether more re-tuning may help: neither as good as the same already, nor still far from it."""
-        limit = next((share for count, share in HOPELESS if len(self.tried) >= count), np.inf)
+        limit = next((share for count, share in HOPELESS if self.trials >= count), np.inf)
         return self.failed < FAILED and TOLD / 10 < self.distance < limit * TOLD
 
     def next(self, retuning: Retuning) -> np.ndarray:
         """What is left is made small along the secants first, and then along the slopes without the effect."""
         (z, rest), *others = self.tried
         if others:
-            way, change = (np.stack([o[k] - here for o in others[:SECANTS]], -1) for k, here in ((0, z), (1, rest)))
+            way, change = (np.stack([o[k] - here for o in others], -1) for k, here in ((0, z), (1, rest)))
             size = np.maximum(np.linalg.norm(change, axis=0), 1e-300)
             share = np.linalg.lstsq(change / size, -rest, rcond=1e-6)[0] / size
             z, rest = z + way @ share, rest + change @ share
@@ -216,7 +220,7 @@ class Looker:
         for k, (c, full) in enumerate(probes):
             change, small = (np.nan_to_num(found[i] - self.before, nan=1e100, posinf=1e100) for i in (k, k + len(probes)))
             stirred = float(np.linalg.norm(change))
-            if not stirred < 1e50:
+            if not stirred < DIVERGED:
                 continue
             rest_of = self.retuning.remaining(change)
             distance = float(np.linalg.norm(rest_of))
