@@ -165,7 +165,7 @@ def main() -> dict[str, Any]:
         "not named (after two controls of the servo, one of seed 28 and one of seed 29, which both gave way to seed 30); "
         "something small is looked for beside what was found (after pairs of the tracker of seed 28 and of the "
         "flexible link of seed 25, which gave way to seed 30); a single effect is `partly`, too, if it closes less than 97 % of "
-        "the gap of fit or report runs and leaves 1.5 times the noise (after a tracker on other motors, benchmarks/paper_gaps.py). "
+        "the gap of fit or report runs and leaves 1.5 times the noise (after a tracker on other motors: paper_gaps.py). "
         "Rows of seeds 16 and 17 are of earlier rules altogether. The planar arm swings freely and over the top, and a case "
         "of it that ends in `unknown` takes up to 25 minutes: not all of its outsiders were run, nor its weak effects and poor "
         "excitations. "
