@@ -30,8 +30,8 @@ from jaxid.samples import BLOCK, bucket, Record, Samples
 from jaxid.traced import key_of, Traced
 
 
-#: Lanes of one block: enough for vector code, few enough to stay in the cache.
-LANES = 32
+#: Lanes of one block: enough for vector code, few enough to stay in the cache; and of each block of a call that has few of them.
+LANES, FEW = 32, 16
 #: Upper bound of every delay parameter of the library.
 LONGEST_DELAY_S = 0.1
 #: `reach` of a run with equal steps: what depends on the step's length is worked out once.
@@ -177,7 +177,7 @@ class Programs(NamedTuple):
     outputs: Traced
     tangents: Traced
     losses: dict[Any, Any]
-    ready: dict[str, Future | None]  # which are there; those that another thread reads or compiles, as its task
+    ready: dict[tuple[str, int], Future | None]  # which are there, by width; those that another thread reads or compiles: its task
 
 
 #: So many kinds of programs are kept, those used last. A compiled one of the flexible link takes about 500 regions of memory, of
@@ -367,19 +367,20 @@ class Engine:
     def compile_ahead(self, name: str, theta: np.ndarray, free: Sequence[int] | np.ndarray) -> None:
         """Begins to compile `outputs` or `tangents` of where numbers equal theta but in `free`."""
         self._begin(name, self._could_work(theta, free), also_compile=True)
+        self._begin(name, self._could_work(theta, free), also_compile=False, width=FEW)
 
-    def _begin(self, name: str, kept: frozenset[str], also_compile: bool) -> None:
+    def _begin(self, name: str, kept: frozenset[str], also_compile: bool, width: int = LANES) -> None:
         """Has a program made ready by another thread, which runs it for no step; one that does not lie on disk only where
         `also_compile`."""
         programs, index = self._programs_of(kept)
-        if name in programs.ready:
+        if (name, width) in programs.ready:
             return
-        point = np.repeat(self._neutral[None, index], LANES, 0), np.zeros((LANES, 2 * self.layout.chain.nq))
+        point = np.repeat(self._neutral[None, index], width, 0), np.zeros((width, 2 * self.layout.chain.nq))
         along = (np.zeros_like(point[0]), point[1]) if name == "tangents" else ()
-        args = *point, *along, np.repeat(self.where[:1], LANES, 0), self.samples, np.int32(0)
+        args = *point, *along, np.repeat(self.where[:1], width, 0), self.samples, np.int32(0)
         program = getattr(programs, name)
         if also_compile or program.kept(*args):
-            programs.ready[name] = _COMPILERS.submit(in_float64, program, *args)
+            programs.ready[name, width] = _COMPILERS.submit(in_float64, program, *args)
 
     def _call(self, name: str, numbers, states, record: np.ndarray, share: float) -> list[np.ndarray]:
         results: list[np.ndarray] = []
@@ -393,6 +394,7 @@ class Engine:
     def _blocks(self, name: str, numbers, states, record: np.ndarray, share: float) -> Iterator[tuple[np.ndarray, tuple]]:
         """(lanes, their outputs and padding) block by block, a few blocks ahead of who takes them."""
         steps = np.ceil(self.steps[record] * share).astype(np.int32)
+        width = FEW if record.size <= FEW * min(2, os.cpu_count() or 1) else LANES  # the same bits, as measured
         jobs: list[Callable[[], tuple[np.ndarray, tuple]]] = []
         first: list[Callable[[], tuple[np.ndarray, tuple]]] = []
         for kept, lanes in self._at_work(numbers, record).items():
@@ -400,16 +402,16 @@ class Engine:
             program, own = getattr(programs, name), [a[:, index] for a in numbers]
             lanes = lanes[np.argsort(-steps[lanes], kind="stable")]  # longest first, so that a block holds lanes of like length
             blocks = [
-                partial(self._block, program, own, states, record, lanes[k : k + LANES], steps[lanes[k]])
-                for k in range(0, lanes.size, LANES)
+                partial(self._block, program, own, states, record, lanes[k : k + width], steps[lanes[k]], width)
+                for k in range(0, lanes.size, width)
             ]
-            if name not in programs.ready:
+            if (name, width) not in programs.ready:
                 first.append(blocks.pop(0))
-            elif (begun := programs.ready[name]) is not None:
+            elif (begun := programs.ready[name, width]) is not None:
                 waited = time.perf_counter()
                 begun.result()
                 self.compile_time_s += time.perf_counter() - waited
-            programs.ready[name] = None
+            programs.ready[name, width] = None
             jobs += blocks
         if first:  # the first call of a program compiles it
             began = time.perf_counter()
@@ -418,8 +420,8 @@ class Engine:
             yield from done
         yield from ahead(jobs)
 
-    def _block(self, program: Callable, numbers, states, record: np.ndarray, lanes: np.ndarray, steps: Any):
-        padded = np.concatenate([lanes, np.repeat(lanes[-1:], LANES - lanes.size)])
+    def _block(self, program: Callable, numbers, states, record: np.ndarray, lanes: np.ndarray, steps: Any, width: int):
+        padded = np.concatenate([lanes, np.repeat(lanes[-1:], width - lanes.size)])
         arrays = [a[padded] for pair in zip(numbers, states, strict=True) for a in pair]
         out = in_float64(program, *arrays, self.where[record[padded]], self.samples, steps)
         return lanes, tuple(np.asarray(o) for o in (out if isinstance(out, tuple) else (out,)))

@@ -101,7 +101,8 @@ def solve_dry(
         new = sweep(free, A, old[0])
         return count + 1, new, jnp.max(jnp.abs(diagonal * (new[0] - old[0])))
 
-    solved = jax.lax.while_loop(unsettled, again, (1, first, jnp.full((), jnp.inf)))[1]
+    change = jnp.max(jnp.abs(diagonal * (first[0] - lam)))  # none where all slide on as predicted
+    solved = jax.lax.while_loop(unsettled, again, (1, first, change))[1]
     if smoothing_velocity != 0:
         return solved
 
