@@ -158,7 +158,7 @@ def _read_parquet(file: str, content: bytes) -> Table:
     if not content:
         return _broken(file, None, "the file is empty", "Write a header row and samples")
     try:
-        table = pq.read_table(pa.BufferReader(content))
+        table = pq.ParquetFile(pa.BufferReader(content)).read()
         names = table.column_names
         repeated = next((n for n in names if names.count(n) > 1), None)
         if repeated is not None:
@@ -177,7 +177,10 @@ def _arrow_column(column: Any) -> Any:
 
     kind = column.type
     if pa.types.is_integer(kind) or pa.types.is_floating(kind):
-        return column.cast(pa.float64(), safe=False).to_numpy()
+        column = column.cast(pa.float64(), safe=False)
+        if column.null_count or not column.num_chunks:
+            return column.to_numpy()
+        return np.concatenate([np.from_dlpack(part) for part in column.chunks])  # `to_numpy` imports pandas, 0.2 s
     return column.to_pylist()
 
 

@@ -44,11 +44,14 @@ Lane = Callable[..., Array]
 
 def command_at(samples: Samples, k: Array, first: Array, last: Array, reach: int) -> Command:
     """Command of buffer step k of the run that occupies first ... last; `reach` as of `reach_of`."""
-    now, h = samples.t[k], samples.h[k]
+    mean = (samples.t[last] - samples.t[first]) / jnp.maximum(last - first, 1)
+    now, h = (samples.t[first] + (k - first) * mean, mean) if reach == EVEN else (samples.t[k], samples.h[k])
 
     def step_of(t: Array) -> Array:
         """Position of the step that holds each time [nu], none later than one step ahead."""
-        if reach <= 0:  # equal steps: by arithmetic, then one place to either side against rounding
+        if reach == EVEN:  # by arithmetic: where rounding takes a neighbour, the integral is the same
+            return jnp.clip(first + jnp.floor((t - samples.t[first]) / mean).astype(k.dtype), first, last)
+        if reach == 0:  # nearly so: one place to either side
             low = jnp.clip(k + jnp.floor((t - now) / h).astype(k.dtype), first, last)
             low = jnp.where(samples.t[low] > t, jnp.maximum(low - 1, first), low)
             up = jnp.minimum(low + 1, last)
@@ -64,7 +67,8 @@ def command_at(samples: Samples, k: Array, first: Array, last: Array, reach: int
         """Integral of the stated input from the run's beginning to times t [nu]; before the run the first input holds."""
         low = step_of(t)
         channel = jnp.arange(t.shape[0])
-        return samples.total[low, channel] + samples.u[low, channel] * (t - samples.t[low])
+        begin = samples.t[first] + (low - first) * mean if reach == EVEN else samples.t[low]
+        return samples.total[low, channel] + samples.u[low, channel] * (t - begin)
 
     delayed = lambda d: (integral(now + h - d) - integral(now - d)) / h
     return Command(now, h, samples.u[k], samples.other[k], delayed)
@@ -177,7 +181,7 @@ class Programs(NamedTuple):
     outputs: Traced
     tangents: Traced
     losses: dict[Any, Any]
-    ready: dict[tuple[str, int], Future | None]  # which are there, by width; those that another thread reads or compiles: its task
+    ready: dict[tuple[str, int], Future | None]  # which are there, by width; what another thread makes ready, as its task
 
 
 #: So many kinds of programs are kept, those used last. A compiled one of the flexible link takes about 500 regions of memory, of

@@ -315,8 +315,9 @@ FOUND: dict[str, dict[str, float]] = {
     "sensor_scale": {"gain": 0.03}, "sensor_lag": {"lag": 0.02}, "sensor_delay": {"delay": 0.008},
     "timestamp_jitter": {"spread": 0.01},
 }  # fmt: skip
-#: A free run has many local minima in these, or too little of its beginning tells of them: found again from a start nearby.
-NEAR = ("joint_elasticity", "backlash", "timestamp_jitter")
+#: A free run has many local minima in these, or too little of its beginning tells of them: found again from a start nearby
+#: (saturation from afar in 10 or 11 of 12 draws of the noise).
+NEAR = ("joint_elasticity", "backlash", "timestamp_jitter", "saturation")
 T_FIT = np.arange(201) * 0.01
 
 

@@ -14,6 +14,7 @@ import tomllib
 import zipfile
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 import jaxid
@@ -86,6 +87,15 @@ def test_import_loads_nothing_heavy():
     heavy = ("jax", "scipy", "matplotlib", "numpy", "pydantic", "pandas", "pyarrow", "rich", "jinja2")
     loaded = run(f"import sys, jaxid; print([m for m in {heavy!r} if m in sys.modules])")
     assert loaded == "[]"
+
+
+def test_a_recording_in_parquet_is_read_without_pandas(tmp_path):
+    """pyarrow imports it on the way to NumPy, which takes longer than reading the file."""
+    t = np.arange(50) / 100
+    data = jaxid.Dataset.from_arrays(t, {"tau": np.sin(t)}, {"q": t}, units={"tau": "N m", "q": "rad"}, model="pendulum")
+    jaxid.save_dataset(data, tmp_path / "data")
+    load = f"import sys, jaxid; d = jaxid.load_dataset({str(tmp_path / 'data')!r})"
+    assert run(f"{load}; print(d.experiments[0].y[-1, 0], 'pandas' in sys.modules)") == "0.49 False"
 
 
 def test_import_changes_no_setting():

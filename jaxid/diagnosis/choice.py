@@ -39,8 +39,10 @@ def joint_loss(h: Hypothesis) -> float:
 def significant(before: Hypothesis, after: Hypothesis) -> bool:
     """Whether the effects that `after` has beyond `before` are there: fit and validation runs together decide, by more where
     more is added (dozens of candidates are tried), and each of the two must agree."""
-    fitted = (before.fit_loss - after.fit_loss) * after.path.count / after.fit_inflation
     held = worth(after.validation, before.validation, inflation(after.validation))
+    if held <= 0:
+        return False
+    fitted = (before.fit_loss - after.fit_loss) * after.path.count / after.fit_inflation
     left = max(before.validation.loss - 1.0, 1e-12)
     share = (before.validation.loss - after.validation.loss) / left
     size, more = after.size - before.size, max(1, len(after.effects) - len(before.effects))
@@ -50,7 +52,7 @@ def significant(before: Hypothesis, after: Hypothesis) -> bool:
     # Where the fit runs are at the noise, evidence is exact, and the best of dozens of candidates reaches some by chance.
     chance = DECISIVE if after.fit_inflation < WHITE else 0.0
     enough = fitted > chance + 2 * size and fitted + held > 3 * more * DECISIVE + 2 * size
-    return held > 0 and share > GAIN and enough
+    return share > GAIN and enough
 
 
 def best(bench: Bench, before: Hypothesis, found: Sequence[Hypothesis]) -> Hypothesis | None:
@@ -64,17 +66,18 @@ def best(bench: Bench, before: Hypothesis, found: Sequence[Hypothesis]) -> Hypot
 
 def equals(bench: Bench, before: Hypothesis, found: Sequence[Hypothesis]) -> list[Hypothesis]:
     """Those of the refits that say more than `before` and that the best of them does not beat decisively."""
-    good = [h for h in found if significant(before, h)]
-    if not good:
-        return []
-    top = min(good, key=lambda h: h.validation.loss)
+    good = lambda h: significant(before, h)  # dear, so that it is asked last
     both = lambda h: h.path.count * np.log(h.fit_loss) + h.validation.count * np.log(h.validation.loss)
-    rival = min(good, key=both)
+    top = next(filter(good, sorted(found, key=lambda h: h.validation.loss)), None)
+    if top is None:
+        return []
+    rival = next(filter(good, sorted(found, key=both)))
     if rival.fit_loss < CONFLICT * top.fit_loss:
         top = rival
-        good = [h for h in good if CONFLICT * h.fit_loss < top.fit_loss]
+        found = [h for h in found if CONFLICT * h.fit_loss < top.fit_loss]
     factor = inflation(top.validation)
-    return [h for h in good if worth(top.validation, h.validation, factor) < DECISIVE or _simpler(bench, h, top)]
+    near = [h for h in found if worth(top.validation, h.validation, factor) < DECISIVE or _simpler(bench, h, top)]
+    return [h for h in near if good(h)]
 
 
 def _simpler(bench: Bench, h: Hypothesis, top: Hypothesis) -> bool:

@@ -20,6 +20,8 @@ from jaxid.problem import Problem
 COST = 2.0
 #: A way back that is shorter than this, in typical changes of a parameter, is not gone.
 NEAR = 1.0
+#: A path that leaves so many times what the best of them leaves is not moved: nothing comes of it.
+FAR = 10.0
 #: So many numbers are put back at most, those that are further away than this.
 TRIED, SHORT = 3, 0.1
 
@@ -27,7 +29,8 @@ TRIED, SHORT = 3, 0.1
 def brought_back(paths: Sequence[Path], theta: np.ndarray, index: Sequence[int]) -> list[Path]:
     """The paths; those whose data leave directions open are moved along them towards where the numbers at `index` are those of
     `theta`, if that costs nothing."""
-    moves = [_way_back(path, theta, index) for path in paths]
+    most = FAR * min((path.cost for path in paths), default=0.0)
+    moves = [_way_back(path, theta, index) if path.cost <= most else None for path in paths]
     moved = [k for k, move in enumerate(moves) if move is not None]
     jobs = [(paths[k].problem, np.clip(paths[k].z + moves[k], paths[k].problem.lower, paths[k].problem.upper)) for k in moved]
     out = list(paths)

@@ -304,11 +304,15 @@ class Searcher:
         The search itself stays on its steps: what finer ones add to the chosen hypothesis is taken off the data.
         """
         chosen = self._descended(chosen, THOROUGH if chosen.effects or chosen.fit_loss < FAR else BRIEF)
+        error = np.nan
         for _ in range(0 if self.by_torque else HALVINGS):
             p = self.accurate.problem(self.residual, "fit", chosen.path.problem.free, chosen.theta)
-            if step_error(p, self._z(p, chosen), (finer := self._halved()).runs(self.residual, "fit")) <= STEP_SHARE:
+            finer, before = replace(self.accurate, step=self.accurate.step / 2, defects={}), error
+            if (error := step_error(p, self._z(p, chosen), finer.runs(self.residual, "fit"))) <= STEP_SHARE:
                 break
             self.accurate = finer
+            if error * error <= STEP_SHARE / 2 * before:  # as it goes on falling, half of what is allowed is left
+                break
         if self.accurate is not self.bench:
             for _ in range(CORRECTIONS):
                 self._take_off(chosen)
@@ -333,9 +337,6 @@ class Searcher:
             return h
         self.known[key_of(h.effects)] = freed
         return freed
-
-    def _halved(self) -> Bench:
-        return replace(self.accurate, step=self.accurate.step / 2, defects={})
 
     def _z(self, p: Problem, h: Hypothesis) -> np.ndarray:
         return p.z(h.theta, h.path.problem.starts(h.path.z))
