@@ -1,5 +1,6 @@
 """Programs of the engine: a process that simulates model after model keeps those it used last."""
 
+import jax.numpy as jnp
 import numpy as np
 import pytest
 
@@ -29,7 +30,7 @@ def test_programs_do_not_pile_up(monkeypatch):
 def test_the_width_of_a_block_changes_no_bit(model):
     """A lane comes out the same in a call of few lanes and among many."""
     t = np.arange(200) / 200
-    chain = Chain(model(), [CoulombFriction(level=np.array(0.02)), InputDelay(delay=np.array(0.01))])
+    chain = Chain(model(), [CoulombFriction(level=jnp.asarray(0.02)), InputDelay(delay=jnp.asarray(0.01))])
     u = 0.3 * np.sin(7 * t)[:, None] * np.ones(len(chain.signature.inputs))
     run = Simulator(chain, t, u, step=5e-3)
     theta = np.tile(run.layout.values, (engine.LANES + 8, 1))
