@@ -142,7 +142,9 @@ def test_an_arm_thrown_over_the_top():
     )  # fmt: skip
     assert np.ptp(y[:, :, 0], axis=1).max() > 2 * np.pi
     d = jaxid.diagnose(None, data, effects=["torque_scale", "supply_droop", "back_emf", "torque_ripple", "sensor_bias"])
-    assert d.which.verdict == "named" and [str(e) for e in d.which.effects] == ["torque_scale at tau2"]
+    # A drive that gives 7 % more at one joint is one that gives 7 % less at the other, on an arm heavier by as much.
+    assert d.which.verdict == "named" and len(d.which.effects) == 1
+    assert {str(e) for e in (*d.which.effects, *d.which.confusable_with)} == {"torque_scale at tau1", "torque_scale at tau2"}
 
 
 @dataclasses.dataclass(frozen=True)
