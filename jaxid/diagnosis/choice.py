@@ -66,6 +66,7 @@ def best(bench: Bench, before: Hypothesis, found: Sequence[Hypothesis]) -> Hypot
 
 def equals(bench: Bench, before: Hypothesis, found: Sequence[Hypothesis]) -> list[Hypothesis]:
     """Those of the refits that say more than `before` and that the best of them does not beat decisively."""
+    found = [h for h in found if np.isfinite(h.fit_loss)]  # a run that diverges says nothing, and has no place in an order
     good = lambda h: significant(before, h)  # dear, so that it is asked last
     both = lambda h: h.path.count * np.log(h.fit_loss) + h.validation.count * np.log(h.validation.loss)
     top = next(filter(good, sorted(found, key=lambda h: h.validation.loss)), None)
