@@ -135,18 +135,19 @@ class OutputEffect(Effect):
     def __call__(self, y: Float[Array, " ny"], s: Signals, z: Any) -> tuple[Float[Array, " ny"], Any]: ...
 
     @abc.abstractmethod
-    def start(self, y: Float[Array, " ny"]) -> Any: ...
+    def start(self, y: Float[Array, " ny"], rate: Float[Array, " ny"]) -> Any:
+        """State where the outputs have run straight for long, up to y, with this rate of change."""
 
 
 class RecordEffect(Effect):
-    """Between sensor and file: (times [time], series [time ny], the step's length where all are equal) -> series. The motion
-    knows nothing of it."""
+    """Between sensor and file: (times [time], series [time ny], the step's length where all are equal, rate of change before the
+    series begins [ny]) -> series. The motion knows nothing of it."""
 
     location: ClassVar[str] = "output"
 
     @abc.abstractmethod
     def __call__(
-        self, t: Float[Array, " time"], y: Float[Array, "time ny"], h: Float[Array, ""] | None
+        self, t: Float[Array, " time"], y: Float[Array, "time ny"], h: Float[Array, ""] | None, rate: Float[Array, " ny"]
     ) -> Float[Array, "time ny"]: ...
 
 
@@ -288,7 +289,7 @@ class Chain(eqx.Module):
         prepared, where that has been done."""
         body = self.body().prepare(None) if body is None else body
         x = body.start(q, qd)
-        y = body.output(x, jnp.zeros_like(q), jnp.ones_like(q, bool)) if self.at(OutputEffect) else jnp.zeros(0)
+        y, rate = self.begins(body, q, qd) if self.at(OutputEffect) else (jnp.zeros(0), jnp.zeros(0))
         z = []
         for e in self.effects:
             if isinstance(e, InputEffect):
@@ -296,10 +297,20 @@ class Chain(eqx.Module):
             elif isinstance(e, JointEffect):
                 z.append(e.start(q))
             elif isinstance(e, OutputEffect):
-                z.append(e.start(y[: len(self.signature.outputs)]))
+                z.append(e.start(y, rate))
             else:
                 z.append(())
         return Carry(x, tuple(z), jnp.zeros_like(q), jnp.zeros_like(q))
+
+    def begins(
+        self, body: Mechanism, q: Float[Array, " nq"], qd: Float[Array, " nq"]
+    ) -> tuple[Float[Array, " ny"], Float[Array, " ny"]]:
+        """Outputs without effects of a run that begins at (q, qd) without acceleration, and their rate of change."""
+
+        def outputs(q: Float[Array, " nq"]) -> Float[Array, " ny"]:
+            return body.output(body.start(q, qd), jnp.zeros_like(q), jnp.ones_like(q, bool))[: len(self.signature.outputs)]
+
+        return jax.jvp(outputs, (q,), (qd,))
 
     def commanded(self, s: Signals, z: tuple) -> tuple[Float[Array, " nu"], tuple]:
         """Inputs after the input effects."""
@@ -382,11 +393,12 @@ class Chain(eqx.Module):
         return F, minus, plus, jax.jacfwd(lambda qd: law(qd)[0])(qd)
 
     def recorded(
-        self, t: Float[Array, " time"], y: Float[Array, "time ny"], h: Float[Array, ""] | None = None
+        self, t: Float[Array, " time"], y: Float[Array, "time ny"], h: Float[Array, ""] | None, rate: Float[Array, " ny"]
     ) -> Float[Array, "time ny"]:
-        """The sensors' series as the file holds it; times strictly increasing, by equal steps `h` where that is given."""
+        """The sensors' series as the file holds it; times strictly increasing, by equal steps `h` where that is given; `rate` of
+        change before the series begins."""
         for _, e in self.at(RecordEffect):
-            y = e(t, y, h)
+            y = e(t, y, h, rate)
         return y
 
     # ---- the same objects without integration

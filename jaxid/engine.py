@@ -112,7 +112,8 @@ def simulate_lane(
     y = _blocks_of(step, initial, steps, length, len(chain.signature.outputs))
     k = jnp.arange(length)
     beyond = jnp.maximum(begin + k - last, 0) * samples.h[last]  # the loop goes on to the end of its block, and so does time
-    return chain.recorded(samples.t[jnp.minimum(begin + k, last)] + beyond, y, samples.h[begin] if reach == EVEN else None)
+    times, even = samples.t[jnp.minimum(begin + k, last)] + beyond, samples.h[begin] if reach == EVEN else None
+    return chain.recorded(times, y, even, chain.begins(body, start[:nq], start[nq:])[1])
 
 
 def torque_lane(

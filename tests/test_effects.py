@@ -11,6 +11,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 from hypothesis import given, settings as limits, strategies as st
+from scipy.integrate import solve_ivp
 
 import jaxid
 import reference as ref
@@ -369,5 +370,22 @@ def test_delay_on_equal_steps_is_the_same_interpolation(steps, seed):
     t = 2.0 + 0.004 * np.arange(64)
     y = np.cumsum(np.random.default_rng(seed).normal(size=64))
     with jax.enable_x64(True):
-        by_search = sensor.interpolated(jnp.asarray(t), jnp.asarray(y), jnp.asarray(t - 0.004 * steps))
-        np.testing.assert_allclose(sensor.shifted(jnp.asarray(y), jnp.asarray(steps)), by_search, atol=1e-9)
+        by_search = sensor.interpolated(jnp.asarray(t), jnp.asarray(y), jnp.asarray(t - 0.004 * steps), jnp.asarray(0.7))
+        shifted = sensor.shifted(jnp.asarray(y), jnp.asarray(steps), jnp.asarray(0.7 * 0.004))
+        np.testing.assert_allclose(shifted, by_search, atol=1e-9)
+
+
+@pytest.mark.parametrize("effect", ["sensor_lag", "sensor_delay"])
+def test_a_sensor_that_is_late_in_a_run_that_begins_in_motion(effect):
+    """Before the run the signal ran straight, with the speed that it begins with."""
+    t, late, q0, v0 = np.arange(81) * 0.005, 0.03, 0.4, 2.5
+    swing = lambda t, x: [x[1], -0.9 * np.sin(x[0]) / 0.08, (x[0] - x[2]) / late]
+    found = solve_ivp(swing, (0, 0.4), [q0, v0, q0 - late * v0], dense_output=True, rtol=1e-11, atol=1e-12).sol
+    before = q0 + v0 * (t - late)
+    expected = found(t)[2] if effect == "sensor_lag" else np.where(t < late, before, found(np.maximum(t - late, 0.0))[0])
+
+    kind = next(e for e in LIBRARY if e.name == effect)
+    s = Simulator(Chain(Pendulum(), (), signature=Pendulum.signatures[0]).with_effects(kind()), t, np.zeros((81, 1)), 2e-4)
+    field = {"sensor_lag": "lag", "sensor_delay": "delay"}[effect]
+    values = {"inertia": 0.08, "gravity_torque": 0.9, f"{effect}.{field}@q": late}
+    assert relative(s.outputs([values], (q0, v0))[0], expected[:, None]) < 1e-6

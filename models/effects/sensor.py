@@ -24,7 +24,7 @@ class SensorBias(OutputEffect):
     bias: Array = param(0.0, -0.5 * ANGLE, 0.5 * ANGLE, scale=0.005 * ANGLE, unit="{y}", meaning="reading at zero")
     probes: ClassVar[tuple[dict[str, Quantity | float], ...]] = ({"bias": 0.02 * ANGLE},)
 
-    def start(self, y):
+    def start(self, y, rate):
         return ()
 
     def __call__(self, y, s, z):
@@ -42,7 +42,7 @@ class SensorScale(OutputEffect):
     gain: Array = param(0.0, -0.9, 2.0, scale=0.01, unit="1", meaning="share by which the sensor reads more")
     probes: ClassVar[tuple[dict[str, Quantity | float], ...]] = ({"gain": 0.03},)
 
-    def start(self, y):
+    def start(self, y, rate):
         return ()
 
     def __call__(self, y, s, z):
@@ -53,7 +53,7 @@ class SensorScale(OutputEffect):
 
 
 class SensorLag(OutputEffect):
-    """A sensor or filter of first order, exact for a signal that runs straight from step to step; settled at the start."""
+    """A sensor or filter of first order, exact for a signal that runs straight from step to step, also before the run."""
 
     name: ClassVar[str] = "sensor_lag"
     equation: ClassVar[str] = "lag dy'/dt = y - y'"
@@ -63,8 +63,8 @@ class SensorLag(OutputEffect):
     lag: Array = param(0.0, 0.0, 0.3, scale=0.003, unit="s", meaning="time constant of the sensor")
     probes: ClassVar[tuple[dict[str, Quantity | float], ...]] = ({"lag": 0.001}, {"lag": 0.006}, {"lag": 0.03})
 
-    def start(self, y):
-        return y, y, jnp.zeros_like(y)
+    def start(self, y, rate):
+        return y - self.lag * rate, y, jnp.zeros_like(y)
 
     def __call__(self, y, s, z):
         lagged, before, h = z  # reading and signal at the last step's beginning, and how long ago that was
@@ -72,7 +72,7 @@ class SensorLag(OutputEffect):
         lag, h = jnp.where(present, self.lag, 1.0), jnp.where(h > 0, h, 1.0) + 0 * y
         slope = jnp.where(z[2] > 0, (y - before) / h, 0.0)
         after = y - slope * lag + (lagged - before + slope * lag) * jnp.exp(-h / lag)
-        reading = jnp.where(present, jnp.where(z[2] > 0, after, y), y)
+        reading = jnp.where(present, jnp.where(z[2] > 0, after, y + (lagged - before)), y)
         return reading, (reading, y, s.h + 0 * y)
 
     def transfer(self, omega):
@@ -81,7 +81,7 @@ class SensorLag(OutputEffect):
 
 
 class SensorDelay(RecordEffect):
-    """A sensor or logger that is late; before the run it reads what it reads first.
+    """A sensor or logger that is late; before the run the signal ran straight, with the speed that it begins with.
 
     Taken from the simulated series by cubic interpolation, at any delay and sampling.
     """
@@ -99,9 +99,9 @@ class SensorDelay(RecordEffect):
         {"delay": 0.015},
     )
 
-    def __call__(self, t, y, h):
-        late = lambda column, d: interpolated(t, column, t - d) if h is None else shifted(column, d / h)
-        return jnp.where(self.delay > 0, jax.vmap(late, (1, 0), 1)(y, self.delay), y)
+    def __call__(self, t, y, h, rate):
+        late = lambda x, d, r: interpolated(t, x, t - d, r) if h is None else shifted(x, d / h, r * h)
+        return jnp.where(self.delay > 0, jax.vmap(late, (1, 0, 0), 1)(y, self.delay, rate), y)
 
     def transfer(self, omega):
         angle = omega[:, None] * self.delay
@@ -123,21 +123,26 @@ class TimestampJitter(RecordEffect):
     spread: Array = param(0.0, 0.0, 0.02, scale=0.001, unit="s", meaning="standard deviation of the time stamps")
     probes: ClassVar[tuple[dict[str, Quantity | float], ...]] = ({"spread": 0.003}, {"spread": 0.01})
 
-    def __call__(self, t, y, h):
+    def __call__(self, t, y, h, rate):
         h = jnp.diff(t)[:, None]
-        rate = jnp.diff(y, axis=0) / h
-        bend = 2 * jnp.diff(rate, axis=0) / (h[1:] + h[:-1])
+        slope = jnp.diff(y, axis=0) / h
+        bend = 2 * jnp.diff(slope, axis=0) / (h[1:] + h[:-1])
         return y.at[1:-1].add(self.spread**2 / 2 * bend)
 
 
-def interpolated(t: Float[Array, " time"], y: Float[Array, " time"], at: Float[Array, " n"]) -> Float[Array, " n"]:
-    """A series at other times through the four samples around each (Lagrange); the first value before it begins."""
+def interpolated(
+    t: Float[Array, " time"], y: Float[Array, " time"], at: Float[Array, " n"], rate: Float[Array, ""]
+) -> Float[Array, " n"]:
+    """A series at other times through the four samples around each (Lagrange); straight, with this rate, before it begins."""
     k = jnp.clip(jnp.searchsorted(t, at, side="right") - 2, 0, t.shape[0] - 4)
-    return jnp.where(at <= t[0], y[0], _cubic(at, [t[k + i] for i in range(4)], [y[k + i] for i in range(4)]))
+    return jnp.where(
+        at <= t[0], y[0] + rate * (at - t[0]), _cubic(at, [t[k + i] for i in range(4)], [y[k + i] for i in range(4)])
+    )
 
 
-def shifted(y: Float[Array, " time"], steps: Float[Array, ""]) -> Float[Array, " time"]:
-    """The same for a series by equal steps that is late by so many of them: four slices instead of a search for each sample."""
+def shifted(y: Float[Array, " time"], steps: Float[Array, ""], rise: Float[Array, ""]) -> Float[Array, " time"]:
+    """The same for a series by equal steps that is late by so many of them, and rose by `rise` in each before it began: four
+    slices instead of a search for each sample."""
     whole = jnp.floor(steps)
     part = 1 - (steps - whole)  # from the second of the four samples
     before, after = 4 * y[0] - 6 * y[1] + 4 * y[2] - y[3], 4 * y[-1] - 6 * y[-2] + 4 * y[-3] - y[-4]  # on the same cubic
@@ -145,7 +150,11 @@ def shifted(y: Float[Array, " time"], steps: Float[Array, ""]) -> Float[Array, "
     late = jnp.concatenate([jnp.full((n,), y[0]), y[:1], before[None], y, after[None]])
     begin = n - jnp.clip(whole, 0, n).astype(jnp.int32)
     window = jax.lax.dynamic_slice_in_dim(late, begin, n + 3)
-    return jnp.where(jnp.arange(n) <= steps, y[0], _cubic(part, (-1, 0, 1, 2), [window[i : i + n] for i in range(4)]))
+    return jnp.where(
+        jnp.arange(n) <= steps,
+        y[0] + rise * (jnp.arange(n) - steps),
+        _cubic(part, (-1, 0, 1, 2), [window[i : i + n] for i in range(4)]),
+    )
 
 
 def _cubic(at: Any, places: Sequence[Any], values: Sequence[Array]) -> Array:
