@@ -273,6 +273,9 @@ def test_a_fault_is_one_sentence_and_torque_is_off(tmp_path, fault, words):
         servo.close()
 
 
+COMMANDED = 150  # cycles of 10 ms before a fault
+
+
 def run_cli(servo: Emulator, folder: Path) -> subprocess.Popen:
     play = path(seconds=20.0)
     np.savetxt(folder / "path.csv", np.column_stack([play.t, play.values]), delimiter=",", header="t,current_cmd", comments="")
@@ -283,7 +286,7 @@ def run_cli(servo: Emulator, folder: Path) -> subprocess.Popen:
     process = subprocess.Popen(
         [*command, "--out", str(folder / "out")], stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True
     )
-    servo.wait_for(lambda log: len(writes(log, x.GOAL_CURRENT.address)) > before + 100)
+    servo.wait_for(lambda log: len(writes(log, x.GOAL_CURRENT.address)) > before + COMMANDED)
     return process
 
 
@@ -303,7 +306,8 @@ def test_the_end_of_the_recorder_stops_the_servo(servo, tmp_path, number):
     else:
         assert process.returncode == 130
     about = report(tmp_path / "out")
-    assert not about["complete"] and about["rows"] > 50
+    # rows go to disk every 0.5 s: SIGKILL takes what came since, with as much again for a machine that is busy
+    assert not about["complete"] and about["rows"] > COMMANDED - 100
 
 
 def test_the_end_of_the_driver_leaves_the_watchdog_of_the_servo(servo, tmp_path):
