@@ -17,6 +17,7 @@ import jaxid
 from jaxid import catalogue
 from jaxid.binding import bind
 from jaxid.diagnosis import growth, judge, upheld
+from jaxid.diagnosis.choice import outweighed
 from jaxid.diagnosis.evidence import held_out, HeldOut, inflation, knowledge, memory, shifted
 from jaxid.diagnosis.how_far import interval_of_further_run, shrink
 from jaxid.diagnosis.hypothesis import candidates, Hypothesis, Search
@@ -492,6 +493,20 @@ def test_several_effects_must_come_down_to_the_noise(several, left, verdict):
     """Three effects that leave three times the noise of two thousand come close to something else."""
     found, text = judge(Search(leaving(4e6, 4e6), leaving(left, left, "one", "two", "three"), several=several))
     assert found == verdict and "100 %" not in text
+
+
+@pytest.mark.parametrize(
+    "left, without, stands_in",
+    [
+        (1.05, 1.06, True),  # it explains 80 chi-square units, 270 beyond chance stay unexplained
+        (1.05, 1.11, False),  # most of what was left
+        (1.005, 1.012, False),  # what is left is chance
+        (1.4, 1.9, False),  # far from the noise: it was needed
+    ],
+)
+def test_a_small_effect_must_explain_more_than_it_leaves(left, without, stands_in):
+    """On an arm simulated with soft contacts a spring beside the inertia that was missing explained 81 units of 250."""
+    assert outweighed(leaving(left, left, "one", "two"), leaving(without, without, "one")) == stands_in
 
 
 @pytest.mark.parametrize("fit_loss, verdict", [(1.0, "named"), (2.0, "named"), (8.0, "named"), (15.5, "partly")])

@@ -97,7 +97,21 @@ def indistinct(chosen: Hypothesis, h: Hypothesis) -> bool:
     """Whether neither the validation runs nor these and the fit runs together tell `h` from the chosen hypothesis."""
     factor = inflation(chosen.validation)
     both = (joint_loss(h) - joint_loss(chosen)) * (chosen.path.count + chosen.validation.count) / factor
-    return worth(chosen.validation, h.validation, factor) < DECISIVE and both < 2 * DECISIVE
+    doubt = max(2 * DECISIVE, unexplained(chosen)) if joint_loss(h) < CLOSE_ABOVE else 2 * DECISIVE
+    return worth(chosen.validation, h.validation, factor) < DECISIVE and both < doubt
+
+
+def unexplained(h: Hypothesis) -> float:
+    """Chi-square units that a hypothesis leaves above the noise, beyond chance: the creep of a simulator's contacts, a stated
+    noise that is a little low, something that no effect here explains. Any of the effects may stand in for a part of it."""
+    count = h.path.count + h.validation.count
+    return float((joint_loss(h) - 1) * count - np.sqrt(2 * count))
+
+
+def outweighed(h: Hypothesis, without: Hypothesis) -> bool:
+    """Whether an effect beside others, next to the noise, explains less than what stays unexplained with it."""
+    gained = (joint_loss(without) - joint_loss(h)) * (h.path.count + h.validation.count)
+    return joint_loss(without) < CLOSE_ABOVE and gained < unexplained(h)
 
 
 def at_floor(h: Hypothesis) -> bool:

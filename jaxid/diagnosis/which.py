@@ -22,6 +22,7 @@ from jaxid.diagnosis.choice import (
     finished,
     indistinct,
     joint_loss,
+    outweighed,
     significant,
 )
 from jaxid.diagnosis.evidence import held_out, knowledge, together
@@ -185,12 +186,13 @@ class Searcher:
                 step = self._plainer(chosen, step, pool)
             step = self._at_all_joints(chosen, step, found, pool) if self.by_torque else self._exchanged(chosen, step, found)
             chosen = self._refined(step)
+        added = len(chosen.effects) > 1 and not self.by_torque
         chosen = self._questioned(chosen)
         if chosen.effects and not significant(self.nominal, chosen):  # a pair that came down to one
             chosen = self.nominal
         mates = self._alternatives(chosen, pool)
         plainest = min(mates.values(), key=lambda h: (h.size, joint_loss(h)), default=chosen)
-        if plainest.size < chosen.size and len(chosen.effects) > 1 and not self.by_torque:
+        if plainest.size < chosen.size and added:
             # a rich law chosen before the others were there
             chosen = self._questioned(plainest)
             mates = self._alternatives(chosen, pool)
@@ -403,8 +405,8 @@ class Searcher:
         return self.refit(sets)
 
     def _questioned(self, h: Hypothesis) -> Hypothesis:
-        """Takes out effects that are no longer needed beside the others, what one refines as well where there is none of it; the
-        smaller set gets every chance, starting from where the larger one ended."""
+        """Takes out effects that are no longer needed beside the others (or explain less than what stays unexplained), what one
+        refines as well where there is none of it; the smaller set gets every chance, starting from where the larger one ended."""
         while len(h.effects) > 1:
             sets = []
             for c in least_missed(h, self.bench.binding.theta) if self.by_torque else h.effects:
@@ -414,7 +416,7 @@ class Searcher:
                 theta[list(c.index)] = self.bench.binding.theta[list(c.index)]
                 sets.append((tuple(e for e in h.effects if e is not c), [theta]))
             smaller = self.refit(sets)
-            needless = [s for s in smaller if not significant(s, h)]
+            needless = [s for s in smaller if not significant(s, h) or (outweighed(h, s) and not self.by_torque)]
             if not needless:
                 return h
             h = min(needless, key=lambda s: s.validation.loss)
