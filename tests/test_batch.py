@@ -579,6 +579,30 @@ def test_schema(tmp_path, monkeypatch):
         Store(tmp_path / "other")
 
 
+def test_a_store_is_looked_at_as_it_was_at_one_time(tmp_path, monkeypatch):
+    """`--status` while the study makes its tables: what it reads first must not be older than what it reads last."""
+
+    class Slow:
+        def __init__(self, db):
+            self.db = db
+
+        def execute(self, text, *values):
+            if "sqlite_master" in text:  # here another process makes the tables, or has to wait
+                with contextlib.suppress(StoreError):
+                    Store(tmp_path).close()
+            return self.db.execute(text, *values)
+
+        def __getattr__(self, name):
+            return getattr(self.db, name)
+
+    sqlite3.connect(tmp_path / "study.sqlite").close()
+    connect = Store._connect
+    monkeypatch.setattr(stores, "BUSY_S", 0.05)
+    monkeypatch.setattr(Store, "_connect", lambda self: connect(self) if self.writable else Slow(connect(self)))
+    with pytest.raises(stores.NotBegun):
+        Store(tmp_path, writable=False)
+
+
 # ---- workers
 
 

@@ -122,9 +122,14 @@ class Store:
         return db
 
     def _check(self) -> None:
-        (found,) = self.db.execute("PRAGMA application_id").fetchone()
-        (version,) = self.db.execute("PRAGMA user_version").fetchone()
-        tables = self.db.execute("SELECT count(*) FROM sqlite_master").fetchone()[0]
+        self.db.execute("BEGIN")  # all as it was at one time: another process may be making the tables
+        try:
+            (found,) = self.db.execute("PRAGMA application_id").fetchone()
+            (version,) = self.db.execute("PRAGMA user_version").fetchone()
+            tables = self.db.execute("SELECT count(*) FROM sqlite_master").fetchone()[0]
+        finally:
+            if self.db.in_transaction:
+                self.db.execute("ROLLBACK")
         if tables and found != APPLICATION:
             raise StoreError(f"{self.path}: is not the store of a study; name another `store`")
         if version > SCHEMA:
