@@ -29,7 +29,7 @@ from jaxid.runtime import prepare  # noqa: E402
 
 prepare()
 
-from benchmarks.blind_cases import dataset, KINDS, STRENGTH, write_set  # noqa: E402
+from benchmarks.blind_cases import CONTROLS, dataset, KINDS, STRENGTH, write_set  # noqa: E402
 from benchmarks.twins import PLANTS  # noqa: E402
 from jaxid import catalogue  # noqa: E402
 from jaxid.api import diagnose, fit  # noqa: E402
@@ -130,7 +130,7 @@ def run(model: str, seed: int, kind: str, share: float, store: Path, sets: Path)
     key, more = json.loads((place / "key.json").read_text()), np.load(place / "later.npz")
     for k, case in enumerate(key):
         label = " + ".join(f"{e} at {p}" for e, p in case["effects"]) or "nothing"
-        if kind in ("control", "outsider"):  # several of a kind
+        if kind in (*CONTROLS, "outsider"):  # several of a kind
             label += f", {k}"
         if (k * 0.6180339887) % 1 >= share or (model, kind, label, seed) in done:
             continue
@@ -138,7 +138,8 @@ def run(model: str, seed: int, kind: str, share: float, store: Path, sets: Path)
         found, spent = answer(folder)
         case["effects"] = [(e, p) for e, p in case["effects"]]
         row = {"model": model, "kind": kind, "case": label, "seed": seed}
-        row |= score(case, found, *classes(model, tuple(case["without"]))) | {"cpu_s": spent}
+        alike = classes(model, tuple(case["without"])) if kind not in (*CONTROLS, "outsider") else ([], set())
+        row |= score(case, found, *alike) | {"cpu_s": spent}
         if kind in (*STRENGTH, "pair"):
             row["oracle"] = oracle(case, row, load_dataset(folder))
         if kind == "many" and row["interval"] and "timestamp_jitter" not in str(row["named"]):  # (readings then count otherwise)

@@ -2,8 +2,8 @@
 
 A set of cases is a folder: `case_NN/` holds a recording and question.json (model, and which of its effects it lacks), all that
 a diagnosis is told; key.json and later.npz (further runs of the same twins) are for the scorer alone. Recordings come from
-benchmarks/twins.py, which shares no code with the product; excitation, nominal parameters, joint and strength vary from case to
-case.
+benchmarks/twins.py or from MuJoCo (benchmarks/twins_mujoco.py), which share no code with the product; excitation, nominal
+parameters, joint and strength vary from case to case.
 """
 
 from __future__ import annotations
@@ -15,7 +15,8 @@ from typing import Any
 
 import numpy as np
 
-from benchmarks.twins import NEUTRAL, Plant, PLANTS, recorded
+from benchmarks import twins, twins_mujoco
+from benchmarks.twins import NEUTRAL, Plant, PLANTS
 from jaxid import catalogue
 from jaxid.chain import Chain
 from jaxid.dataset_io import save_dataset
@@ -32,8 +33,12 @@ KINDS = {
     "outsider": "an effect of no library",
     "pair": "two effects",
     "clutter": "ten small effects",
+    "mujoco": "one effect, medium, by MuJoCo",
+    "mujoco_control": "nothing missing, by MuJoCo",
 }
-STRENGTH = {"effect": 1.0, "strong": 3.0, "weak": 0.2, "poor": 1.0, "many": 1.0}
+STRENGTH = {"effect": 1.0, "strong": 3.0, "weak": 0.2, "poor": 1.0, "many": 1.0, "mujoco": 1.0}
+#: Cases of a model in which nothing is missing.
+CONTROLS = {"control": 25, "mujoco_control": 10}
 SPLITS = ("fit", "fit", "validation", "report")
 #: Runs of every twin of kind `many` that are recorded for the scorer alone (the others' report run is too short for an interval):
 #: so many that their own scatter hardly matters beside that of eight report runs.
@@ -163,11 +168,12 @@ def plan(model: str, seed: int, kinds: tuple[str, ...]) -> list[dict[str, Any]]:
     own_seed = lambda *words: np.random.default_rng([seed, zlib.crc32(" ".join((model, *words)).encode())])
     for kind in STRENGTH:
         for e in alone if kind in kinds else []:
-            if kind != "weak" or (e not in BUILTIN and e not in ("input_hold", "timestamp_jitter")):
+            there = kind != "mujoco" or twins_mujoco.expressed(model, e)
+            if there and (kind != "weak" or (e not in BUILTIN and e not in ("input_hold", "timestamp_jitter"))):
                 add(kind, [e], STRENGTH[kind], own_seed(kind, e))
-    if "control" in kinds:
-        for k in range(25):
-            add("control", [], 1.0, own_seed("control", str(k)))
+    for kind in CONTROLS:
+        for k in range(CONTROLS[kind] if kind in kinds else 0):
+            add(kind, [], 1.0, own_seed(kind, str(k)))
     if "outsider" in kinds:
         for k in range(25):
             rng = own_seed("outsider", str(k))
@@ -225,7 +231,8 @@ def recordings(cases: list[dict[str, Any]], seed: int) -> tuple[list[Dataset], n
     width, runs = plant.n, first + more
     column = lambda c, k: np.broadcast_to(np.asarray(c["numbers"].get(k, NEUTRAL.get(k, 0.0)), float), (width,))
     numbers = {k: np.repeat(np.array([column(c, k) for c in cases]), runs, 0) for k in keys}
-    y = recorded(plant, u, numbers, rng)
+    simulator = twins_mujoco if kind.startswith("mujoco") else twins
+    y = simulator.recorded(plant, u, numbers, rng)
     u, y = (x.reshape(len(cases), runs, *x.shape[1:]) for x in (u, y))
     return [dataset(plant, u[k, :first], y[k, :first], splits) for k in range(len(cases))], u[:, first:], y[:, first:]
 

@@ -6,7 +6,8 @@ import numpy as np
 import pytest
 
 import reference as ref
-from benchmarks import diffrax_reference, recovery, run_all, twins
+from benchmarks import diffrax_reference, recovery, run_all, twins, twins_mujoco
+from benchmarks.blind_cases import commands
 from jaxid.models import Pendulum, PlanarArm
 
 
@@ -67,6 +68,24 @@ def test_the_arms_twin_is_as_good_as_its_noise():
     q, _ = ref.simulate(ref.planar_arm(), ref.Truth(**friction), t, u)
     assert np.ptp(q, axis=0).min() > 0.5 and np.abs(y - q).max() < 0.3 * plant.noise
     assert np.abs(soft - q).max() < 0.02  # the other joint's dry friction reaches the link behind the spring
+
+
+@pytest.mark.parametrize("model", twins_mujoco.PLANTS)
+def test_the_twins_of_mujoco_are_the_same_machines(model):
+    """For 1.5 s, with what MuJoCo has itself and what is set anew before every step; the arm swings over the top."""
+    plant = twins.PLANTS[model]
+    u = commands(plant, np.random.default_rng(4), 1)[:, : int(1.5 * plant.rate)]
+    own = {"payload": 0.05, "spring": 0.03, "reflected": 0.002, "tilt": 0.02, "load": 0.1, "drag": 0.002, "dry_asymmetry": 0.005}
+    own |= {"ripple": 0.02, "ripple_order": 6.0, "dead_zone": 0.02, "lag": 0.01, "droop": 0.02}
+    if model in ("joint", "tracker"):
+        own |= {"payload": 0.0, "tilt": 0.0}  # no gravity; payloads of the tracker are of its barrel alone
+    p = {k: np.full((1, plant.n), float(x)) for k, x in (twins.NEUTRAL | own).items()}
+    p |= {k: np.array([x]) for k, x in plant.nominal.items()}
+    fast, slow = round(1 / plant.rate / twins_mujoco.STEP), round(1 / plant.rate / plant.step)
+    h = 1 / plant.rate / fast
+    q = twins_mujoco.simulated(plant, twins.fine(u, p, fast, h)[0], {k: x[0] for k, x in p.items()}, h)[::fast]
+    reference = twins.rigid(plant, u, p, slow, plant.step)[0, ::slow]
+    assert np.ptp(reference, 0).min() > 0.1 and np.abs(q - reference).max() < 5 * plant.noise
 
 
 def test_results_are_written_from_what_was_kept(tmp_path, monkeypatch):

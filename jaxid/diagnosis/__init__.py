@@ -12,7 +12,7 @@ import numpy as np
 from jaxid import catalogue
 from jaxid.binding import bind, Binding, JITTER, resolve_model
 from jaxid.diagnosis import how_far as shrinking, timing, where as location
-from jaxid.diagnosis.choice import WHITE
+from jaxid.diagnosis.choice import ALIKE, WHITE
 from jaxid.diagnosis.evidence import held_out, inflation, knowledge, worth
 from jaxid.diagnosis.hypothesis import Candidate, candidates, Hypothesis, Search
 from jaxid.diagnosis.next_experiment import advice, rivals_of
@@ -148,7 +148,8 @@ def _diagnosed(question: Question, scatter: timing.Scatter | None = None) -> tup
     if named and binding.experiments("report"):
         judged, judged_text = verdict, text
         verdict, text = upheld(verdict, text, how_far.gap_retuned, how_far.gap_after, search.several)
-        if verdict != judged:  # unless the model follows the fit runs, and what they leave open can account for it
+        # Unless the model follows the fit runs and what they leave open can account for it, where it is not better without.
+        if verdict != judged and how_far.gap_retuned > SEEN:
             told = [knowledge(h.path) for h in (search.nominal, final)]
             seen = held_out(
                 bench,
@@ -168,6 +169,8 @@ def _diagnosed(question: Question, scatter: timing.Scatter | None = None) -> tup
         if verdict == "unknown":
             named, final = (), search.nominal
             how_far = measure(final.theta)
+            verdict, plain = judge(Search(final, final))
+            text = f"{plain} {text}" if verdict == "none" else text  # the gap was one next to the noise
     estimates = _effect_estimates(binding, final, named)
     final_fit = _fit(bench, final, residual, seed, compile_time, time.perf_counter() - began)
     mates = search.confusable if named else []
@@ -299,12 +302,12 @@ def judge(search: Search) -> tuple[str, str]:
 def upheld(verdict: str, text: str, retuned: float, after: float, several: bool = False) -> tuple[str, str]:
     """A verdict and its sentence once the report data have been seen, where the model re-tuned and the one with the effects leave
     so many times the noise (`several` of them). They choose nothing, but what does not hold on them is not claimed."""
-    if retuned <= SEEN:
-        return verdict, text
     closed = shrinking.shrink(retuned**2, after**2)
+    if retuned <= SEEN and after**2 <= ALIKE * retuned**2:
+        return verdict, text
     if closed <= 0:
         return "unknown", (
-            f"{text} On the report data that model is {after:.3g} times the noise away, {retuned:.3g} without: nothing claimed."
+            f"{text} On the report data that model is {after:.3g} times the noise away, {retuned:.3g} without: it is not claimed."
         )
     if verdict == "named" and several and after > LEFT:
         return "partly", f"{text} On the report data {after:.3g} times the noise is left."

@@ -28,6 +28,10 @@ WHITE = 1.5
 EXPLAINED, OVERWHELMING = 1.1, 200.0
 #: Nothing worth another effect is left below the first (mean square); below the second something small may be.
 NEAR_FLOOR, CLOSE_ABOVE = 1.02, 1.5
+#: Two simulations of one law differ by so much of what it does (half a percent of its size, in mean square).
+FORM = 3e-5
+#: A hypothesis that explains so much of what another one explains is as good, where both are at the noise.
+NEARLY_ALL = 0.99
 
 
 def joint_loss(h: Hypothesis) -> float:
@@ -77,20 +81,26 @@ def equals(bench: Bench, before: Hypothesis, found: Sequence[Hypothesis]) -> lis
         top = rival
         found = [h for h in found if CONFLICT * h.fit_loss < top.fit_loss]
     factor = inflation(top.validation)
-    near = [h for h in found if worth(top.validation, h.validation, factor) < DECISIVE or _simpler(bench, h, top)]
+    near = [h for h in found if worth(top.validation, h.validation, factor) < DECISIVE or simpler(bench, before, h, top)]
     return [h for h in near if good(h)]
 
 
-def _simpler(bench: Bench, h: Hypothesis, top: Hypothesis) -> bool:
-    """Whether `h` has a law of fewer numbers in the same place, of the same kind or where the larger law ended at a bound (as
-    another one's limit), and leaves next to nothing more."""
+def simpler(bench: Bench, before: Hypothesis, h: Hypothesis, top: Hypothesis) -> bool:
+    """Whether `h` has fewer numbers and leaves next to nothing more than `top`: a part of its effects, or others that explain all
+    but a hundredth of what it does; or a law in the same place, of the same kind or where the larger law ended at a bound (as
+    another one's limit)."""
+    if h.size >= top.size or h.validation.loss >= ALIKE * max(1.0, top.validation.loss):
+        return False
+    if joint_loss(h) < ALIKE * max(1.0, joint_loss(top)):
+        explained = lambda x: joint_loss(before) - joint_loss(x)
+        if set(h.effects) < set(top.effects) or explained(h) > NEARLY_ALL * explained(top):
+            return True
     place = lambda h: (h.effects[-1].location, h.effects[:-1])
     kind = lambda h: family_of(bench, h.effects[-1])
     p = top.path.problem
     own = np.flatnonzero(np.isin(p.free, top.effects[-1].index))
     at_bound = np.any((top.path.z[own] <= p.lower[own]) | (top.path.z[own] >= p.upper[own]))
-    alike = place(h) == place(top) and (kind(h) == kind(top) or at_bound)
-    return bool(h.size < top.size and alike and h.validation.loss < ALIKE * max(1.0, top.validation.loss))
+    return bool(place(h) == place(top) and (kind(h) == kind(top) or at_bound))
 
 
 def indistinct(chosen: Hypothesis, h: Hypothesis) -> bool:
@@ -108,10 +118,12 @@ def unexplained(h: Hypothesis) -> float:
     return float((joint_loss(h) - 1) * count - np.sqrt(2 * count))
 
 
-def outweighed(h: Hypothesis, without: Hypothesis) -> bool:
-    """Whether an effect beside others, next to the noise, explains less than what stays unexplained with it."""
-    gained = (joint_loss(without) - joint_loss(h)) * (h.path.count + h.validation.count)
-    return joint_loss(without) < CLOSE_ABOVE and gained < unexplained(h)
+def outweighed(nominal: Hypothesis, h: Hypothesis, without: Hypothesis) -> bool:
+    """Whether an effect beside others, next to the noise, explains less than what stays unexplained with it, or so little that
+    the noise itself is not known as well, nor the exact form of the others' laws."""
+    gained = joint_loss(without) - joint_loss(h)
+    little = gained < max((ALIKE - 1) * joint_loss(h), FORM * (joint_loss(nominal) - joint_loss(h)))
+    return joint_loss(without) < CLOSE_ABOVE and (little or gained * (h.path.count + h.validation.count) < unexplained(h))
 
 
 def at_floor(h: Hypothesis) -> bool:

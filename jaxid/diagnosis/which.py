@@ -16,6 +16,7 @@ from jaxid.diagnosis.choice import (
     ALIKE,
     at_floor,
     best,
+    CLOSE_ABOVE,
     close_to_noise,
     CONFLICT,
     equals,
@@ -405,8 +406,9 @@ class Searcher:
         return self.refit(sets)
 
     def _questioned(self, h: Hypothesis) -> Hypothesis:
-        """Takes out effects that are no longer needed beside the others (or explain less than what stays unexplained), what one
-        refines as well where there is none of it; the smaller set gets every chance, starting from where the larger one ended."""
+        """Takes out effects that are no longer needed beside the others (or explain less than what stays unexplained, or nothing
+        of the report data), what one refines as well where there is none of it; the smaller set gets every chance, starting from
+        where the larger one ended."""
         while len(h.effects) > 1:
             sets = []
             for c in least_missed(h, self.bench.binding.theta) if self.by_torque else h.effects:
@@ -416,11 +418,20 @@ class Searcher:
                 theta[list(c.index)] = self.bench.binding.theta[list(c.index)]
                 sets.append((tuple(e for e in h.effects if e is not c), [theta]))
             smaller = self.refit(sets)
-            needless = [s for s in smaller if not significant(s, h) or (outweighed(h, s) and not self.by_torque)]
+            needless = [s for s in smaller if not significant(s, h) or (outweighed(self.nominal, h, s) and not self.by_torque)]
+            needless = needless or self._not_borne_out(h, smaller)
             if not needless:
                 return h
             h = min(needless, key=lambda s: s.validation.loss)
         return h
+
+    def _not_borne_out(self, h: Hypothesis, smaller: Sequence[Hypothesis]) -> list[Hypothesis]:
+        """Those of smaller sets close to the noise that predict the report data as well: what these do not show is no claim."""
+        close = [s for s in smaller if joint_loss(s) < CLOSE_ABOVE]
+        if not close or self.by_torque or not self.bench.binding.experiments("report"):
+            return []
+        whole, *parts = held_out(self.bench, "report", [x.theta for x in (h, *close)], self.residual)
+        return [s for s, part in zip(close, parts, strict=True) if part.gap <= whole.gap]
 
     def _alternatives(self, chosen: Hypothesis, pool: Sequence[Candidate]) -> dict[Candidate, Hypothesis]:
         """What the data cannot tell from the named effects: other effects in the place of each, the others kept."""
