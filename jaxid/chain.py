@@ -278,8 +278,8 @@ class Chain(eqx.Module):
         """Whether any effect remembers something between steps."""
         key = jax.tree.structure(self)
         if key not in _REMEMBERING:
-            zero, u = jnp.zeros(self.nq), jnp.zeros(len(self.signature.inputs))
-            _REMEMBERING[key] = bool(jax.tree.leaves(jax.eval_shape(lambda: self.start(zero, zero, u).z)))
+            q, u, y = (jnp.zeros(n) for n in (self.nq, len(self.signature.inputs), len(self.signature.outputs)))
+            _REMEMBERING[key] = bool(jax.tree.leaves(jax.eval_shape(lambda: self._states(q, u, y, y))))
         return _REMEMBERING[key]
 
     def start(
@@ -290,6 +290,10 @@ class Chain(eqx.Module):
         body = self.body().prepare(None) if body is None else body
         x = body.start(q, qd)
         y, rate = self.begins(body, q, qd) if self.at(OutputEffect) else (jnp.zeros(0), jnp.zeros(0))
+        return Carry(x, self._states(q, u, y, rate), jnp.zeros_like(q), jnp.zeros_like(q))
+
+    def _states(self, q: Float[Array, " nq"], u: Float[Array, " nu"], y: Float[Array, " ny"], rate: Float[Array, " ny"]) -> tuple:
+        """States of the effects at the beginning of such a run; () for one that has none."""
         z = []
         for e in self.effects:
             if isinstance(e, InputEffect):
@@ -300,7 +304,7 @@ class Chain(eqx.Module):
                 z.append(e.start(y, rate))
             else:
                 z.append(())
-        return Carry(x, tuple(z), jnp.zeros_like(q), jnp.zeros_like(q))
+        return tuple(z)
 
     def begins(
         self, body: Mechanism, q: Float[Array, " nq"], qd: Float[Array, " nq"]
