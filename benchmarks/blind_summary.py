@@ -59,6 +59,10 @@ def main() -> dict[str, Any]:
         ("a wrong name outside the set, medium", "at most 2 %", single, lambda r: r["wrong"]),
         ("place right, of single names", "at least 97 %", alone, placed),
         ("a name where nothing is missing", "at most 2 %", of.get("control", []), lambda r: bool(r["named"])),
+        ("class right, by MuJoCo", "", of.get("mujoco", []), right),
+        ("truth in the reported set, by MuJoCo", "", of.get("mujoco", []), lambda r: r["in_set"]),
+        ("a wrong name outside the set, by MuJoCo", "", of.get("mujoco", []), lambda r: r["wrong"]),
+        ("a name where nothing is missing, by MuJoCo", "", of.get("mujoco_control", []), lambda r: bool(r["named"])),
         ("an effect of no library `named`", "at most 3 %", of.get("outsider", []), lambda r: r["verdict"] == "named"),
         ("both of two effects named", "at least 70 %", pairs, lambda r: r["right"]),
         ("both of two effects in the set", "at least 90 %", pairs, lambda r: r["in_set"]),
@@ -86,7 +90,8 @@ def main() -> dict[str, Any]:
         "model. The told fit knows what is missing and where; of "
         f"{len(with_oracle)} of its fits {len(with_oracle) - len(fair)} closed less than half of the gap (a local minimum, or a "
         "law that slow steps do not determine) and are left out of the comparison. Further runs: forty commands more to the "
-        "same twin, for cases with eight report runs. Of the "
+        "same twin, for cases with eight report runs. Cases by MuJoCo: another simulator's own dry friction, play and multibody "
+        "dynamics, for the plants and effects that it has. Of the "
         f"{len(missed)} pairs that are not in the set {sum(r['after'] < 1.1 for r in missed)} leave less than 1.1 times the "
         "noise on report data with what was named: the model's numbers, or the law that was named, take most of the other effect "
         "in.\n\n"

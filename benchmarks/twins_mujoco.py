@@ -8,6 +8,7 @@ drive does to the command, dry friction that depends on speed, load or position,
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from math import copysign, cos, exp, pi, sin, sqrt
 from typing import Any
 
@@ -95,7 +96,7 @@ def machine(plant: Plant, p: Own, h: float) -> str:
     )
 
 
-def _inertial(mass: float, at: tuple[float, float, float], diagonal: tuple[float, float, float]) -> str:
+def _inertial(mass: float, at: tuple[float, float, float], diagonal: Sequence[float]) -> str:
     place, own = " ".join(map(repr, at)), " ".join(map(repr, diagonal))
     return f'<inertial mass="{mass!r}" pos="{place}" diaginertia="{own}"/>'
 

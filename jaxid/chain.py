@@ -275,11 +275,12 @@ class Chain(eqx.Module):
         return mechanism
 
     def has_states(self) -> bool:
-        """Whether any effect remembers something between steps."""
+        """Whether anything remembers between steps: an effect, or the mechanism beside its joints' positions and velocities."""
         key = jax.tree.structure(self)
         if key not in _REMEMBERING:
             q, u, y = (jnp.zeros(n) for n in (self.nq, len(self.signature.inputs), len(self.signature.outputs)))
-            _REMEMBERING[key] = bool(jax.tree.leaves(jax.eval_shape(lambda: self._states(q, u, y, y))))
+            states, body = jax.eval_shape(lambda: (self._states(q, u, y, y), self.body()))
+            _REMEMBERING[key] = bool(jax.tree.leaves(states)) or body.hidden_states
         return _REMEMBERING[key]
 
     def start(

@@ -95,6 +95,9 @@ class WithInertia(Mechanism):
     def start(self, q, qd):
         return self.inner.start(q, qd), jnp.zeros_like(q)
 
+    def follow(self, x, q, qd):
+        return self.inner.follow(x[0], q, qd), x[1]
+
     def port(self, x):
         return self.inner.port(x[0])
 
@@ -189,6 +192,12 @@ class Compliant(Mechanism):
             t = self.base.inverse(link, still, still)
             link = q - jnp.where(self.present, self.compliance * t + jnp.sign(t) * self.play / 2, 0.0)
         return self.inner.start(link, qd), q, qd, jnp.where(self.present, self.base.inverse(link, still, still), 0.0)
+
+    def follow(self, x, q, qd):
+        """The motors turn with the measured motion; links behind a spring stay where they are."""
+        link, dlink = self.inner.port(x[0])
+        there = lambda motor, link: jnp.where(self.present, link, motor)
+        return self.inner.follow(x[0], there(q, link), there(qd, dlink)), q, qd, x[3]
 
     def port(self, x):
         return x[1], x[2]

@@ -13,7 +13,7 @@ from jaxid.experiment import Dataset, Experiment
 TAIL = 0.3
 GUARD_SAMPLES, GUARD_S = 20, 0.1
 #: What a later part knows of the samples before it, by time and at most so many: an effect that remembers starts from them.
-PAST_S, PAST_SAMPLES = 1.0, 500
+PAST_S, PAST_SAMPLES = 2.0, 1000
 
 
 def with_splits(dataset: Dataset) -> Dataset:

@@ -87,6 +87,10 @@ class Mechanism(eqx.Module):
     def start(self, q: Float[Array, " nq"], qd: Float[Array, " nq"]) -> Any:
         """State x with these joint positions and velocities."""
 
+    def follow(self, x: Any, q: Float[Array, " nq"], qd: Float[Array, " nq"]) -> Any:
+        """State x with its joints moved to these positions and velocities; what the state holds besides stays as it is."""
+        return self.start(q, qd)
+
     @abc.abstractmethod
     def port(self, x: Any) -> tuple[Float[Array, " nq"], Float[Array, " nq"]]:
         """Joint positions and velocities of a state."""

@@ -18,6 +18,7 @@ import numpy as np
 
 from jaxid import samples as recorded
 from jaxid.chain import Chain
+from jaxid.dataset_splits import PAST_SAMPLES
 from jaxid.engine import Engine, Lane, simulate_lane, torque_lane
 from jaxid.errors import UsageError
 from jaxid.experiment import Dataset, Experiment
@@ -242,7 +243,7 @@ def _record(number: int, e: Experiment, p: np.ndarray, a: int, b: int, dataset: 
                         target[j], known[j] = e.initial[key], False
     lead = 0
     if burn and a > 0:
-        lead = int(p[a] - p[max(0, a - 500)])
+        lead = int(p[a] - p[max(0, a - PAST_SAMPLES)])
     return Record(number, int(p[a]), int(p[b - 1] - p[a] + 1), int(p[0]), int(p[-1]), lead, q0, qd0, free, p[a:b])
 
 

@@ -47,7 +47,11 @@ def covariance(problem: Problem, z: np.ndarray) -> Covariance:
     parts: list[Part] = []
     scores: list[tuple[list[int], np.ndarray]] = []
     series: list[np.ndarray] = []
+    broken = np.zeros(n, bool)
     for part in rows([(problem.precise(), z)]):
+        finite = np.isfinite(part.J).all((0, 1))  # a derivative that a run leaves undefined tells nothing
+        broken[np.array(part.z_columns, int)[~finite]] = True
+        part = part._replace(J=np.where(finite, part.J, 0.0))
         J = part.J.reshape(part.r.size, len(part.z_columns))
         index = np.ix_(part.z_columns, part.z_columns)
         H[index] += J.T @ J
@@ -61,7 +65,7 @@ def covariance(problem: Problem, z: np.ndarray) -> Covariance:
 
     scale = np.sqrt(np.maximum(np.diag(H), 1e-300))
     scaled = H / scale / scale[:, None]
-    blind = np.diag(H) <= 1e-300  # no sample reacts to it
+    blind = (np.diag(H) <= 1e-300) | broken  # no sample reacts to it
     inside = ~(at_bound & (np.arange(n) < problem.free.size)) & ~blind
     identifiable, groups = _null_directions(scaled, inside)  # what stands at a bound is known there: it frees the others
     if (at_bound & ~blind).any():

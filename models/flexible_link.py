@@ -112,6 +112,9 @@ class FlexibleLink(Mechanism):
         still = jnp.zeros(self._parts()[0].squares.shape)
         return q, qd, still, still
 
+    def follow(self, x, q, qd):
+        return q, qd, *x[2:]
+
     def port(self, x):
         return x[0], x[1]
 

@@ -76,14 +76,14 @@ def test_parts_know_what_went_before_them():
     fit, validation, report = whole.with_splits().experiments
     assert fit.past is None and fit.whole is fit
     source = whole.experiments[0]
-    for part in (validation, report):  # a second of the recording, whichever part it went to
-        assert part.past is not None and len(part.past) == 100
+    for part in (validation, report):  # two seconds of the recording, whichever part they went to
+        assert part.past is not None and len(part.past) == 200
         first = int(np.searchsorted(source.t, part.t[0]))
-        np.testing.assert_array_equal(part.whole.t, source.t[first - 100 : first + len(part)])
-        np.testing.assert_array_equal(part.whole.y, source.y[first - 100 : first + len(part)])
+        np.testing.assert_array_equal(part.whole.t, source.t[first - 200 : first + len(part)])
+        np.testing.assert_array_equal(part.whole.y, source.y[first - 200 : first + len(part)])
     assert validation.piece(10, 100, name="n", split="fit").past is None  # unless it is asked for
     fast = dataset_of(run(20_000, "fit", dt=1e-4)).with_splits().experiments[1]
-    assert fast.past is not None and len(fast.past) == 500
+    assert fast.past is not None and len(fast.past) == 1000
 
 
 def test_short_runs_stay_whole_and_the_note_says_so():

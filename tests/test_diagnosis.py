@@ -533,7 +533,9 @@ def test_what_is_named_closes_the_gap_of_the_fit_runs_too(fit_loss, verdict):
         (10.0, 1.0, "named"),
         (10.0, 8.0, "partly"),
         (10.0, 12.0, "unknown"),
-        (1.1, 1.105, "named"),
+        (1.1, 1.05, "named"),
+        (1.1, 1.105, "unknown"),
+        (1.0, 1.005, "named"),  # nothing to be seen there
         (1.07, 1.33, "unknown"),
         (100.0, 40.0, "partly"),
         (100.0, 9.0, "named"),

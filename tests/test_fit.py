@@ -3,12 +3,17 @@
 from __future__ import annotations
 
 import dataclasses
+import sys
 import time
+from pathlib import Path
+from typing import Any, cast
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from scipy.integrate import solve_ivp
+from scipy.interpolate import CubicSpline
 
 import jaxid
 import reference as ref
@@ -16,8 +21,14 @@ from jaxid.binding import bind
 from jaxid.estimation import Bench
 from jaxid.experiment import ModelSpec, ParameterPrior
 from jaxid.fitters import DifferentialEvolution, FITTERS, LevenbergMarquardt
+from jaxid.objective import FunctionProblem
 from jaxid.problem import PENALTY, rows
 from jaxid.residual import OutputError
+from jaxid.uncertainty import covariance
+
+
+sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
+from benchmarks import twins  # noqa: E402
 
 
 NOISE = 1e-3
@@ -321,3 +332,49 @@ def test_a_part_cut_from_a_run_starts_with_what_effects_remember():
     blind = [dataclasses.replace(e, past=None) for e in data.with_splits().experiments]
     without = jaxid.fit(None, dataclasses.replace(data, experiments=tuple(blind)), effects=["actuator_lag"])
     assert without.scores["validation"]["q"].rmse > 100 * noise  # the test sees the difference
+
+
+def cut_in_time(q: np.ndarray, u: np.ndarray, t: np.ndarray, noise: float, effect: str) -> jaxid.Fit:
+    """A pendulum's one recording from rest, of which the last third is kept for validation and report."""
+    data = jaxid.Dataset.from_arrays(
+        t, {"tau": u[:, 0]}, {"q": ref.measured(q, noise, 1)}, at_rest=True, noise_std={"q": noise}, model="pendulum"
+    )
+    return jaxid.fit(None, data, effects=[effect])
+
+
+def test_a_part_cut_from_a_run_starts_before_its_sensor():
+    """What was measured has gone through the sensor already: taken for the motion, it would be late twice."""
+    t, lag, noise = np.arange(1001) * 0.005, 0.02, 1e-4
+    u = ref.multisine(t, [0.5], 3, periods=3, lines=8)
+    u[:20] = 0.0
+    q, _ = ref.simulate(ref.pendulum(0.06, 0.9), ref.Truth(viscous=0.03, coulomb=0.04), t, u)
+    motion = CubicSpline(t, q[:, 0])
+    read = solve_ivp(lambda t, y: (motion(t) - y) / lag, (0, t[-1]), [0.0], t_eval=t, rtol=1e-9, atol=1e-10, max_step=0.005).y[0]
+    found = cut_in_time(read, u, t, noise, "sensor_lag")
+    assert found.effects[0].parameters["lag"].value == pytest.approx(lag, rel=0.02)
+    assert found.scores["fit"]["q"].rmse < 1.1 * noise
+    assert all(found.scores[split]["q"].rmse < 20 * noise for split in ("validation", "report"))  # 4500 where it is late twice
+
+
+def test_a_part_cut_from_a_run_knows_how_its_spring_is_twisted():
+    """A link behind a spring swings on as it did: it follows the measured motor up to the cut."""
+    plant = dataclasses.replace(twins.PLANTS["pendulum"], resolution=0.0, noise=0.0)
+    t, noise = np.arange(1600) * 0.005, 3e-4
+    u = ref.multisine(t, [0.5], 3, periods=3, lines=8)
+    own = {"compliance": np.array([0.06]), "motor_share": np.array([0.4]), "spring_damping": np.array([0.4])}
+    q = twins.recorded(plant, u[None], {k: np.atleast_2d(x) for k, x in (plant.nominal | own).items()}, np.random.default_rng(0))[
+        0, :, 0
+    ]
+    found = cut_in_time(q, u, t, noise, "joint_elasticity")
+    assert found.effects[0].parameters["compliance"].value == pytest.approx(0.06, rel=0.02)
+    assert found.scores["fit"]["q"].rmse < 1.1 * noise and found.scores["validation"]["q"].rmse < 6 * noise
+
+
+def test_a_number_whose_derivative_is_undefined_has_no_deviation(monkeypatch):
+    """At its neutral value, say; the others keep theirs."""
+    problem = FunctionProblem(lambda z: 1e2 * jnp.stack([z[0] - 1, 2 * z[0] - 2, z[0] + z[1] - 1]), [-5.0] * 2, [5.0] * 2)
+    broken = lambda jobs: (part._replace(J=np.where([False, True], np.nan, part.J)) for part in rows(jobs))
+    monkeypatch.setattr("jaxid.uncertainty.rows", broken)
+    found = covariance(cast(Any, problem), np.array([1.0, 0.0]))
+    assert found.identifiable.tolist() == [True, False] and np.isnan(found.std[1])
+    assert found.std[0] == pytest.approx(1e-2 / np.sqrt(6), rel=1e-6)

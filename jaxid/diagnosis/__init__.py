@@ -303,7 +303,8 @@ def upheld(verdict: str, text: str, retuned: float, after: float, several: bool 
     """A verdict and its sentence once the report data have been seen, where the model re-tuned and the one with the effects leave
     so many times the noise (`several` of them). They choose nothing, but what does not hold on them is not claimed."""
     closed = shrinking.shrink(retuned**2, after**2)
-    if retuned <= SEEN and after**2 <= ALIKE * retuned**2:
+    room = retuned**2 > ALIKE  # beyond what is known of the noise
+    if retuned <= SEEN and (after < retuned or not (room or after**2 > ALIKE * retuned**2)):
         return verdict, text
     if closed <= 0:
         return "unknown", (
