@@ -307,6 +307,11 @@ class Chain(eqx.Module):
                 z.append(())
         return tuple(z)
 
+    def sensed_anew(self, z: tuple, fresh: tuple, here: Array) -> tuple:
+        """States z, with those of the sensors as in `fresh` where `here`."""
+        anew = lambda a, b: jax.tree.map(lambda a, b: jnp.where(here, a, b), a, b)
+        return tuple(anew(a, b) if isinstance(e, OutputEffect) else b for e, a, b in zip(self.effects, fresh, z, strict=True))
+
     def begins(
         self, body: Mechanism, q: Float[Array, " nq"], qd: Float[Array, " nq"]
     ) -> tuple[Float[Array, " ny"], Float[Array, " ny"]]:

@@ -21,7 +21,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, Int
 
-from jaxid.chain import Carry, Chain, Command, OutputEffect
+from jaxid.chain import Carry, Chain, Command
 from jaxid.lanes import loop_over_time, over_lanes
 from jaxid.layout import Layout
 from jaxid.mechanism import Mechanism
@@ -88,30 +88,24 @@ def simulate_lane(
 ) -> Float[Array, "length ny"]:
     """Outputs of one model on one record, at every step of the buffer (`steps` of them, then zeros).
 
-    `where` holds the first step of the lane, the bounds of its run, and the burn-in: for so many steps the joints follow
-    the measured motion, so that effects, springs and beams bring their states to the record's beginning; then they start from
-    `start`, and sensors as if the outputs had run straight up to it.
-    The loop runs over blocks, their count is data: one program serves every length. `body` is the mechanism with its effects,
-    prepared, where that has been done; of outputs that are not `wanted` zeros are returned.
+    `where` holds the first step of the lane, the bounds of its run, and the burn-in: for so many steps the joints follow the
+    measured motion, so that effects, springs and beams bring their states to the record's beginning; then they start from
+    `start`, and sensors as if outputs had run straight up to it. The loop runs over blocks, their count is data: one program
+    serves every length. `body` is the mechanism with its effects, prepared, where that has been done; of outputs that are not
+    `wanted` zeros are returned.
     """
     nq = chain.nq
     begin, first, last, lead = where
     if body is None:
         body = chain.body().prepare(samples.h[begin] if reach == EVEN else None)
-
     initial = chain.start(start[:nq], start[nq:], samples.u[begin], body)
 
     def step(carry: Carry, k: Array) -> tuple[Carry, Array]:
         i = jnp.minimum(begin + k, last)
         if burn:
-            forced = jnp.where(k < lead, samples.x[i], start)
-            q, qd = forced[:nq], forced[nq:]
+            q, qd = jnp.split(jnp.where(k < lead, samples.x[i], start), 2)
             x = jax.tree.map(lambda a, b: jnp.where(k == 0, a, b), body.start(q, qd), body.follow(carry.x, q, qd))
-            # What was measured has gone through the sensors: theirs begin with the start.
-            z = tuple(
-                jax.tree.map(lambda a, b: jnp.where(k == lead, a, b), own, now) if isinstance(e, OutputEffect) else now
-                for e, own, now in zip(chain.effects, initial.z, carry.z, strict=True)
-            )
+            z = chain.sensed_anew(carry.z, initial.z, k == lead)  # what was measured has gone through the sensors
             carry = carry._replace(x=jax.tree.map(lambda a, b: jnp.where(k <= lead, a, b), x, carry.x), z=z)
         command = command_at(samples, i, first, last, reach)
         carry, y = chain.step(body, carry, command)
@@ -122,8 +116,7 @@ def simulate_lane(
     beyond = jnp.maximum(begin + k - last, 0) * samples.h[last]  # the loop goes on to the end of its block, and so does time
     times, even = samples.t[jnp.minimum(begin + k, last)] + beyond, samples.h[begin] if reach == EVEN else None
     rate = chain.begins(body, start[:nq], start[nq:])[1]
-    if burn:
-        y = jnp.where((k < lead)[:, None], y[lead] + rate * (times - times[lead])[:, None], y)
+    y = jnp.where((k < lead)[:, None], y[lead] + rate * (times - times[lead])[:, None], y) if burn else y
     return chain.recorded(times, y, even, rate)
 
 

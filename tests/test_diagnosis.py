@@ -17,7 +17,7 @@ import jaxid
 from jaxid import catalogue
 from jaxid.binding import bind
 from jaxid.diagnosis import growth, judge, upheld
-from jaxid.diagnosis.choice import outweighed, simpler
+from jaxid.diagnosis.choice import not_borne_out, outweighed, simpler
 from jaxid.diagnosis.evidence import held_out, HeldOut, inflation, knowledge, memory, shifted
 from jaxid.diagnosis.how_far import interval_of_further_run, shrink
 from jaxid.diagnosis.hypothesis import candidates, Hypothesis, Search
@@ -668,10 +668,10 @@ def test_a_small_effect_has_to_show_on_report_data_too():
     theta = searcher.nominal.theta.copy()
     theta[binding.layout.index("inertia")] *= 1.002
     off = dataclasses.replace(searcher.nominal, theta=theta)
-    assert searcher._not_borne_out(off, [searcher.nominal]) == [searcher.nominal]
-    assert not searcher._not_borne_out(searcher.nominal, [off])
+    assert not_borne_out(bench, OutputError(), off, [searcher.nominal]) == [searcher.nominal]
+    assert not not_borne_out(bench, OutputError(), searcher.nominal, [off])
     far = dataclasses.replace(searcher.nominal, validation=dataclasses.replace(off.validation, loss=9.0))
-    assert not searcher._not_borne_out(off, [far])
+    assert not not_borne_out(bench, OutputError(), off, [far])
 
 
 class Held(Searcher):

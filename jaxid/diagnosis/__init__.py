@@ -167,10 +167,14 @@ def _diagnosed(question: Question, scatter: timing.Scatter | None = None) -> tup
                     "leave numbers of the model open; within what is known of these it holds there too."
                 )
         if verdict == "unknown":
-            named, final = (), search.nominal
+            named, final, seen_with = (), search.nominal, how_far.gap_after
             how_far = measure(final.theta)
             verdict, plain = judge(Search(final, final))
-            text = f"{plain} {text}" if verdict == "none" else text  # the gap was one next to the noise
+            if verdict == "none":  # the gap was one next to the noise
+                text = (
+                    f"{plain} {' and '.join(map(str, chosen.effects))} would follow fit and validation data more closely, but "
+                    f"leaves {seen_with:.3g} times the noise of the report data, {how_far.gap_retuned:.3g} without: not claimed."
+                )
     estimates = _effect_estimates(binding, final, named)
     final_fit = _fit(bench, final, residual, seed, compile_time, time.perf_counter() - began)
     mates = search.confusable if named else []
@@ -302,14 +306,14 @@ def judge(search: Search) -> tuple[str, str]:
 def upheld(verdict: str, text: str, retuned: float, after: float, several: bool = False) -> tuple[str, str]:
     """A verdict and its sentence once the report data have been seen, where the model re-tuned and the one with the effects leave
     so many times the noise (`several` of them). They choose nothing, but what does not hold on them is not claimed."""
-    closed = shrinking.shrink(retuned**2, after**2)
     room = retuned**2 > ALIKE  # beyond what is known of the noise
     if retuned <= SEEN and (after < retuned or not (room or after**2 > ALIKE * retuned**2)):
         return verdict, text
-    if closed <= 0:
+    if after >= retuned:
         return "unknown", (
             f"{text} On the report data that model is {after:.3g} times the noise away, {retuned:.3g} without: it is not claimed."
         )
+    closed = shrinking.shrink(retuned**2, after**2)
     if verdict == "named" and several and after > LEFT:
         return "partly", f"{text} On the report data {after:.3g} times the noise is left."
     if verdict == "named" and (closed < PARTLY or (closed < NAMED and after > LEFT)):

@@ -6,10 +6,11 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from jaxid.diagnosis.evidence import inflation, memory, worth
+from jaxid.diagnosis.evidence import held_out, inflation, memory, worth
 from jaxid.diagnosis.hypothesis import family_of, Hypothesis
 from jaxid.diagnosis.shortlist import TIMING
 from jaxid.estimation import Bench
+from jaxid.residual import Residual
 
 
 #: A difference of held-out evidence below this many chi-square units (3 sigma) decides nothing.
@@ -28,8 +29,8 @@ WHITE = 1.5
 EXPLAINED, OVERWHELMING = 1.1, 200.0
 #: Nothing worth another effect is left below the first (mean square); below the second something small may be.
 NEAR_FLOOR, CLOSE_ABOVE = 1.02, 1.5
-#: Two simulations of one law differ by so much of what it does (half a percent of its size, in mean square).
-FORM = 3e-5
+#: Two simulations of one law differ by so much of what it does (0.3 % of its size, in mean square).
+FORM = 1e-5
 #: A hypothesis that explains so much of what another one explains is as good, where both are at the noise.
 NEARLY_ALL = 0.99
 
@@ -124,6 +125,15 @@ def outweighed(nominal: Hypothesis, h: Hypothesis, without: Hypothesis) -> bool:
     gained = joint_loss(without) - joint_loss(h)
     little = gained < max((ALIKE - 1) * joint_loss(h), FORM * (joint_loss(nominal) - joint_loss(h)))
     return joint_loss(without) < CLOSE_ABOVE and (little or gained * (h.path.count + h.validation.count) < unexplained(h))
+
+
+def not_borne_out(bench: Bench, residual: Residual, h: Hypothesis, smaller: Sequence[Hypothesis]) -> list[Hypothesis]:
+    """Those of smaller sets close to the noise that predict the report data as well: what these do not show is no claim."""
+    close = [s for s in smaller if joint_loss(s) < CLOSE_ABOVE]
+    if not close or not bench.binding.experiments("report"):
+        return []
+    whole, *parts = held_out(bench, "report", [x.theta for x in (h, *close)], residual)
+    return [s for s, part in zip(close, parts, strict=True) if part.gap <= whole.gap]
 
 
 def at_floor(h: Hypothesis) -> bool:

@@ -16,13 +16,13 @@ from jaxid.diagnosis.choice import (
     ALIKE,
     at_floor,
     best,
-    CLOSE_ABOVE,
     close_to_noise,
     CONFLICT,
     equals,
     finished,
     indistinct,
     joint_loss,
+    not_borne_out,
     outweighed,
     significant,
 )
@@ -111,9 +111,8 @@ class Searcher:
         groups, by_torque = [], torque_starts(self.bench, self.base_free, sets, self._torque_tells)
         for (effects, thetas), (_, more) in zip(sets, by_torque, strict=True):
             p = self.problem(effects, thetas[0])
-            groups.append(
-                [(p, p.z(theta, starts)) for theta in [thetas[0], *more, *thetas[1:]]]
-            )  # the race favours the first two
+            # The race favours the first two.
+            groups.append([(p, p.z(theta, starts)) for theta in [thetas[0], *more, *thetas[1:]]])
         order = sorted(range(len(sets)), key=lambda k: by_torque[k][0])
         sure = [k for k in order if np.isfinite(by_torque[k][0])][:SURE]
         final = brought_back(race(groups, 20, 1e-6, sure), self.bench.binding.theta, self.base_free)
@@ -194,8 +193,7 @@ class Searcher:
         mates = self._alternatives(chosen, pool)
         plainest = min(mates.values(), key=lambda h: (h.size, joint_loss(h)), default=chosen)
         if plainest.size < chosen.size and added:
-            # a rich law chosen before the others were there
-            chosen = self._questioned(plainest)
+            chosen = self._questioned(plainest)  # a rich law was chosen before the others were there
             mates = self._alternatives(chosen, pool)
         chosen = self._taught(self._put_back(self._settled(chosen)))
         self.nominal = self._taught(self.nominal) if chosen.effects else chosen
@@ -406,9 +404,8 @@ class Searcher:
         return self.refit(sets)
 
     def _questioned(self, h: Hypothesis) -> Hypothesis:
-        """Takes out effects that are no longer needed beside the others (or explain less than what stays unexplained, or nothing
-        of the report data), what one refines as well where there is none of it; the smaller set gets every chance, starting from
-        where the larger one ended."""
+        """Takes out effects that are no longer needed beside the others (explain too little, or nothing of the report data), what
+        one refines as well where there is none of it; the smaller set gets every chance, from where the larger one ended."""
         while len(h.effects) > 1:
             sets = []
             for c in least_missed(h, self.bench.binding.theta) if self.by_torque else h.effects:
@@ -419,19 +416,11 @@ class Searcher:
                 sets.append((tuple(e for e in h.effects if e is not c), [theta]))
             smaller = self.refit(sets)
             needless = [s for s in smaller if not significant(s, h) or (outweighed(self.nominal, h, s) and not self.by_torque)]
-            needless = needless or self._not_borne_out(h, smaller)
+            needless = needless or ([] if self.by_torque else not_borne_out(self.bench, self.residual, h, smaller))
             if not needless:
                 return h
             h = min(needless, key=lambda s: s.validation.loss)
         return h
-
-    def _not_borne_out(self, h: Hypothesis, smaller: Sequence[Hypothesis]) -> list[Hypothesis]:
-        """Those of smaller sets close to the noise that predict the report data as well: what these do not show is no claim."""
-        close = [s for s in smaller if joint_loss(s) < CLOSE_ABOVE]
-        if not close or self.by_torque or not self.bench.binding.experiments("report"):
-            return []
-        whole, *parts = held_out(self.bench, "report", [x.theta for x in (h, *close)], self.residual)
-        return [s for s, part in zip(close, parts, strict=True) if part.gap <= whole.gap]
 
     def _alternatives(self, chosen: Hypothesis, pool: Sequence[Candidate]) -> dict[Candidate, Hypothesis]:
         """What the data cannot tell from the named effects: other effects in the place of each, the others kept."""
