@@ -121,10 +121,10 @@ def unexplained(h: Hypothesis) -> float:
 
 def outweighed(nominal: Hypothesis, h: Hypothesis, without: Hypothesis) -> bool:
     """Whether an effect beside others, next to the noise, explains less than what stays unexplained with it, or so little that
-    the noise itself is not known as well, nor the exact form of the others' laws."""
+    the exact form of the others' laws is not known as well."""
     gained = joint_loss(without) - joint_loss(h)
-    little = gained < max((ALIKE - 1) * joint_loss(h), FORM * (joint_loss(nominal) - joint_loss(h)))
-    return joint_loss(without) < CLOSE_ABOVE and (little or gained * (h.path.count + h.validation.count) < unexplained(h))
+    form = gained < FORM * (joint_loss(nominal) - joint_loss(h))
+    return joint_loss(without) < CLOSE_ABOVE and (form or gained * (h.path.count + h.validation.count) < unexplained(h))
 
 
 def not_borne_out(bench: Bench, residual: Residual, h: Hypothesis, smaller: Sequence[Hypothesis]) -> list[Hypothesis]:
