@@ -88,7 +88,8 @@ class Mechanism(eqx.Module):
         """State x with these joint positions and velocities."""
 
     def follow(self, x: Any, q: Float[Array, " nq"], qd: Float[Array, " nq"]) -> Any:
-        """State x with its joints moved to these positions and velocities; what the state holds besides stays as it is."""
+        """State x with its joints moved to these positions and velocities. What moves beside the joints (springs, beams) stays as
+        it is where a mechanism says so; by default the state begins anew."""
         return self.start(q, qd)
 
     @abc.abstractmethod
