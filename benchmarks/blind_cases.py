@@ -35,11 +35,15 @@ KINDS = {
     "clutter": "ten small effects",
     "mujoco": "one effect, medium, by MuJoCo",
     "mujoco_control": "nothing missing, by MuJoCo",
+    "moving": "one effect, medium, runs that begin in motion, splits not stated",
+    "moving_control": "nothing missing, runs that begin in motion, splits not stated",
 }
-STRENGTH = {"effect": 1.0, "strong": 3.0, "weak": 0.2, "poor": 1.0, "many": 1.0, "mujoco": 1.0}
+STRENGTH = {"effect": 1.0, "strong": 3.0, "weak": 0.2, "poor": 1.0, "many": 1.0, "mujoco": 1.0, "moving": 1.0}
 #: Cases of a model in which nothing is missing.
-CONTROLS = {"control": 25, "mujoco_control": 10}
+CONTROLS = {"control": 25, "mujoco_control": 10, "moving_control": 10}
 SPLITS = ("fit", "fit", "validation", "report")
+#: Of kinds whose runs begin in motion: what is not recorded of each, and runs, of whose ends the diagnosis keeps back a part.
+BEFORE_S, MOVING_SPLITS = 2.0, ("fit", "fit", "fit")
 #: Runs of every twin of kind `many` that are recorded for the scorer alone (the others' report run is too short for an interval):
 #: so many that their own scatter hardly matters beside that of eight report runs.
 LATER = 40
@@ -97,9 +101,9 @@ def outsiders(plant: Plant, j: int, rng: np.random.Generator) -> dict[str, dict[
     return found
 
 
-def commands(plant: Plant, rng: np.random.Generator, runs: int) -> np.ndarray:
-    """A multisine with steps and rests for each input, [runs samples nu]."""
-    count = int(plant.rate * SECONDS.get(plant.model, 8.0))
+def commands(plant: Plant, rng: np.random.Generator, runs: int, before: int = 0) -> np.ndarray:
+    """A multisine with steps and rests for each input, [runs samples nu], by so many samples longer than usual."""
+    count = before + int(plant.rate * SECONDS.get(plant.model, 8.0))
     t = np.arange(count) / plant.rate
     u = np.zeros((runs, count, plant.n))
     for r in range(runs):
@@ -218,14 +222,16 @@ def recordings(cases: list[dict[str, Any]], seed: int) -> tuple[list[Dataset], n
     plant = PLANTS[cases[0]["model"]]
     kind = cases[0]["kind"]
     rng = np.random.default_rng([seed, 1, zlib.crc32(f"{plant.model} {kind}".encode())])
-    splits, more = ((*SPLITS, *["report"] * 7), LATER) if kind == "many" else (SPLITS, 0)
+    moving = kind.startswith("moving")
+    before = int(plant.rate * BEFORE_S) if moving else 0
+    splits, more = ((*SPLITS, *["report"] * 7), LATER) if kind == "many" else (MOVING_SPLITS if moving else SPLITS, 0)
     first, drives = len(splits), []
     for case in cases:
-        u = commands(plant, rng, first)
+        u = commands(plant, rng, first, before)
         for r, split in enumerate(splits):
             if case["kind"] == "poor" and split == "fit":
                 u[r] = steps(plant, rng, r)
-        drives += [u, commands(plant, rng, more)]
+        drives += [u, commands(plant, rng, more, before)]
     u = np.concatenate(drives)
     keys = dict.fromkeys(k for c in cases for k in (*c["numbers"], *NEUTRAL))
     width, runs = plant.n, first + more
@@ -233,11 +239,11 @@ def recordings(cases: list[dict[str, Any]], seed: int) -> tuple[list[Dataset], n
     numbers = {k: np.repeat(np.array([column(c, k) for c in cases]), runs, 0) for k in keys}
     simulator = twins_mujoco if kind.startswith("mujoco") else twins
     y = simulator.recorded(plant, u, numbers, rng)
-    u, y = (x.reshape(len(cases), runs, *x.shape[1:]) for x in (u, y))
-    return [dataset(plant, u[k, :first], y[k, :first], splits) for k in range(len(cases))], u[:, first:], y[:, first:]
+    u, y = (x.reshape(len(cases), runs, *x.shape[1:])[:, :, before:] for x in (u, y))
+    return [dataset(plant, u[k, :first], y[k, :first], splits, not moving) for k in range(len(cases))], u[:, first:], y[:, first:]
 
 
-def dataset(plant: Plant, u: np.ndarray, y: np.ndarray, split: tuple[str, ...]) -> Dataset:
+def dataset(plant: Plant, u: np.ndarray, y: np.ndarray, split: tuple[str, ...], at_rest: bool = True) -> Dataset:
     """Runs [runs samples channels] as a dataset."""
     return Dataset.from_arrays(
         [np.arange(u.shape[1]) / plant.rate] * len(u),
@@ -245,7 +251,7 @@ def dataset(plant: Plant, u: np.ndarray, y: np.ndarray, split: tuple[str, ...]) 
         outputs={n: list(y[:, :, i]) for i, (n, _) in enumerate(plant.outputs)},
         units=dict((*plant.inputs, *plant.outputs)),
         split=list(split),
-        at_rest=True,
+        at_rest=at_rest,
         noise_std={n: plant.noise if i < plant.n else 0.05 for i, (n, _) in enumerate(plant.outputs)},
         resolution={n: plant.resolution for n, _ in plant.outputs[: plant.n]},
         model=plant.model,

@@ -58,7 +58,8 @@ def _cut(runs: list[Experiment], first: str, second: str, share: float, rule: st
         base = run.name.removesuffix(f"#{first}")
         name = run.name if run.name.endswith(f"#{first}") else f"{base}#{first}"
         cut.append(run.piece(0, stop, name=name, split=first))
-        past = min(start - int(np.searchsorted(run.t, run.t[start] - PAST_S)), PAST_SAMPLES)
+        known = run.whole.t[run.whole.t < run.t[start]]
+        past = min(len(known) - int(np.searchsorted(known, run.t[start] - PAST_S)), PAST_SAMPLES)
         cut.append(run.piece(start, len(run), name=f"{base}#{second}", split=second, past=past))
         told.append(
             f"{base} cut at {run.t[stop]:.6g} s, {start - stop} samples ({run.t[start] - run.t[stop]:.3g} s) left out, "

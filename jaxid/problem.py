@@ -52,6 +52,7 @@ class Data(NamedTuple):
     start_rows: Any
     start_columns: Any
     where: Any
+    scored: Any  # first step of each record that counts
     counts: Any
     steps: Any
     count: Any
@@ -176,6 +177,7 @@ class Problem(AbstractProblem):
             self._data = Data(
                 samples, np.where(np.isnan(stated), self.base, stated), np.isnan(stated[:, self.free]), self.log,
                 self.start0, self.start_rows, self.start_columns, engine.where[records],
+                np.array([self.runs.record(r).samples[0] for r in records], np.int32),
                 np.array([self.runs.record(r).count for r in records], np.int32), engine.steps[records], count, norm,
             )  # fmt: skip
         return self._data
@@ -264,7 +266,7 @@ def sums(predict: Callable, length: int, loss: Loss, z: Float[Array, "pop size"]
         r = number % R
         (begin, first, last, lead), count = data.where[r], data.counts[r]
         at = jnp.minimum(begin + k, last)
-        inside = ((k >= lead) & (k < lead + count))[:, None]
+        inside = ((begin + k >= data.scored[r]) & (k < lead + count))[:, None]
         w = jnp.where(inside, data.samples.w[at], 0.0)
         y = data.samples.y[at]
 

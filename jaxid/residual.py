@@ -11,7 +11,7 @@ from __future__ import annotations
 
 import abc
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import ClassVar
 
 import numpy as np
@@ -56,10 +56,9 @@ class Runs:
         return self.engine.records[number]
 
     def residual(self, number: int, prediction: np.ndarray) -> np.ndarray:
-        """Weighted residual [count columns] of one record from a lane's prediction [length columns]."""
-        r = self.record(number)
-        part = slice(r.offset, r.offset + r.count)
-        return self.weights[part] * (prediction[r.lead : r.lead + r.count] - self.targets[part])
+        """Weighted residual [samples columns] of one record from a lane's prediction [length columns]."""
+        at = self.record(number).samples
+        return self.weights[at] * (self.sample_prediction(number, prediction) - self.targets[at])
 
     def sample_prediction(self, number: int, prediction: np.ndarray) -> np.ndarray:
         """Predictions at the samples of a record [samples columns]."""
@@ -93,7 +92,11 @@ class Residual(abc.ABC):
 
 @dataclass(frozen=True)
 class OutputError(Residual):
-    """Free run of the whole experiment. Where it was cut from a longer one, effects follow the measured motion before it."""
+    """Free run of the whole experiment.
+
+    Where it was cut from a longer one, effects follow the measured motion in the first half of what is known before it; the run
+    starts from there, and the second half tells how: a start from the first samples after the cut alone would drift away.
+    """
 
     name: ClassVar[str] = "output_error"
 
@@ -106,10 +109,15 @@ class OutputError(Residual):
         samples, positions = recorded.build(dataset, every, chain, noise, step, _states(smooth), shape[0])
         records, heads = [], []
         for number, (e, own) in enumerate(zip(every, experiments, strict=True)):
-            p, a, n = positions[number], len(e) - len(own), head_samples(own)
-            record = lambda b, number=number, e=e, p=p, a=a: _record(number, e, p, a, b, dataset, chain, remembers)
-            records.append(record(len(e)))
-            heads.append([record(a + k) for k in dict.fromkeys(max(6, n // k) for k in (1, 2, 4, 8, 16))])
+            p, cut = positions[number], len(e) - len(own)
+            a = cut - min(cut // 2, PAST_SAMPLES // 2)
+            settled = a + (cut - a) // 4  # by then sensors and springs have forgotten how they began
+            n = cut + head_samples(own) - settled
+            until = lambda b, c, number=number, e=e, p=p, a=a: replace(
+                _record(number, e, p, a, b, dataset, chain, remembers), samples=p[c:b]
+            )
+            records.append(until(len(e), cut))
+            heads.append([until(settled + k, settled) for k in dict.fromkeys(max(6, n // k) for k in (1, 2, 4, 8, 16))])
         lanes = [*records, *(h for nested in heads for h in nested)]
         engine = Engine(layout, samples, lanes, overrides(layout, every, lanes), simulate_lane, shape[1], burn=remembers)
         n = len(records)

@@ -328,7 +328,7 @@ def test_a_part_cut_from_a_run_starts_with_what_effects_remember():
     )
     found = jaxid.fit(None, data, effects=["actuator_lag"])
     assert found.effects[0].parameters["lag"].value == pytest.approx(0.06, rel=0.01)
-    assert all(found.scores[split]["q"].rmse < 3 * noise for split in ("fit", "validation", "report"))
+    assert all(found.scores[split]["q"].rmse < 1.2 * noise for split in ("fit", "validation", "report"))
     blind = [dataclasses.replace(e, past=None) for e in data.with_splits().experiments]
     without = jaxid.fit(None, dataclasses.replace(data, experiments=tuple(blind)), effects=["actuator_lag"])
     assert without.scores["validation"]["q"].rmse > 100 * noise  # the test sees the difference
@@ -353,7 +353,7 @@ def test_a_part_cut_from_a_run_starts_before_its_sensor():
     found = cut_in_time(read, u, t, noise, "sensor_lag")
     assert found.effects[0].parameters["lag"].value == pytest.approx(lag, rel=0.02)
     assert found.scores["fit"]["q"].rmse < 1.1 * noise
-    assert all(found.scores[split]["q"].rmse < 20 * noise for split in ("validation", "report"))  # 4500 where it is late twice
+    assert all(found.scores[split]["q"].rmse < 1.2 * noise for split in ("validation", "report"))  # 4500 where it is late twice
 
 
 def test_a_part_cut_from_a_run_knows_how_its_spring_is_twisted():
@@ -367,7 +367,7 @@ def test_a_part_cut_from_a_run_knows_how_its_spring_is_twisted():
     ]
     found = cut_in_time(q, u, t, noise, "joint_elasticity")
     assert found.effects[0].parameters["compliance"].value == pytest.approx(0.06, rel=0.02)
-    assert found.scores["fit"]["q"].rmse < 1.1 * noise and found.scores["validation"]["q"].rmse < 6 * noise
+    assert found.scores["fit"]["q"].rmse < 1.1 * noise and found.scores["validation"]["q"].rmse < 1.2 * noise
 
 
 def test_a_number_whose_derivative_is_undefined_has_no_deviation(monkeypatch):

@@ -50,9 +50,16 @@ def measure(
         per_channel[name] = ChannelGap(unit, rmse[0], rmse[1], rmse[2], floor, source)
     shrinkage = interval = None
     reason = made_of = ""
+    beyond = max(1.0, float(np.sqrt(runs[2].loss)))  # what is left where the starts of the runs are moved within what is known
+    if gaps[2] > UNSEEN and beyond < gaps[2] / 2:
+        note += (
+            f" Of the {gaps[2]:.3g} that are left all but {beyond:.3g} is what the starts of the {split} runs leave open: they "
+            "begin in motion, and their first samples tell it only so well. Runs that begin at rest (at_rest), with a stated "
+            "start (initial) or with a longer initial_window_s tell more."
+        )
     if verdict == "none":
         reason = "the verdict is none: there is no gap to shrink"
-        if gaps[2] > UNSEEN:
+        if beyond > UNSEEN:
             note += (
                 f" The {split} runs are {gaps[2]:.3g} times the noise away all the same: they go where fit and validation runs "
                 "do not, with numbers that those do not determine. Fit runs that go there tell more."
