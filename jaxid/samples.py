@@ -20,7 +20,8 @@ from jaxid.parameter import Reference
 
 #: Longest step of the fixed-step scan, s. Step halving checks the final answer of every fit.
 STEP = 2.5e-3
-BLOCK = 256
+#: Steps of the inner loop over time: a lane runs to the end of its last one.
+BLOCK = 64
 
 
 class Samples(NamedTuple):

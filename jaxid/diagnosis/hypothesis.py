@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
 
@@ -75,6 +75,13 @@ class Search:
     rivals: tuple[Hypothesis, Hypothesis] | None = None
     several: bool = False
     without: tuple[tuple[Candidate, float], ...] = ()
+
+
+def without_each(h: Hypothesis, known: Mapping[frozenset[str], Hypothesis]) -> tuple[tuple[Candidate, float], ...]:
+    """What the effects of a hypothesis contribute: see `Search.without`; the refits are among those known."""
+    smaller = [(c, known.get(key_of([e for e in h.effects if e is not c]))) for c in h.effects]
+    left = [(c, float(np.sqrt(max(less.validation.loss, 0.0)))) for c, less in smaller if less is not None and len(smaller) > 1]
+    return tuple(sorted(left, key=lambda pair: -pair[1]))
 
 
 def candidates(bench: Bench, allowed: Sequence[str], by_torque: bool = False) -> list[Candidate]:

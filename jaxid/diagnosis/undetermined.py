@@ -42,7 +42,8 @@ def brought_back(paths: Sequence[Path], theta: np.ndarray, index: Sequence[int])
 
 def put_back(path: Path, theta: np.ndarray, index: Sequence[int], problem: Callable[[list[int], np.ndarray], Problem]) -> Path:
     """The path with numbers at `index` put back to those of `theta` one after the other, the least certain first, where the rest,
-    refitted, follows the data as well without; `problem(free, theta)` is the same with other numbers free.
+    refitted, follows the data as well without; `problem(free, theta)` is the same with other numbers free (of coarser steps,
+    perhaps: what it finds is looked at again with the path's own).
 
     What a model leaves open may have gone as far as the data let it, to where it looks determined (a drive that no longer reaches
     its limit): no step along an open direction leads back from there.
@@ -58,6 +59,8 @@ def put_back(path: Path, theta: np.ndarray, index: Sequence[int], problem: Calla
     price = away**2 / np.maximum(variance, 1e-300)  # of each way as far as it can be seen from here
     free, now, starts = [int(i) for i in p.free], p.theta(path.z), p.starts(path.z)
     rest = [int(p.free[k]) for k in np.argsort(price) if away[k] > SHORT * p.scale[k]][:TRIED]
+    as_it_is = problem(free, now)
+    most = descend([(as_it_is, as_it_is.z(now, starts))], 0, 1e-6)[0].cost + COST if rest else 0.0
     moved = False
     while rest:  # all that are left at once, the first that may go back goes, and those behind it are tried without it
         jobs = []
@@ -67,7 +70,7 @@ def put_back(path: Path, theta: np.ndarray, index: Sequence[int], problem: Calla
             less = problem([f for f in free if f != i], tried)
             jobs.append((less, less.z(tried, starts)))
         ends = descend(jobs, 12, 1e-6)
-        k = next((k for k, end in enumerate(ends) if end.cost <= path.cost + COST), None)
+        k = next((k for k, end in enumerate(ends) if end.cost <= most), None)
         if k is None:
             break
         less, end = jobs[k][0], ends[k]

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import replace
+from functools import partial
 
 import numpy as np
 
@@ -27,7 +28,7 @@ from jaxid.diagnosis.choice import (
     significant,
 )
 from jaxid.diagnosis.evidence import held_out, knowledge, together
-from jaxid.diagnosis.hypothesis import Candidate, Hypothesis, key_of, read_off_of, refined_by, Search, sensible
+from jaxid.diagnosis.hypothesis import Candidate, Hypothesis, key_of, read_off_of, refined_by, Search, sensible, without_each
 from jaxid.diagnosis.proposals import (
     as_given,
     at_all_joints,
@@ -202,14 +203,9 @@ class Searcher:
             chosen, mates = self.nominal, {}
         several = not self.by_torque and len(chosen.effects) > 1
         rivals = self._rivals(chosen, list(mates.values()))
-        return Search(self.nominal, chosen, self.tried, list(mates), rivals, several, self._without_each(chosen))
-
-    def _without_each(self, chosen: Hypothesis) -> tuple[tuple[Candidate, float], ...]:
-        """What the effects of a hypothesis contribute: see `Search.without`; the refits are those that questioned it."""
-        known = self._stale | self.known
-        smaller = [(c, known.get(key_of([e for e in chosen.effects if e is not c]))) for c in chosen.effects]
-        left = [(c, float(np.sqrt(max(h.validation.loss, 0.0)))) for c, h in smaller if h is not None and len(chosen.effects) > 1]
-        return tuple(sorted(left, key=lambda pair: -pair[1]))
+        return Search(
+            self.nominal, chosen, self.tried, list(mates), rivals, several, without_each(chosen, self._stale | self.known)
+        )
 
     def _rivals(self, chosen: Hypothesis, mates: Sequence[Hypothesis]) -> tuple[Hypothesis, Hypothesis] | None:
         """The two hypotheses between which further data should decide: the chosen one (else the best) and what the data cannot
@@ -268,26 +264,26 @@ class Searcher:
         self.tried += spread
         return best(self.bench, chosen, [step, *spread]) or step
 
+    @property
+    def _quick(self) -> Bench:
+        """The bench on the steps of the search, whose defects for what was chosen are off its data."""
+        return (*self.benches, self.bench)[0]
+
     def _put_back(self, h: Hypothesis) -> Hypothesis:
         """The hypothesis with those of the model's own numbers where the user put them that the data leave open."""
         if not h.effects or self.by_torque:
             return h
-        problem = lambda free, theta: self.bench.problem(self.residual, "fit", free, theta)
-        path = put_back(h.path, self.bench.binding.theta, self.base_free, problem)
-        if path is h.path:
-            return h
-        after = self._hypotheses([(h.effects, path)])[0]
+        path = put_back(h.path, self.bench.binding.theta, self.base_free, partial(self._quick.problem, self.residual, "fit"))
+        after = h if path is h.path else self._hypotheses([(h.effects, path)])[0]
         return after if after.validation.loss < h.validation.loss * ALIKE else h
 
     def _taught(self, h: Hypothesis) -> Hypothesis:
         """What the fit runs leave open, as the validation runs have it, for a model that follows the fit runs."""
-        if h.fit_loss > NEAR:
-            return h
-        theta = h.validation.theta
-        if theta is None and h.validation.gap**2 > h.validation.loss + OPEN and isinstance(self.residual, OutputError):
-            starts = estimate_starts(self.bench, "validation", [h.theta])
-            theta = (end := together(self.bench, "validation", [h.path], starts)[0]).problem.theta(end.z)
-        if theta is None or self.by_torque:
+        held, theta, far = h.validation, h.validation.theta, h.fit_loss > NEAR
+        if theta is None and held.gap**2 > held.loss + OPEN and isinstance(self.residual, OutputError) and not far:
+            starts = estimate_starts(self._quick, "validation", [h.theta])
+            theta = (end := together(self._quick, "validation", [h.path], starts)[0]).problem.theta(end.z)
+        if theta is None or self.by_torque or far:
             return h
         paths = [brought_back([h.path], theta, h.path.problem.free)[0], moved_to(h.path, theta)]
         moved = [(h.effects, path) for path in paths if path is not h.path]
