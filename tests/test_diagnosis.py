@@ -424,6 +424,21 @@ def test_an_interval_holds_a_further_run():
         assert 0.9 <= np.mean(hits) <= 0.98
 
 
+def test_runs_that_begin_in_motion_are_not_taken_for_a_gap():
+    """A joint that turns freely keeps the speed that its first samples tell badly; a part that was cut off knows it better."""
+    runs = recording("joint", 4).experiments
+    later = [(e.t[400:] - e.t[400], e.u[400:, 0], e.y[400:, 0]) for e in runs]
+    t, u, q = zip(*later, strict=True)
+    cut = lambda **more: jaxid.Dataset.from_arrays(
+        t, {"tau": u}, {"q": q}, units={"tau": "N m", "q": "rad"}, noise_std={"q": NOISE}, model="joint", **more
+    )
+    stated, parts = cut(split=[e.split for e in runs]), cut()
+    d, by_parts = (jaxid.diagnose(None, data, effects=CHOICE) for data in (stated, parts))
+    assert d.which.verdict == by_parts.which.verdict == "none"
+    assert d.how_far.gap_after > 2 and "starts of the report runs leave open" in d.how_far.text
+    assert by_parts.how_far.gap_after < 1.3 and "leave open" not in by_parts.how_far.text
+
+
 def test_an_interval_needs_blocks():
     rng = np.random.default_rng(0)
     white = rng.normal(size=(4000, 1))

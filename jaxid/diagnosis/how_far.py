@@ -54,7 +54,7 @@ def measure(
     if gaps[2] > UNSEEN and beyond < gaps[2] / 2:
         note += (
             f" Of the {gaps[2]:.3g} that are left all but {beyond:.3g} is what the starts of the {split} runs leave open: they "
-            "begin in motion, and their first samples tell it only so well. Runs that begin at rest (at_rest), with a stated "
+            "begin in motion, and their first samples tell only so much. Runs that begin at rest (at_rest), with a stated "
             "start (initial) or with a longer initial_window_s tell more."
         )
     if verdict == "none":
