@@ -12,8 +12,9 @@ from jaxid.experiment import Dataset, Experiment
 
 TAIL = 0.3
 GUARD_SAMPLES, GUARD_S = 20, 0.1
-#: What a later part knows of the samples before it, by time and at most so many: an effect that remembers starts from them.
-PAST_S, PAST_SAMPLES = 2.0, 1000
+#: What a part knows of the samples before it, by time (s) and at most so many: an effect that remembers starts from them.
+#: Validation runs are simulated for every hypothesis, report runs for a few.
+PAST = {"validation": (5.0, 1000), "report": (60.0, 20_000)}
 
 
 def with_splits(dataset: Dataset) -> Dataset:
@@ -38,6 +39,7 @@ def with_splits(dataset: Dataset) -> Dataset:
             "no report run: the second half of each validation run is kept for it",
             notes,
         )
+    runs = [_forgetful(e) if e.past else e for e in runs]
     return replace(dataset, experiments=tuple(runs), notes=(*dataset.notes, *notes)) if notes else dataset
 
 
@@ -58,9 +60,8 @@ def _cut(runs: list[Experiment], first: str, second: str, share: float, rule: st
         base = run.name.removesuffix(f"#{first}")
         name = run.name if run.name.endswith(f"#{first}") else f"{base}#{first}"
         cut.append(run.piece(0, stop, name=name, split=first))
-        known = run.whole.t[run.whole.t < run.t[start]]
-        past = min(len(known) - int(np.searchsorted(known, run.t[start] - PAST_S)), PAST_SAMPLES)
-        cut.append(run.piece(start, len(run), name=f"{base}#{second}", split=second, past=past))
+        everything = start + len(run.whole) - len(run)
+        cut.append(run.piece(start, len(run), name=f"{base}#{second}", split=second, past=everything))
         told.append(
             f"{base} cut at {run.t[stop]:.6g} s, {start - stop} samples ({run.t[start] - run.t[stop]:.3g} s) left out, "
             f"{len(run) - start} samples for {second}"
@@ -68,6 +69,15 @@ def _cut(runs: list[Experiment], first: str, second: str, share: float, rule: st
     if told:
         notes.append(f"{rule} ({'; '.join(told)})")
     return cut
+
+
+def _forgetful(run: Experiment) -> Experiment:
+    """The run with the end of its past."""
+    past = run.past
+    assert past is not None
+    longest, most = PAST[run.split]
+    n = min(int(np.sum(past.t >= run.t[0] - longest)), most)
+    return replace(run, past=past.piece(len(past) - n, len(past), name=past.name, split=past.split)) if n < len(past) else run
 
 
 def _after_guard(run: Experiment, stop: int) -> int:

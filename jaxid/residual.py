@@ -18,13 +18,18 @@ import numpy as np
 
 from jaxid import samples as recorded
 from jaxid.chain import Chain
-from jaxid.dataset_splits import PAST_SAMPLES
 from jaxid.engine import Engine, Lane, simulate_lane, torque_lane
 from jaxid.errors import UsageError
 from jaxid.experiment import Dataset, Experiment
 from jaxid.layout import Layout
 from jaxid.samples import Motion, Record
 from jaxid.torque import decimated_torque_lane, torque_setting, TorqueSetting
+
+
+#: A part of a longer run starts so long before it, and by so many samples at most.
+RUN_UP_S, RUN_UP_SAMPLES = 1.0, 500
+#: Up to so many samples before a window tell the states of effects.
+WINDOW_PAST = 1000
 
 
 @dataclass
@@ -94,8 +99,8 @@ class Residual(abc.ABC):
 class OutputError(Residual):
     """Free run of the whole experiment.
 
-    Where it was cut from a longer one, effects follow the measured motion in the first half of what is known before it; the run
-    starts from there, and the second half tells how: a start from the first samples after the cut alone would drift away.
+    Where it was cut from a longer one, effects follow the measured motion in what is known before it; the run starts a little
+    before the cut, and its samples up to there tell how: a start from the first ones after the cut alone would drift away.
     """
 
     name: ClassVar[str] = "output_error"
@@ -110,11 +115,11 @@ class OutputError(Residual):
         records, heads = [], []
         for number, (e, own) in enumerate(zip(every, experiments, strict=True)):
             p, cut = positions[number], len(e) - len(own)
-            a = cut - min(cut // 2, PAST_SAMPLES // 2)
+            a = max(cut // 2, cut - RUN_UP_SAMPLES, int(np.searchsorted(e.t, e.t[cut] - RUN_UP_S)))
             settled = a + (cut - a) // 4  # by then sensors and springs have forgotten how they began
             n = cut + head_samples(own) - settled
             until = lambda b, c, number=number, e=e, p=p, a=a: replace(
-                _record(number, e, p, a, b, dataset, chain, remembers), samples=p[c:b]
+                _record(number, e, p, a, b, dataset, chain, len(e) if remembers else 0), samples=p[c:b]
             )
             records.append(until(len(e), cut))
             heads.append([until(settled + k, settled) for k in dict.fromkeys(max(6, n // k) for k in (1, 2, 4, 8, 16))])
@@ -138,6 +143,7 @@ class MultipleShooting(Residual):
 
     def runs(self, dataset, experiments, layout, noise, motions, step=recorded.STEP, shape=(0, 0)):
         states = layout.chain.has_states()
+        memory = WINDOW_PAST if states else 0
         if layout.chain.mechanism.hidden_states:
             raise UsageError(
                 f"windows cannot start inside a run of {layout.chain.mechanism.name}: its inner state is not measured; "
@@ -152,7 +158,7 @@ class MultipleShooting(Residual):
             length = self.window_s or default_window(e)
             edges = np.searchsorted(e.t, np.arange(e.t[0], e.t[-1] - 0.5 * length, length))
             for a, b in zip(edges, [*edges[1:], len(e.t)], strict=True):
-                records.append(_record(number, e, positions[number], int(a), int(b), dataset, layout.chain, states))
+                records.append(_record(number, e, positions[number], int(a), int(b), dataset, layout.chain, memory))
         engine = Engine(layout, samples, records, overrides(layout, experiments, records), simulate_lane)
         every = tuple(range(len(records)))
         return Runs(
@@ -185,7 +191,7 @@ class InverseDynamics(Residual):
             p = positions[number]
             kept = p[setting.ends[number] : len(p) - setting.ends[number] : setting.decimate]
             w[kept] = 1 / setting.noise
-            record = _record(number, e, p, 0, len(e.t), dataset, chain, False)
+            record = _record(number, e, p, 0, len(e.t), dataset, chain, 0)
             records.append(Record(**{**record.__dict__, "samples": kept, "free": np.zeros_like(record.free)}))
         samples = samples._replace(y=np.zeros_like(samples.y), w=w)
         lane: Lane = decimated_torque_lane(setting.taps) if setting.decimate > 1 else torque_lane
@@ -225,8 +231,9 @@ def overrides(layout: Layout, experiments: Sequence[Experiment], records: Sequen
     return out
 
 
-def _record(number: int, e: Experiment, p: np.ndarray, a: int, b: int, dataset: Dataset, chain: Chain, burn: bool) -> Record:
-    """Samples a ... b of an experiment as a record; its start from the statement of the experiment or its first samples."""
+def _record(number: int, e: Experiment, p: np.ndarray, a: int, b: int, dataset: Dataset, chain: Chain, burn: int) -> Record:
+    """Samples a ... b of an experiment as a record; its start from the statement of the experiment or its first samples. Up to
+    `burn` samples before it effects follow the measured motion."""
     from jaxid.signals import start_state
 
     nq = chain.nq
@@ -251,7 +258,7 @@ def _record(number: int, e: Experiment, p: np.ndarray, a: int, b: int, dataset: 
                         target[j], known[j] = e.initial[key], False
     lead = 0
     if burn and a > 0:
-        lead = int(p[a] - p[max(0, a - PAST_SAMPLES)])
+        lead = int(p[a] - p[max(0, a - burn)])
     return Record(number, int(p[a]), int(p[b - 1] - p[a] + 1), int(p[0]), int(p[-1]), lead, q0, qd0, free, p[a:b])
 
 

@@ -76,14 +76,14 @@ def test_parts_know_what_went_before_them():
     fit, validation, report = whole.with_splits().experiments
     assert fit.past is None and fit.whole is fit
     source = whole.experiments[0]
-    for part in (validation, report):  # two seconds of the recording, whichever part they went to
-        assert part.past is not None and len(part.past) == 200
+    for part, samples in ((validation, 500), (report, int(np.searchsorted(source.t, report.t[0])))):  # five seconds, or all of it
+        assert part.past is not None and len(part.past) == samples
         first = int(np.searchsorted(source.t, part.t[0]))
-        np.testing.assert_array_equal(part.whole.t, source.t[first - 200 : first + len(part)])
-        np.testing.assert_array_equal(part.whole.y, source.y[first - 200 : first + len(part)])
+        np.testing.assert_array_equal(part.whole.t, source.t[first - samples : first + len(part)])
+        np.testing.assert_array_equal(part.whole.y, source.y[first - samples : first + len(part)])
     assert validation.piece(10, 100, name="n", split="fit").past is None  # unless it is asked for
-    fast = dataset_of(run(20_000, "fit", dt=1e-4)).with_splits().experiments[1]
-    assert fast.past is not None and len(fast.past) == 1000
+    _, fast, last = dataset_of(run(30_000, "fit", dt=1e-4)).with_splits().experiments
+    assert fast.past is not None and len(fast.past) == 1000 and last.past is not None and len(last.past) == 20_000
 
 
 def test_short_runs_stay_whole_and_the_note_says_so():

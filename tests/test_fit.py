@@ -361,13 +361,13 @@ def test_a_part_cut_from_a_run_knows_how_its_spring_is_twisted():
     plant = dataclasses.replace(twins.PLANTS["pendulum"], resolution=0.0, noise=0.0)
     t, noise = np.arange(1600) * 0.005, 3e-4
     u = ref.multisine(t, [0.5], 3, periods=3, lines=8)
-    own = {"compliance": np.array([0.06]), "motor_share": np.array([0.4]), "spring_damping": np.array([0.4])}
+    own = {"compliance": np.array([0.06]), "motor_share": np.array([0.4]), "spring_damping": np.array([0.1])}
     q = twins.recorded(plant, u[None], {k: np.atleast_2d(x) for k, x in (plant.nominal | own).items()}, np.random.default_rng(0))[
         0, :, 0
     ]
     found = cut_in_time(q, u, t, noise, "joint_elasticity")
     assert found.effects[0].parameters["compliance"].value == pytest.approx(0.06, rel=0.02)
-    assert found.scores["fit"]["q"].rmse < 1.1 * noise and found.scores["validation"]["q"].rmse < 1.2 * noise
+    assert all(found.scores[split]["q"].rmse < 1.2 * noise for split in ("fit", "validation", "report"))
 
 
 def test_a_number_whose_derivative_is_undefined_has_no_deviation(monkeypatch):
