@@ -7,7 +7,7 @@ import pytest
 
 import reference as ref
 from benchmarks import diffrax_reference, recovery, run_all, twins, twins_mujoco
-from benchmarks.blind_cases import commands
+from benchmarks.blind_cases import commands, plan, recordings
 from jaxid.models import Pendulum, PlanarArm
 
 
@@ -86,6 +86,13 @@ def test_the_twins_of_mujoco_are_the_same_machines(model):
     q = twins_mujoco.simulated(plant, twins.fine(u, p, fast, h)[0], {k: x[0] for k, x in p.items()}, h)[::fast]
     reference = twins.rigid(plant, u, p, slow, plant.step)[0, ::slow]
     assert np.ptp(reference, 0).min() > 0.05 and np.abs(q - reference).max() < 5 * plant.noise
+
+
+def test_cases_that_begin_in_motion_state_neither_rest_nor_splits():
+    (data,), _, _ = recordings(plan("joint", 3, ("moving_control",))[:1], 3)
+    plant = twins.PLANTS["joint"]
+    assert [(e.split, e.at_rest, e.initial, len(e)) for e in data.experiments] == [("fit", False, None, 8 * plant.rate)] * 3
+    assert sum(abs(e.y[20, 0] - e.y[0, 0]) > 30 * plant.noise for e in data.experiments) >= 2
 
 
 def test_results_are_written_from_what_was_kept(tmp_path, monkeypatch):
