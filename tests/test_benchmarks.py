@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 import reference as ref
-from benchmarks import diffrax_reference, recovery, run_all, twins, twins_mujoco
+from benchmarks import blind_cases, diffrax_reference, recovery, run_all, twins, twins_mujoco
 from benchmarks.blind_cases import commands, plan, recordings
 from jaxid.models import Pendulum, PlanarArm
 
@@ -88,10 +88,12 @@ def test_the_twins_of_mujoco_are_the_same_machines(model):
     assert np.ptp(reference, 0).min() > 0.05 and np.abs(q - reference).max() < 5 * plant.noise
 
 
-def test_cases_that_begin_in_motion_state_neither_rest_nor_splits():
+def test_cases_that_begin_in_motion_state_neither_rest_nor_splits(monkeypatch):
+    monkeypatch.setitem(blind_cases.SECONDS, "joint", 0.5)
+    monkeypatch.setattr(blind_cases, "BEFORE_S", 0.5)
     (data,), _, _ = recordings(plan("joint", 3, ("moving_control",))[:1], 3)
     plant = twins.PLANTS["joint"]
-    assert [(e.split, e.at_rest, e.initial, len(e)) for e in data.experiments] == [("fit", False, None, 8 * plant.rate)] * 3
+    assert [(e.split, e.at_rest, e.initial, len(e)) for e in data.experiments] == [("fit", False, None, plant.rate // 2)] * 3
     assert sum(abs(e.y[20, 0] - e.y[0, 0]) > 30 * plant.noise for e in data.experiments) >= 2
 
 
