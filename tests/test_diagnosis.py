@@ -439,6 +439,25 @@ def test_runs_that_begin_in_motion_are_not_taken_for_a_gap():
     assert by_parts.how_far.gap_after < 1.3 and "leave open" not in by_parts.how_far.text
 
 
+def test_what_contains_a_hypothesis_leads_it_out_of_a_local_minimum():
+    """Dry friction alone had ended at 79 times the noise where Stribeck's law beside it ended at the noise, without any of it."""
+    names = ["coulomb_friction", "stribeck_friction"]
+    data = recording("pendulum", 3)
+    library = [catalogue.effect_class(n) for n in names]
+    binding = bind("pendulum", data, without=names[:1], candidates=library)
+    bench = Bench(binding)
+    p = bench.problem(OutputError(), "fit", binding.free, binding.theta)
+    searcher = Searcher(bench, OutputError(), descend([(p, p.z(binding.theta))], 10, 1e-6)[0])
+    dry, bend = candidates(bench, names)
+    theta = searcher.nominal.theta.copy()
+    theta[list(dry.index)] = 0.03
+    poor, rich = searcher.problem((dry,), theta), searcher.problem((dry, bend), theta)
+    paths = [descend([(poor, poor.z(theta))], 0, 1e-8)[0], descend([(rich, rich.z(theta))], 20, 1e-8)[0]]
+    found = searcher._hypotheses([((dry,), paths[0]), ((dry, bend), paths[1])])
+    led = searcher._led(list(found))
+    assert found[0].fit_loss > 10 and led[0].fit_loss < 1.1 and led[0].effects == (dry,) and led[1] is found[1]
+
+
 def test_an_interval_needs_blocks():
     rng = np.random.default_rng(0)
     white = rng.normal(size=(4000, 1))

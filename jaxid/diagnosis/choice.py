@@ -7,7 +7,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from jaxid.diagnosis.evidence import held_out, inflation, memory, worth
-from jaxid.diagnosis.hypothesis import family_of, Hypothesis
+from jaxid.diagnosis.hypothesis import family_of, Hypothesis, key_of
 from jaxid.diagnosis.shortlist import TIMING
 from jaxid.estimation import Bench
 from jaxid.residual import Residual
@@ -155,3 +155,17 @@ def close_to_noise(h: Hypothesis) -> bool:
     """White and close above the noise: a stated noise may be a little low, or something small is left."""
     white = h.fit_inflation < 1.5 * max(1.0, h.fit_loss) and memory(h.validation.settled) <= 2
     return max(h.validation.loss, h.fit_loss) < CLOSE_ABOVE and white
+
+
+def rivals_among(
+    known: Sequence[Hypothesis], chosen: Hypothesis, mates: Sequence[Hypothesis]
+) -> tuple[Hypothesis, Hypothesis] | None:
+    """The two hypotheses between which further data should decide: the chosen one (else the best) and what the data cannot
+    tell from it (else the best of those known that are not the first with more or less in it)."""
+    nested = lambda a, b: key_of(a.effects) <= key_of(b.effects) or key_of(a.effects) >= key_of(b.effects)
+    ranked = sorted((h for h in known if h.effects and np.isfinite(h.fit_loss)), key=joint_loss)
+    first = chosen if chosen.effects else next(iter(ranked), None)
+    if first is None or (not chosen.effects and at_floor(chosen)):
+        return None
+    others = [h for h in mates or ranked if not nested(h, first)]
+    return (first, min(others, key=joint_loss)) if others else None

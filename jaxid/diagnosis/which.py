@@ -25,6 +25,7 @@ from jaxid.diagnosis.choice import (
     joint_loss,
     not_borne_out,
     outweighed,
+    rivals_among,
     significant,
 )
 from jaxid.diagnosis.evidence import held_out, knowledge, together
@@ -117,13 +118,29 @@ class Searcher:
         order = sorted(range(len(sets)), key=lambda k: by_torque[k][0])
         sure = [k for k in order if np.isfinite(by_torque[k][0])][:SURE]
         final = brought_back(race(groups, 20, 1e-6, sure), self.bench.binding.theta, self.base_free)
-        found = self._hypotheses([(effects, path) for (effects, _), path in zip(sets, final, strict=True)])
+        found = self._led(self._hypotheses([(effects, path) for (effects, _), path in zip(sets, final, strict=True)]))
         for k, h in enumerate(found):
             old = self.known.get(key_of(h.effects))
             if old is not None and old.effects == h.effects and old.fit_loss < h.fit_loss:
                 found[k] = old
             self.known[key_of(h.effects)] = found[k]
         return found
+
+    def _led(self, found: list[Hypothesis]) -> list[Hypothesis]:
+        """The hypotheses; one that is left far behind by another that contains it begins anew where that ended, without what that
+        has more: it may have been in a local minimum."""
+        jobs: dict[int, tuple[Problem, np.ndarray]] = {}
+        for k, h in enumerate([] if self.by_torque else found):
+            richer = [g for g in found if key_of(h.effects) < key_of(g.effects) and g.fit_loss < FREED * h.fit_loss]
+            if lead := min(richer, key=lambda g: g.fit_loss, default=None):
+                theta, more = lead.theta.copy(), [i for c in lead.effects if c not in h.effects for i in c.index]
+                theta[more] = self.bench.binding.theta[more]
+                p = self.problem(h.effects, theta)
+                jobs[k] = p, self._z(p, replace(lead, theta=theta))
+        ends = zip(jobs, descend(list(jobs.values()), *THOROUGH) if jobs else [], strict=True)
+        better = {k: end for k, end in ends if end.loss < FREED * found[k].fit_loss}
+        new = self._hypotheses([(found[k].effects, end) for k, end in better.items()]) if better else []
+        return [dict(zip(better, new, strict=True)).get(k, h) for k, h in enumerate(found)]
 
     def _promising(
         self, sets: Sequence[tuple[tuple[Candidate, ...], Sequence[np.ndarray]]]
@@ -202,21 +219,8 @@ class Searcher:
         if chosen.effects and (needless or at_floor(self.nominal)):  # freed of a local minimum on the way
             chosen, mates = self.nominal, {}
         several = not self.by_torque and len(chosen.effects) > 1
-        rivals = self._rivals(chosen, list(mates.values()))
-        return Search(
-            self.nominal, chosen, self.tried, list(mates), rivals, several, without_each(chosen, self._stale | self.known)
-        )
-
-    def _rivals(self, chosen: Hypothesis, mates: Sequence[Hypothesis]) -> tuple[Hypothesis, Hypothesis] | None:
-        """The two hypotheses between which further data should decide: the chosen one (else the best) and what the data cannot
-        tell from it (else the best of those that are not the first with more or less in it)."""
-        nested = lambda a, b: key_of(a.effects) <= key_of(b.effects) or key_of(a.effects) >= key_of(b.effects)
-        ranked = sorted((h for h in self.known.values() if h.effects and np.isfinite(h.fit_loss)), key=joint_loss)
-        first = chosen if chosen.effects else next(iter(ranked), None)
-        if first is None or (not chosen.effects and at_floor(chosen)):
-            return None
-        others = [h for h in mates or ranked if not nested(h, first)]
-        return (first, min(others, key=joint_loss)) if others else None
+        rivals, known = rivals_among(list(self.known.values()), chosen, list(mates.values())), self._stale | self.known
+        return Search(self.nominal, chosen, self.tried, list(mates), rivals, several, without_each(chosen, known))
 
     def _beside(self, chosen: Hypothesis, pool: Sequence[Candidate], room: int) -> list[Hypothesis]:
         """Refits of the chosen hypothesis with more in it, `room` effects at most; after the first choice also of two others,
