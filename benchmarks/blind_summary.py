@@ -97,10 +97,9 @@ def main() -> dict[str, Any]:
         "same twin, for cases with eight report runs. Cases by MuJoCo: another simulator's own dry friction, play and multibody "
         "dynamics, for the plants and effects that it has. Runs that begin in motion: three recordings without their first 2 s, "
         "of whose ends the diagnosis keeps back a part; springs, play and warm joints are then in a state that nothing tells. "
-        "Of the "
-        f"{len(missed)} pairs that are not in the set {sum(r['after'] < 1.1 for r in missed)} leave less than 1.1 times the "
-        "noise on report data with what was named: the model's numbers, or the law that was named, take most of the other effect "
-        "in.\n\n"
+        f"Of the {len(missed)} pairs that are not in the set {sum(r['after'] < 1.1 for r in missed)} leave less than 1.1 times "
+        "the noise on report data with what was named: the model's numbers, or the law that was named, take most of the other "
+        "effect in.\n\n"
         "![What was named for what was withheld](results/blind_confusion.png)"
     )
     return {"title": "Blind cases, against what was asked", "rows": table, "text": text}

@@ -284,10 +284,9 @@ class Dataset:
 
         Without a validation run, the last 30 % of each fit run are kept for it. Without a report run, each
         validation run is cut once in time: first half validation, second half report. After each cut
-        max(20 samples, 0.1 s) are left out. Times stay absolute; a later piece knows no initial state, but
-        5 s (1000 samples) of what went before it, for report 60 s (20 000 samples): delays, lags, springs and friction
-        that remembers start from there, and the free run begins up to 1 s before the part, so that its start is known
-        well.
+        max(20 samples, 0.1 s) are left out. Times stay absolute; a later piece knows no initial state, but what went
+        before it, up to 5 s (1000 samples) for validation and 60 s (20 000 samples) for report: delays, lags, springs
+        and friction that remembers start from there, and the free run begins up to 1 s before the part.
         A run whose later piece would be under 20 samples is not cut.
         """
         from jaxid.dataset_splits import with_splits
