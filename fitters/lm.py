@@ -8,6 +8,7 @@ Sums of norms or of absolute values are the same with H of the reweighted least-
 
 from __future__ import annotations
 
+import functools
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
@@ -124,6 +125,9 @@ def search(
 #: best do so in any case.
 HEATS = ((0.1, 5, 2, None), (0.4, 6, 2, None), (1.0, 5, 1, 8), (1.0, None, 1, 4))
 WITHIN = 1.5
+#: A start that after so many steps is so many times (cost) behind another one of its group is given up, and so is a group so far
+#: behind one that leaves no more than AT_NOISE (mean square over the noise).
+PATIENCE, HOPELESS, AT_NOISE = 3, 100.0, 2.0
 
 
 def race(
@@ -131,7 +135,7 @@ def race(
 ) -> list[Path]:
     """A path of each group of (problem, start) on the same data, as by `search` but for a choice among the groups: those that are
     clearly behind after the first steps stay where they are, and only the front ones, and those that are `sure`, descend to the
-    end."""
+    end. Where one explains the data, only those go on with it that could yet do so."""
     current = [list(g) for g in groups]
     paths: list[Path] = []
     for heat, (share, steps, keep, front) in enumerate(HEATS):
@@ -139,6 +143,8 @@ def race(
             current = [[*now, *g[:2]] for now, g in zip(current, groups, strict=True)]
         order = sorted(range(len(paths)), key=lambda k: paths[k].cost)
         ahead = [k for n, k in enumerate(order) if front is None or n < front or paths[k].cost <= WITHIN * paths[order[0]].cost]
+        if ahead and paths[order[0]].loss <= AT_NOISE:
+            ahead = [k for k in ahead if paths[k].cost <= HOPELESS * paths[order[0]].cost]
         ahead = [*ahead, *(k for k in sure if k not in ahead)] if ahead else list(range(len(groups)))
         if share == 1.0 and steps is not None:  # the whole for the first time: for all of them, for those behind one step
             behind = [k for k in range(len(groups)) if k not in ahead]
@@ -149,7 +155,10 @@ def race(
             for k, path in zip(behind, last, strict=True):
                 paths[k] = path
         flat = [(k, job) for k in ahead for job in current[k]]
-        found = descend([job for _, job in flat], steps or iterations, 1e-4 if steps else tolerance, share)
+        behind_others = functools.partial(_far_behind, [k for k, _ in flat])
+        found = descend(
+            [job for _, job in flat], steps or iterations, 1e-4 if steps else tolerance, share, hopeless=behind_others
+        )
         paths = paths or [Path(g[0][0], g[0][1]) for g in current]
         for k in ahead:
             own = sorted((p for (n, _), p in zip(flat, found, strict=True) if n == k), key=lambda p: p.cost)
@@ -194,12 +203,14 @@ def descend(
     log: Log | Sequence[Log] | None = None,
     expansion: Expansion | None = None,
     curvature: Curvature = lambda path, trial, new: new.hessian,
+    hopeless: Callable[[Sequence[Path]], Sequence[bool]] | None = None,
 ) -> list[Path]:
     """Levenberg-Marquardt on many (problem, start) on the same runs at once; each linearisation of all is one batch.
 
     `expansion` gives twice the loss with gradient and curvature, by default `linearise` for sums of squares and `expand` for
     other losses; `curvature` may put another matrix in the place of that of an accepted trial. A `log`, of all jobs or of each,
-    counts evaluations (a share of the records as that share of one) and ends the descent when the budget is used up.
+    counts evaluations (a share of the records as that share of one) and ends the descent when the budget is used up. Paths that
+    are `hopeless` after the first few steps are given up.
     """
     if expansion is None:
         expansion = linearise if all(p.loss_name == "sum_of_squares" for p, _ in jobs) else expand
@@ -225,11 +236,22 @@ def descend(
                 one.add(math.ceil(each * count), scale * best.cost if share == 1.0 else np.inf)
                 one.show(iteration, iterations)
         active = [i for i in active if not paths[i].converged]
+        if hopeless is not None and iteration == PATIENCE:
+            lost = hopeless(paths)
+            active = [i for i in active if not lost[i]]
         if not active or iteration == iterations:
             break
         for i in active:
             trials[i] = next_trial(paths[i])
     return paths
+
+
+def _far_behind(groups: Sequence[int], paths: Sequence[Path]) -> list[bool]:
+    """Which paths are far behind another one of their group."""
+    best: dict[int, float] = {}
+    for k, path in zip(groups, paths, strict=True):
+        best[k] = min(best.get(k, np.inf), path.cost)
+    return [path.cost > HOPELESS * best[k] for k, path in zip(groups, paths, strict=True)]
 
 
 def _affordable(log: Log, active: list[int], each: float) -> list[int]:

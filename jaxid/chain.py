@@ -159,8 +159,17 @@ def neutral(kind: Callable[..., Effect]) -> Effect:
 Port = TypeVar("Port", bound=Effect)
 
 
-#: Structure of a chain -> whether it has states: tracing takes a fifth of a second.
-_REMEMBERING: dict[Any, bool] = {}
+def _first_state(e: Effect, q: Array, u: Array, y: Array, rate: Array) -> Any:
+    """State of an effect at the beginning of a run: `InputEffect.start` and the like; () for one that has none."""
+    if isinstance(e, InputEffect):
+        return e.start(u)
+    if isinstance(e, JointEffect):
+        return e.start(q)
+    return e.start(y, rate) if isinstance(e, OutputEffect) else ()
+
+
+#: Structure of a chain -> which of its effects have states: tracing takes a while.
+_REMEMBERING: dict[Any, tuple[bool, ...]] = {}
 
 
 class Carry(NamedTuple):
@@ -275,12 +284,20 @@ class Chain(eqx.Module):
         return mechanism
 
     def has_states(self) -> bool:
-        """Whether anything remembers between steps: an effect, or the mechanism beside its joints' positions and velocities."""
+        """Whether an effect, or the mechanism beside its joints, remembers the motion before a record."""
+        return self.mechanism.hidden_states or any(self.stateful())
+
+    def stateful(self) -> tuple[bool, ...]:
+        """Which effects remember the motion before a record; sensors do not, they begin anew with it."""
         key = jax.tree.structure(self)
         if key not in _REMEMBERING:
-            q, u, y = (jnp.zeros(n) for n in (self.nq, len(self.signature.inputs), len(self.signature.outputs)))
-            states, body = jax.eval_shape(lambda: (self._states(q, u, y, y), self.body()))
-            _REMEMBERING[key] = bool(jax.tree.leaves(states)) or body.hidden_states
+            q, u = jnp.zeros(self.nq), jnp.zeros(len(self.signature.inputs))
+
+            def states(e: Effect) -> Any:
+                hidden = isinstance(e, BodyEffect) and e(self.mechanism).hidden_states
+                return q if hidden else () if isinstance(e, OutputEffect) else _first_state(e, q, u, u, u)
+
+            _REMEMBERING[key] = tuple(bool(jax.tree.leaves(jax.eval_shape(states, e))) for e in self.effects)
         return _REMEMBERING[key]
 
     def start(
@@ -291,21 +308,7 @@ class Chain(eqx.Module):
         body = self.body().prepare(None) if body is None else body
         x = body.start(q, qd)
         y, rate = self.begins(body, q, qd) if self.at(OutputEffect) else (jnp.zeros(0), jnp.zeros(0))
-        return Carry(x, self._states(q, u, y, rate), jnp.zeros_like(q), jnp.zeros_like(q))
-
-    def _states(self, q: Float[Array, " nq"], u: Float[Array, " nu"], y: Float[Array, " ny"], rate: Float[Array, " ny"]) -> tuple:
-        """States of the effects at the beginning of such a run; () for one that has none."""
-        z = []
-        for e in self.effects:
-            if isinstance(e, InputEffect):
-                z.append(e.start(u))
-            elif isinstance(e, JointEffect):
-                z.append(e.start(q))
-            elif isinstance(e, OutputEffect):
-                z.append(e.start(y, rate))
-            else:
-                z.append(())
-        return tuple(z)
+        return Carry(x, tuple(_first_state(e, q, u, y, rate) for e in self.effects), jnp.zeros_like(q), jnp.zeros_like(q))
 
     def sensed_anew(self, z: tuple, fresh: tuple, here: Array) -> tuple:
         """States z, with those of the sensors as in `fresh` where `here`."""

@@ -18,9 +18,10 @@ import numpy as np
 from jaxid import controller as feedback, samples as recorded
 from jaxid.chain import Carry, Chain, Command
 from jaxid.controller import Law, law_of, Memory, Reading
-from jaxid.engine import _blocks_of, Engine, Lane
+from jaxid.engine import Engine
 from jaxid.errors import UsageError
 from jaxid.experiment import Dataset, Experiment
+from jaxid.lane import Lane, over_time
 from jaxid.layout import Layout
 from jaxid.residual import _record, overrides, Residual, RESIDUALS, Runs
 from jaxid.samples import Samples
@@ -66,7 +67,7 @@ def _lane(law: Law, signals: str) -> Lane:
 
         q, qd, u = start[:n], start[n : 2 * n], samples.u[begin]
         carry = chain.start(q, qd, u), feedback.begin(law, q, qd, u, reading(samples.x[begin]))
-        return _blocks_of(step, carry, steps, length, 2 * n if signals == "both" else n)
+        return over_time(step, carry, steps, length, 2 * n if signals == "both" else n)
 
     return lane
 

@@ -13,8 +13,8 @@ from jaxtyping import Array, Float
 
 from jaxid import samples as recorded
 from jaxid.chain import Chain
-from jaxid.engine import command_at
 from jaxid.experiment import Dataset, Experiment
+from jaxid.lane import command_at
 from jaxid.precision import float64
 from jaxid.samples import Samples
 

@@ -19,152 +19,18 @@ from typing import Any, NamedTuple
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Float, Int
+from jaxtyping import Array
 
-from jaxid.chain import Carry, Chain, Command
-from jaxid.lanes import loop_over_time, over_lanes
+from jaxid.lane import Lane, reach_of
+from jaxid.lanes import over_lanes
 from jaxid.layout import Layout
-from jaxid.mechanism import Mechanism
 from jaxid.precision import float64
 from jaxid.samples import BLOCK, bucket, Record, Samples
 from jaxid.traced import key_of, Traced
 
 
 #: Lanes of one block: enough for vector code, few enough to stay in the cache; and of each block of a call that has few of them.
-LANES, FEW = 32, 16
-#: Upper bound of every delay parameter of the library.
-LONGEST_DELAY_S = 0.1
-#: `reach` of a run with equal steps: what depends on the step's length is worked out once.
-EVEN = -1
-
-
-#: (chain, samples, where, start, steps, length, reach, burn) -> prediction at every step of a record.
-Lane = Callable[..., Array]
-
-
-def command_at(samples: Samples, k: Array, first: Array, last: Array, reach: int) -> Command:
-    """Command of buffer step k of the run that occupies first ... last; `reach` as of `reach_of`."""
-    mean = (samples.t[last] - samples.t[first]) / jnp.maximum(last - first, 1)
-    now, h = (samples.t[first] + (k - first) * mean, mean) if reach == EVEN else (samples.t[k], samples.h[k])
-
-    def step_of(t: Array) -> Array:
-        """Position of the step that holds each time [nu], none later than one step ahead."""
-        if reach == EVEN:  # by arithmetic: where rounding takes a neighbour, the integral is the same
-            return jnp.clip(first + jnp.floor((t - samples.t[first]) / mean).astype(k.dtype), first, last)
-        if reach == 0:  # nearly so: one place to either side
-            low = jnp.clip(k + jnp.floor((t - now) / h).astype(k.dtype), first, last)
-            low = jnp.where(samples.t[low] > t, jnp.maximum(low - 1, first), low)
-            up = jnp.minimum(low + 1, last)
-            return jnp.where(samples.t[up] <= t, up, low)
-        low, high = jnp.full(t.shape, jnp.maximum(k - reach, first)), jnp.full(t.shape, jnp.minimum(k + 1, last))
-        for _ in range(reach.bit_length() + 1):
-            middle = (low + high + 1) // 2
-            down = samples.t[middle] > t
-            low, high = jnp.where(down, low, middle), jnp.where(down, middle - 1, high)
-        return low
-
-    def integral(t: Array) -> Array:
-        """Integral of the stated input from the run's beginning to times t [nu]; before the run the first input holds."""
-        low = step_of(t)
-        channel = jnp.arange(t.shape[0])
-        begin = samples.t[first] + (low - first) * mean if reach == EVEN else samples.t[low]
-        return samples.total[low, channel] + samples.u[low, channel] * (t - begin)
-
-    delayed = lambda d: (integral(now + h - d) - integral(now - d)) / h
-    return Command(now, h, samples.u[k], samples.other[k], delayed)
-
-
-def simulate_lane(
-    chain: Chain,
-    samples: Samples,
-    where: Int[Array, " 4"],
-    start: Float[Array, " two_nq"],
-    steps: Array,
-    length: int,
-    reach: int,
-    burn: bool,
-    body: Mechanism | None = None,
-    wanted: tuple[int, ...] | None = None,
-) -> Float[Array, "length ny"]:
-    """Outputs of one model on one record, at every step of the buffer (`steps` of them, then zeros).
-
-    `where` holds the first step of the lane, the bounds of its run, and the burn-in: for so many steps the joints follow the
-    measured motion, so that effects, springs and beams bring their states to the record's beginning; then they start from
-    `start`, and sensors as if outputs had run straight up to it. The loop runs over blocks, their count is data: one program
-    serves every length. `body` is the mechanism with its effects, prepared, where that has been done; of outputs that are not
-    `wanted` zeros are returned.
-    """
-    nq = chain.nq
-    begin, first, last, lead = where
-    if body is None:
-        body = chain.body().prepare(samples.h[begin] if reach == EVEN else None)
-    initial = chain.start(start[:nq], start[nq:], samples.u[begin], body)
-
-    def step(carry: Carry, k: Array) -> tuple[Carry, Array]:
-        i = jnp.minimum(begin + k, last)
-        if burn:
-            q, qd = jnp.split(jnp.where(k < lead, samples.x[i], start), 2)
-            x = jax.tree.map(lambda a, b: jnp.where(k == 0, a, b), body.start(q, qd), body.follow(carry.x, q, qd))
-            z = chain.sensed_anew(carry.z, initial.z, k == lead)  # what was measured has gone through the sensors
-            carry = carry._replace(x=jax.tree.map(lambda a, b: jnp.where(k <= lead, a, b), x, carry.x), z=z)
-        command = command_at(samples, i, first, last, reach)
-        carry, y = chain.step(body, carry, command)
-        return carry, y if wanted is None else jnp.stack([y[i] if i in wanted else jnp.zeros(()) for i in range(len(y))])
-
-    y = _blocks_of(step, initial, steps, length, len(chain.signature.outputs))
-    k = jnp.arange(length)
-    beyond = jnp.maximum(begin + k - last, 0) * samples.h[last]  # the loop goes on to the end of its block, and so does time
-    times, even = samples.t[jnp.minimum(begin + k, last)] + beyond, samples.h[begin] if reach == EVEN else None
-    rate = chain.begins(body, start[:nq], start[nq:])[1]
-    y = jnp.where((k < lead)[:, None], y[lead] + rate * (times - times[lead])[:, None], y) if burn else y
-    return chain.recorded(times, y, even, rate)
-
-
-def torque_lane(
-    chain: Chain,
-    samples: Samples,
-    where: Int[Array, " 4"],
-    start: Float[Array, " two_nq"],
-    steps: Array,
-    length: int,
-    reach: int,
-    burn: bool,
-) -> Float[Array, "length nq"]:
-    """Minus the missing torque of the measured motion, M qdd + bias + friction - drive(u), at every sample of one run."""
-    nq = chain.nq
-    begin, first, last, _ = where
-
-    def step(z: tuple, k: Array) -> tuple[tuple, Array]:
-        i = jnp.minimum(begin + k, last)
-        command = command_at(samples, i, first, last, reach)
-        q, qd, qdd = samples.x[i, :nq], samples.x[i, nq : 2 * nq], samples.x[i, 2 * nq :]
-        missing, z = chain.inverse(command, z, q, qd, qdd)
-        return z, -missing
-
-    z = chain.start(samples.x[begin, :nq], samples.x[begin, nq : 2 * nq], samples.u[begin]).z
-    return _blocks_of(step, z, steps, length, nq)
-
-
-def _blocks_of(step: Callable, carry: Any, steps: Array, length: int, width: int) -> Array:
-    def block(state):
-        k, carry, out = state
-        carry, y = jax.lax.scan(step, carry, k + jnp.arange(BLOCK, dtype=k.dtype))
-        return k + BLOCK, carry, jax.lax.dynamic_update_slice_in_dim(out, y, k, 0)
-
-    state = (jnp.zeros((), jnp.asarray(steps).dtype), carry, jnp.zeros((length, width)))
-    return loop_over_time(lambda: jax.lax.while_loop(lambda s: s[0] < steps, block, state)[2])
-
-
-def reach_of(samples: Samples, record: Record) -> int:
-    """EVEN where a run has equal steps to rounding, 0 where to one percent, else how many steps the longest delay may reach
-    back, as a power of two."""
-    t, h = (np.asarray(a)[record.first : record.last] for a in (samples.t, samples.h))
-    if not h.size or np.ptp(h) <= 1e-6 * np.median(h):
-        return EVEN
-    if np.ptp(h) <= 0.01 * np.median(h):
-        return 0
-    return bucket(int(np.max(np.arange(t.size) - np.searchsorted(t, t - LONGEST_DELAY_S))) + 2, 8)
-
+LANES, FEW = 48, 16
 
 #: Blocks of lanes run side by side, one per core; which thread runs a block changes nothing in its result.
 _POOL = ThreadPoolExecutor(max_workers=os.cpu_count() or 1, thread_name_prefix="jaxid-lanes")
@@ -270,12 +136,17 @@ class Engine:
         with float64():
             self.samples = Samples(*(jnp.asarray(a) for a in samples))
         reach = max(reach_of(samples, r) for r in self.records)
-        self._kind = lane, self.length, reach, burn or any(r.lead for r in self.records)
+        self._kind, self._burn = (lane, self.length, reach), burn or any(r.lead for r in self.records)
         self._families = {} if whole else families(layout)
         self._neutral = np.array([e.spec.value for e in layout.entries])
         self._restricted: dict[frozenset[str], tuple[Layout, np.ndarray]] = {}
-        self.where = np.array([[r.offset - r.lead, r.first, r.last, r.lead] for r in self.records], np.int32)
-        self.steps = np.array([r.count + r.lead for r in self.records], np.int32)
+        self.where = np.array([[r.offset, r.first, r.last, r.lead] for r in self.records], np.int32)
+        self.steps = np.array([r.count for r in self.records], np.int32)
+        optional = [i for index in self._families.values() for i in index]
+        stateful = layout.chain.stateful() if self._burn else ()
+        own = [i for i, e in enumerate(layout.entries) if e.owner >= 0 and self._burn and stateful[e.owner]]
+        self._memory = np.array(own, int)
+        self._always = layout.chain.mechanism.hidden_states or not set(own) <= set(optional)
 
     def theta_of(self, theta: np.ndarray, record: np.ndarray) -> np.ndarray:
         """The numbers in force on each lane's record."""
@@ -323,15 +194,11 @@ class Engine:
         for lanes, (y, dy) in self._blocks("tangents", numbers, (start, dstart), record, share):
             yield lanes, y, dy
 
-    def _at_work(self, numbers: tuple[np.ndarray, ...], record: np.ndarray) -> dict[frozenset[str], np.ndarray]:
-        """Families at work -> lanes. All lanes of one record and one candidate meet in one program, so that their predictions are
-        the same bits."""
-        busy = {}
-        for name, index in self._families.items():
-            theta = np.any(numbers[0][:, index] != self._neutral[index], 1)
-            busy[name] = theta | np.any([np.any(d[:, index] != 0, 1) for d in numbers[1:]], 0) if numbers[1:] else theta
-        table = np.array(list(busy.values()), bool).reshape(len(busy), len(record)).T
-        names = list(busy)
+    def _at_work(self, busy: np.ndarray) -> dict[frozenset[str], np.ndarray]:
+        """Families at work -> lanes, of which numbers at work [lanes size]. An effect at its neutral value is the identity: what
+        lanes of one record and one candidate predict are the same bits in each of these programs."""
+        names = list(self._families)
+        table = np.array([np.any(busy[:, index], 1) for index in self._families.values()], bool).reshape(len(names), len(busy)).T
         groups: dict[frozenset[str], list[int]] = {}
         for k, row in enumerate(table):
             groups.setdefault(frozenset(n for n, b in zip(names, row, strict=True) if b), []).append(k)
@@ -343,14 +210,30 @@ class Engine:
             small, index = restricted(self.layout, kept) if len(kept) < len(self._families) else everything
             self._restricted[kept] = small, index
         small, index = self._restricted[kept]
-        return programs_for(small, *self._kind), index
+        return programs_for(small, *self._kind, self._burn and small.chain.has_states()), index
 
-    def _could_work(self, theta: np.ndarray, free: Sequence[int] | np.ndarray) -> frozenset[str]:
-        """Families that can be at work where numbers equal theta but in `free`."""
-        could = np.zeros(len(theta), bool)
-        could[free] = True
-        could |= (theta != self._neutral) | np.any(~np.isnan(self.overrides), 0)
+    def _could_work(self, theta: np.ndarray, free: Sequence[int] | np.ndarray) -> np.ndarray:
+        """Which numbers can be off their neutral values [size] where they equal theta but in `free`."""
+        could = (theta != self._neutral) | np.any(~np.isnan(self.overrides), 0)
+        could[np.asarray(free, int)] = True
+        return could
+
+    def _families_of(self, could: np.ndarray) -> frozenset[str]:
         return frozenset(name for name, index in self._families.items() if could[index].any())
+
+    def bounds(self, theta: np.ndarray, free: np.ndarray, record: Sequence[int]) -> tuple[np.ndarray, np.ndarray]:
+        """`where` [records 4] and `steps` [records] for lanes of the program that `predictor` makes of theta and `free`."""
+        busy = np.broadcast_to(self._could_work(theta, free), (len(record), len(theta)))
+        where = self._where(busy, np.asarray(record, int))
+        return where, self.steps[record] + where[:, 3]
+
+    def _where(self, busy: np.ndarray, record: np.ndarray) -> np.ndarray:
+        """`where` of lanes whose numbers are at work where `busy` [lanes size]: nothing follows the measured motion before a
+        record if nothing would remember it."""
+        where = self.where[record]
+        if self._burn and not self._always:
+            where[~np.any(busy[:, self._memory], 1), 3] = 0
+        return where
 
     def predictor(self, theta: np.ndarray, free: np.ndarray) -> tuple[Callable[..., Array], dict[Any, Any]]:
         """How one lane runs whose numbers equal theta but in `free`, and the compiled losses made of it.
@@ -359,7 +242,7 @@ class Engine:
         samples, steps) -> prediction. Only effects that can then be at work take part, and what the fixed numbers determine
         does not depend on the candidate.
         """
-        programs, index = self._programs_of(self._could_work(theta, free))
+        programs, index = self._programs_of(self._families_of(self._could_work(theta, free)))
         place = {int(i): k for k, i in enumerate(free)}
 
         def predict(values, still_open, fixed, start, where, samples, steps):
@@ -373,10 +256,12 @@ class Engine:
         for family in self._families:
             self._begin("outputs", frozenset([family]), also_compile=False)
 
-    def compile_ahead(self, name: str, theta: np.ndarray, free: Sequence[int] | np.ndarray) -> None:
-        """Begins to compile `outputs` or `tangents` of where numbers equal theta but in `free`."""
-        self._begin(name, self._could_work(theta, free), also_compile=True)
-        self._begin(name, self._could_work(theta, free), also_compile=False, width=FEW)
+    def compile_ahead(self, name: str, theta: np.ndarray, free: Sequence[int] | np.ndarray, few: bool = False) -> None:
+        """Begins to compile `outputs` or `tangents` of where numbers equal theta but in `free`; `few`: for calls of few lanes."""
+        kept = self._families_of(self._could_work(theta, free))
+        if not few:
+            self._begin(name, kept, also_compile=True)
+        self._begin(name, kept, also_compile=few, width=FEW)
 
     def _begin(self, name: str, kept: frozenset[str], also_compile: bool, width: int = LANES) -> None:
         """Has a program made ready by another thread, which runs it for no step; one that does not lie on disk only where
@@ -402,16 +287,18 @@ class Engine:
 
     def _blocks(self, name: str, numbers, states, record: np.ndarray, share: float) -> Iterator[tuple[np.ndarray, tuple]]:
         """(lanes, their outputs and padding) block by block, a few blocks ahead of who takes them."""
-        steps = np.ceil(self.steps[record] * share).astype(np.int32)
-        width = FEW if record.size <= FEW * min(2, os.cpu_count() or 1) else LANES  # the same bits, as measured
+        busy = np.any([numbers[0] != self._neutral, *(d != 0 for d in numbers[1:])], 0)
+        where = self._where(busy, record)
+        steps = np.ceil(self.steps[record] * share).astype(np.int32) + where[:, 3]
         jobs: list[Callable[[], tuple[np.ndarray, tuple]]] = []
         first: list[Callable[[], tuple[np.ndarray, tuple]]] = []
-        for kept, lanes in self._at_work(numbers, record).items():
+        for kept, lanes in self._at_work(busy).items():
             programs, index = self._programs_of(kept)
             program, own = getattr(programs, name), [a[:, index] for a in numbers]
+            width = self._width(programs, name, kept, record.size)
             lanes = lanes[np.argsort(-steps[lanes], kind="stable")]  # longest first, so that a block holds lanes of like length
             blocks = [
-                partial(self._block, program, own, states, record, lanes[k : k + width], steps[lanes[k]], width)
+                partial(self._block, program, own, states, where, lanes[k : k + width], steps[lanes[k]], width)
                 for k in range(0, lanes.size, width)
             ]
             if (name, width) not in programs.ready:
@@ -429,10 +316,23 @@ class Engine:
             yield from done
         yield from ahead(jobs)
 
-    def _block(self, program: Callable, numbers, states, record: np.ndarray, lanes: np.ndarray, steps: Any, width: int):
+    def _width(self, programs: Programs, name: str, kept: frozenset[str], count: int) -> int:
+        """Lanes of the blocks of a call of `count`. While the program of the better width is made ready, that of the other one
+        serves: the bits are the same."""
+        there = lambda width: (name, width) in programs.ready and ((p := programs.ready[name, width]) is None or p.done())
+        few = count <= FEW * min(2, os.cpu_count() or 1)
+        better, other = (FEW, LANES) if few else (LANES, FEW)
+        if there(better) or not there(other):
+            return better
+        if few:
+            self._begin(name, kept, also_compile=True, width=FEW)
+            return LANES
+        return FEW if (name, LANES) not in programs.ready and count <= 4 * FEW else LANES
+
+    def _block(self, program: Callable, numbers, states, where: np.ndarray, lanes: np.ndarray, steps: Any, width: int):
         padded = np.concatenate([lanes, np.repeat(lanes[-1:], width - lanes.size)])
         arrays = [a[padded] for pair in zip(numbers, states, strict=True) for a in pair]
-        out = in_float64(program, *arrays, self.where[record[padded]], self.samples, steps)
+        out = in_float64(program, *arrays, where[padded], self.samples, steps)
         return lanes, tuple(np.asarray(o) for o in (out if isinstance(out, tuple) else (out,)))
 
 

@@ -70,6 +70,11 @@ class Bench:
             )
         return self._runs[key]
 
+    def compile_ahead(self, residual: Residual, theta: np.ndarray, free: Sequence[int]) -> None:
+        """Begins to compile what a descent of one or two fits needs whose numbers equal theta but in `free`."""
+        name = "outputs" if self.differences else "tangents"
+        self.runs(residual, "fit").engine.compile_ahead(name, theta, free, few=True)
+
     def _shape_of(self, residual: Residual) -> tuple[int, int]:
         if isinstance(residual, InverseDynamics):  # at the samples, whatever the step of simulations
             return self._rows

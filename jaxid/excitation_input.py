@@ -16,11 +16,12 @@ import jax.numpy as jnp
 import numpy as np
 
 from jaxid.chain import Chain
-from jaxid.engine import Engine, simulate_lane
+from jaxid.engine import Engine
 from jaxid.errors import UsageError
 from jaxid.excitation_limits import Bounds
 from jaxid.excitation_motion import required
 from jaxid.experiment import Channel, Dataset, Experiment
+from jaxid.lane import simulate_lane
 from jaxid.layout import Layout
 from jaxid.parameter import Reference
 from jaxid.precision import float64

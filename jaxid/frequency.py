@@ -21,9 +21,10 @@ from jaxtyping import Array, Float
 
 from jaxid import samples as recorded
 from jaxid.chain import Chain, Command, Signals
-from jaxid.engine import Engine, EVEN, Lane, simulate_lane
+from jaxid.engine import Engine
 from jaxid.errors import nearest, UsageError
 from jaxid.experiment import Dataset, Experiment, FrequencyResponse as Measured
+from jaxid.lane import EVEN, Lane, simulate_lane
 from jaxid.layout import Layout
 from jaxid.mechanism import Mechanism
 from jaxid.residual import _record, overrides, Residual, RESIDUALS, Runs

@@ -7,6 +7,7 @@ least-squares method needs for many (problem, z) at once, all in the same batch 
 from __future__ import annotations
 
 import copy
+from collections import Counter
 from collections.abc import Callable, Iterator, Sequence
 from typing import Any, NamedTuple
 
@@ -98,7 +99,8 @@ class Problem(AbstractProblem):
         self.scale = np.concatenate([np.where(self.log, 1.0, typical), 0.1 * reach[rows, columns]])
         self.whole = lower, upper, scale
         self.predict, self.programs = runs.engine.predictor(self.base, self.free)
-        self.work = int(runs.engine.steps[self.records].max()) * len(self.records)
+        self._bounds = runs.engine.bounds(self.base, self.free, self.records)
+        self.work = int(self._bounds[1].max()) * len(self.records)
         self.targets, self.weights = runs.targets, runs.weights
         self._data: Data | None = None
 
@@ -176,9 +178,9 @@ class Problem(AbstractProblem):
             stated = engine.overrides[records]
             self._data = Data(
                 samples, np.where(np.isnan(stated), self.base, stated), np.isnan(stated[:, self.free]), self.log,
-                self.start0, self.start_rows, self.start_columns, engine.where[records],
+                self.start0, self.start_rows, self.start_columns, self._bounds[0],
                 np.array([self.runs.record(r).samples[0] for r in records], np.int32),
-                np.array([self.runs.record(r).count for r in records], np.int32), engine.steps[records], count, norm,
+                np.array([self.runs.record(r).count for r in records], np.int32), self._bounds[1], count, norm,
             )  # fmt: skip
         return self._data
 
@@ -264,14 +266,14 @@ def sums(predict: Callable, length: int, loss: Loss, z: Float[Array, "pop size"]
 
     def block(number):
         r = number % R
-        (begin, first, last, lead), count = data.where[r], data.counts[r]
-        at = jnp.minimum(begin + k, last)
-        inside = ((begin + k >= data.scored[r]) & (k < lead + count))[:, None]
+        where, count = data.where[r], data.counts[r]
+        offset, _, last, _ = where
+        at = jnp.minimum(offset + k, last)
+        inside = ((offset + k >= data.scored[r]) & (k < count))[:, None]
         w = jnp.where(inside, data.samples.w[at], 0.0)
         y = data.samples.y[at]
 
         def lane(values, start):
-            where = jnp.stack([begin, first, last, lead])
             prediction = predict(values, data.open[r], data.fixed[r], start, where, data.samples, data.steps[r])
             e = jnp.where(w > 0, prediction - y, 0.0)
             return jnp.sum(loss.summed(e, w * e), 0)
@@ -282,78 +284,91 @@ def sums(predict: Callable, length: int, loss: Loss, z: Float[Array, "pop size"]
     return jnp.sum(totals, 1).reshape(blocks * lanes, -1)[:pop]
 
 
+class _Part(NamedTuple):
+    """What the lanes of a job and record say: the prediction, its derivative along each column of z (weighted), the columns."""
+
+    base: np.ndarray
+    J: np.ndarray  # [columns samples outputs], each in one piece of memory
+    columns: list[int]
+    weights: np.ndarray
+    at: slice | np.ndarray
+    inside: slice | np.ndarray
+
+
 def _lanes(jobs: Sequence[tuple[Problem, np.ndarray]], share: float) -> Iterator[Rows]:
     """Rows of each job and record; the lanes of a record: with tangents one for each column of z, else the point itself and one
     or two beside it for each column."""
     runs, differences = jobs[0][0].runs, jobs[0][0].differences
     size, nx = len(runs.layout), 2 * runs.layout.chain.nq
-    lanes: list[tuple[int, int, int, int]] = []  # job, row of its record, column of z (-1: none), on which side of the point
+    lanes: list[tuple[int, int, int, int, int]] = []  # job, row of its record, column of z and its place (-1: none), side of z
     for j, (p, _) in enumerate(jobs):
         for row in range(len(p.records)):
-            own = [(int(c), side) for c in p.columns(row) for side in SIDES[differences]]
-            lanes += [(j, row, c, side) for c, side in ([(-1, 0), *own] if differences else own or [(-1, 0)])]
+            own = [(c, k, side) for k, c in enumerate(p.columns(row)) for side in SIDES[differences]]
+            lanes += [(j, row, *lane) for lane in ([(-1, -1, 0), *own] if differences else own or [(-1, -1, 0)])]
     n = len(lanes)
     theta, start = np.empty((n, size)), np.empty((n, nx))
     dtheta, dstart = np.zeros((n, size)), np.zeros((n, nx))
     record = np.empty(n, int)
     steps = [p.steps(z) for p, z in jobs]
     points = [(p.theta(z), p.starts(z), p.dtheta(z)) for p, z in jobs]
-    for k, (j, row, c, side) in enumerate(lanes):
+    for n, (j, row, c, _, side) in enumerate(lanes):
         p, z = jobs[j]
-        theta[k], start[k], record[k] = points[j][0], points[j][1][row], p.records[row]
+        theta[n], start[n], record[n] = points[j][0], points[j][1][row], p.records[row]
         if 0 <= c < p.free.size:
             i = p.free[c]
-            dtheta[k, i] = points[j][2][c]
+            dtheta[n, i] = points[j][2][c]
             if side:
                 moved = z[c] + steps[j][side][c]
-                theta[k, i] = np.exp(moved) if p.log[c] else moved
+                theta[n, i] = np.exp(moved) if p.log[c] else moved
         elif c >= 0:
             i = p.start_columns[c - p.free.size]
-            dstart[k, i] = 1.0
-            start[k, i] += steps[j][side][c] if side else 0.0
+            dstart[n, i] = 1.0
+            start[n, i] += steps[j][side][c] if side else 0.0
     seen = {r: _seen(runs, r, share) for r in {r for p, _ in jobs for r in p.records}}
-    rest: dict[tuple[int, int], int] = {}
-    for j, row, _, _ in lanes:
-        rest[j, row] = rest.get((j, row), 0) + 1
-    found: dict[tuple[int, int], dict[tuple[int, int], np.ndarray]] = {}  # of a job and record: predictions or their derivatives
+    rest = Counter((j, row) for j, row, *_ in lanes)
     order = list(rest)  # the rows of a job come in the order of its records
+    found: dict[tuple[int, int], _Part] = {}
     if differences:
-        parts = ((part, y, y) for part, y in runs.engine.output_blocks(theta, start, record, share))
+        blocks = ((part, y, y) for part, y in runs.engine.output_blocks(theta, start, record, share))
     else:
-        parts = runs.engine.tangent_blocks(theta, start, dtheta, dstart, record, share)
-    for part, y, dy in parts:
-        for n, k in enumerate(part):
-            j, row, c, side = lanes[k]
-            inside = seen[jobs[j][0].records[row]][1]
-            own = found.setdefault((j, row), {})
-            if c < 0 or not differences and (-1, 0) not in own:
-                own[-1, 0] = y[n][inside].copy()  # a view would hold on to the whole block
-            if c >= 0:
-                own[c, side] = dy[n][inside].copy()
+        blocks = runs.engine.tangent_blocks(theta, start, dtheta, dstart, record, share)
+    for part, y, dy in blocks:
+        for n, lane in enumerate(part):
+            j, row, c, k, side = lanes[lane]
+            own = found.get((j, row))
+            if own is None:
+                p = jobs[j][0]
+                at, inside = seen[p.records[row]]
+                w, columns = p.weights[at], p.columns(row)
+                own = _Part(np.empty(w.shape), np.zeros((len(columns), *w.shape)), columns, w, at, inside)
+                found[j, row] = own
+                if not differences:
+                    own.base[:] = y[n][inside]
+            if c < 0:
+                own.base[:] = y[n][own.inside]
+            elif differences:
+                own.J[k] += side * y[n][own.inside]
+            else:
+                np.multiply(own.weights, dy[n][own.inside], out=own.J[k])
             rest[j, row] -= 1
         while order and not rest[order[0]]:
             j, row = order.pop(0)
             p, own = jobs[j][0], found.pop((j, row))
-            at, columns = seen[p.records[row]][0], p.columns(row)
-            w, base = p.weights[at], own[-1, 0]
-            J = np.empty((len(columns), *w.shape))  # each column in one piece of memory
-            for k, c in enumerate(columns):
-                if differences:
-                    np.subtract(own[c, 1], own.get((c, -1), base), out=J[k])
-                    J[k] *= w / (steps[j][1] - steps[j][-1])[c]
-                else:
-                    np.multiply(w, own[c, 0], out=J[k])
-            yield Rows(j, p.records[row], w * (base - p.targets[at]), np.moveaxis(J, 0, -1), columns, w)
+            if differences == 1:
+                own.J[:] -= own.base
+            if differences:
+                own.J[:] *= own.weights / (steps[j][1] - steps[j][-1])[own.columns, None, None]
+            residual = own.weights * (own.base - p.targets[own.at])
+            yield Rows(j, p.records[row], residual, np.moveaxis(own.J, 0, -1), own.columns, own.weights)
 
 
 def _seen(runs: Runs, number: int, share: float) -> tuple[slice | np.ndarray, slice | np.ndarray]:
     """Samples of the first part of a record, and their places in a lane; as slices where there is no gap."""
     r = runs.record(number)
     at = r.samples if share == 1 else r.samples[r.samples < r.offset + share * r.count]
-    move = r.lead - r.offset
     if at.size and at[-1] - at[0] == at.size - 1:
-        return slice(at[0], at[-1] + 1), slice(at[0] + move, at[-1] + 1 + move)
-    return at, at + move
+        return slice(at[0], at[-1] + 1), slice(at[0] - r.offset, at[-1] + 1 - r.offset)
+    return at, at - r.offset
 
 
 __all__ = ["LOSSES", "PENALTY", "Data", "Linear", "Problem", "Rows", "expand", "linearise", "rows", "sums"]

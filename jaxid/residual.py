@@ -18,9 +18,10 @@ import numpy as np
 
 from jaxid import samples as recorded
 from jaxid.chain import Chain
-from jaxid.engine import Engine, Lane, simulate_lane, torque_lane
+from jaxid.engine import Engine
 from jaxid.errors import UsageError
 from jaxid.experiment import Dataset, Experiment
+from jaxid.lane import Lane, simulate_lane, torque_lane
 from jaxid.layout import Layout
 from jaxid.samples import Motion, Record
 from jaxid.torque import decimated_torque_lane, torque_setting, TorqueSetting
@@ -68,7 +69,7 @@ class Runs:
     def sample_prediction(self, number: int, prediction: np.ndarray) -> np.ndarray:
         """Predictions at the samples of a record [samples columns]."""
         r = self.record(number)
-        return prediction[r.samples - r.offset + r.lead]
+        return prediction[r.samples - r.offset]
 
 
 class Residual(abc.ABC):

@@ -11,9 +11,9 @@ import jax.numpy as jnp
 import numpy as np
 
 from jaxid.chain import Chain
-from jaxid.engine import Lane, torque_lane
 from jaxid.errors import UsageError
 from jaxid.experiment import Dataset, Experiment
+from jaxid.lane import Lane, torque_lane
 from jaxid.layout import Layout
 from jaxid.samples import columns, content_cutoff
 

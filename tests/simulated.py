@@ -11,8 +11,9 @@ import numpy as np
 
 from jaxid import samples
 from jaxid.chain import Chain
-from jaxid.engine import Engine, simulate_lane
+from jaxid.engine import Engine
 from jaxid.experiment import Channel, Dataset, Experiment
+from jaxid.lane import simulate_lane
 from jaxid.layout import Layout
 from jaxid.parameter import Reference
 from jaxid.samples import Record

@@ -9,7 +9,7 @@ import pytest
 
 from jaxid import lanes
 from jaxid.chain import Chain
-from jaxid.engine import EVEN, simulate_lane
+from jaxid.lane import EVEN, simulate_lane
 from jaxid.lanes import loop_over_time, over_lanes
 from jaxid.layout import Layout
 from jaxid.models import Joint, PlanarArm

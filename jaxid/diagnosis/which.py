@@ -300,10 +300,8 @@ class Searcher:
 
     def _refined(self, chosen: Hypothesis) -> Hypothesis:
         """The chosen hypothesis descended to the end, with steps so fine that they no longer matter against the noise: what the
-        step leaves behind would look like another effect.
-
-        The search itself stays on its steps: what finer ones add to the chosen hypothesis is taken off the data.
-        """
+        step leaves behind would look like another effect. The search itself stays on its steps: what finer ones add to the
+        chosen hypothesis is taken off the data."""
         chosen = self._descended(chosen, THOROUGH if chosen.effects or chosen.fit_loss < FAR else BRIEF)
         error = np.nan
         for _ in range(0 if self.by_torque else HALVINGS):
@@ -315,6 +313,7 @@ class Searcher:
             if error * error <= STEP_SHARE / 2 * before:  # as it goes on falling, half of what is allowed is left
                 break
         if self.accurate is not self.bench:
+            self.accurate.compile_ahead(self.residual, self.nominal.theta, self.base_free)  # which it is compared with
             for _ in range(CORRECTIONS):
                 self._take_off(chosen)
                 chosen = self._descended(chosen)
