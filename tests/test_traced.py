@@ -7,10 +7,9 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-import jaxid.engine
 from jaxid import traced
 from jaxid.chain import Chain
-from jaxid.lane import simulate_lane
+from jaxid.lane import simulate_lane, torque_lane
 from jaxid.layout import Layout
 from jaxid.models import Pendulum
 from jaxid.precision import float64
@@ -78,7 +77,7 @@ def test_the_key_holds_what_a_trace_depends_on(monkeypatch):
     key = key_of(simulate_lane, chain, 512)
     assert key is not None and key == key_of(simulate_lane, Chain(Pendulum()), 512)
     assert key != key_of(simulate_lane, chain, 1024)
-    assert key != key_of(jaxid.lane.torque_lane, chain, 512)
+    assert key != key_of(torque_lane, chain, 512)
     assert key != key_of(simulate_lane, chain.without("viscous_friction"), 512)
     assert key != key_of(simulate_lane, Chain(Pendulum(), smoothing_velocity=0.01), 512)
     monkeypatch.setattr(traced, "_own_sources", lambda: "changed")
