@@ -57,7 +57,7 @@ def percent(fraction: float | None) -> str:
 def value_with_std(estimate: Estimate, unit: bool = True) -> str:
     """`0.0812 ± 0.0004 kg m^2`, rounded to two digits of the standard deviation."""
     value, std = estimate.value, estimate.std
-    tail = f" {one_line(estimate.unit)}" if unit and estimate.unit else ""
+    tail = f" {one_line(estimate.unit)}" if unit and estimate.unit not in ("", "1") else ""
     if std is None or not math.isfinite(std) or std <= 0 or not math.isfinite(value):
         return number(value) + tail
     exponent = math.floor(math.log10(std)) - 1

@@ -130,7 +130,7 @@ def _null_directions(scaled: np.ndarray, kept: np.ndarray) -> tuple[np.ndarray, 
             if i not in seen and members.size > 1:
                 seen.update(int(m) for m in members)
                 groups.append(tuple(int(k) for k in index[members]))
-    return identifiable, tuple(groups)
+    return identifiable, tuple(dict.fromkeys(groups))
 
 
 def _pseudo_inverse(a: np.ndarray) -> np.ndarray:

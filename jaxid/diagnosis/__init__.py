@@ -35,6 +35,7 @@ from jaxid.fitters import descend, LevenbergMarquardt
 from jaxid.residual import InverseDynamics, MultipleShooting, OutputError, Residual
 from jaxid.results import Diagnosis, EffectEstimate, Fit, Ranked, Which
 from jaxid.runtime import Interrupted
+from jaxid.text import number
 from jaxid.time_stamps import scattered_stamps, with_scatter
 from jaxid.uncertainty import covariance
 
@@ -433,4 +434,4 @@ def _notes(binding: Binding, fit: Fit, compile_time: float) -> list[str]:
     own = [n for n in fit.notes if n not in binding.dataset.notes]
     friction = "tanh(qd / v) with v = " + f"{binding.chain.smoothing_velocity:g}"
     law = "true sticking" if binding.chain.smoothing_velocity == 0 else friction
-    return [*own, f"Coulomb friction: {law}", f"compilation took {compile_time:.2g} s"]
+    return [*own, f"Coulomb friction: {law}", f"compilation took {number(compile_time)} s"]

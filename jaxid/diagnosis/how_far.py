@@ -104,7 +104,7 @@ def interval_of_further_run(before: HeldOut, after: HeldOut) -> tuple[tuple[floa
     if len(blocks) < BLOCKS:
         reason = (
             f"no interval: residuals remember themselves for {length // 2} samples, so the report data hold only "
-            f"{len(blocks)} independent blocks and {BLOCKS} are needed"
+            f"{len(blocks)} independent {'block' if len(blocks) == 1 else 'blocks'} and {BLOCKS} are needed"
         )
         return None, "", reason
     return _from_blocks(blocks[:, 0], blocks[:, 1], len(blocks) / len(after.residual)), "blocks", ""

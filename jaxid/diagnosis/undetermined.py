@@ -12,7 +12,7 @@ from dataclasses import replace
 import numpy as np
 
 from jaxid.fitters import descend
-from jaxid.fitters.lm import HOPELESS, Path
+from jaxid.fitters.lm import Path
 from jaxid.problem import Problem
 
 
@@ -69,7 +69,7 @@ def put_back(path: Path, theta: np.ndarray, index: Sequence[int], problem: Calla
             tried[i] = theta[i]
             less = problem([f for f in free if f != i], tried)
             jobs.append((less, less.z(tried, starts)))
-        ends = descend(jobs, 12, 1e-6, hopeless=lambda paths, most=most: [path.cost > HOPELESS * most for path in paths])
+        ends = descend(jobs, 12, 1e-6)
         k = next((k for k, end in enumerate(ends) if end.cost <= most), None)
         if k is None:
             break

@@ -25,6 +25,7 @@ def section(diagnosis: Diagnosis) -> Section:
             "where": where_card(diagnosis),
             "which": which_card(diagnosis),
             "far": far_card(diagnosis),
+            "remark": how_far.text[:1].upper() + how_far.text[1:],
             "picture": None if which.verdict == "none" else gap_picture(how_far, which.verdict),
             "effects_added": bool(which.effects),
             "channels": list(how_far.per_channel.items()),
@@ -53,7 +54,7 @@ def where_card(diagnosis: Diagnosis) -> tuple[str, list[str]]:
         return "Nowhere above the noise", ["No regime of the motion stands out of what noise alone would show."]
     first = diagnosis.where[0]
     sentences = [text.where_sentence(f) for f in diagnosis.where[:2]]
-    if first.text:  # a sentence of its own may leave these out
+    if first.text and text.percent(first.share_of_gap) not in sentences[0]:  # a sentence of its own may leave these out
         sentences.insert(
             1, f"{text.percent(first.share_of_gap)} of the gap, {text.times(first.times_noise_floor)} times the noise."
         )

@@ -16,7 +16,8 @@ if TYPE_CHECKING:
 
 def of_diagnosis(diagnosis: Diagnosis) -> Section:
     final = diagnosis.final
-    notes = dict.fromkeys([*diagnosis.notes, *diagnosis.nominal.notes, *final.notes])
+    notes = dict.fromkeys([*diagnosis.notes, *final.notes])
+    notes |= dict.fromkeys(f"nominal model: {note}" for note in diagnosis.nominal.notes if note not in notes)
     return Section(
         "background.html",
         {

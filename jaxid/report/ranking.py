@@ -21,14 +21,12 @@ def section(which: Which) -> Section | None:
         return None
     named = {(e.effect, e.location) for e in which.effects}
     confusable = {(e.effect, e.location) for e in which.confusable_with}
-    rows = [
-        (r, "named" if (key := (r.effect, r.location)) in named else "confusable" if key in confusable else "")
-        for r in which.ranking
-    ]
+    kind = lambda key: "named" if key in named else "confusable" if key in confusable else ""
+    rows = [(r, kind((r.effect, r.location))) for r in which.ranking]
     return Section(
         "ranking.html",
         {
-            "rows": rows[:ROWS],
+            "rows": [(r, kind, r.text.removeprefix(f"{r.effect} at {r.location}: ")) for r, kind in rows[:ROWS]],
             "hidden": max(0, len(rows) - ROWS),
             "picture": picture(rows[:BARS]),
             "bars": min(BARS, len(rows)),
