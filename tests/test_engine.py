@@ -1,13 +1,16 @@
 """Programs of the engine: a process that simulates model after model keeps those it used last."""
 
+from dataclasses import replace
+
 import jax.numpy as jnp
 import numpy as np
 import pytest
 
 from jaxid import engine
 from jaxid.chain import Chain
+from jaxid.lane import simulate_lane
 from jaxid.models import FlexibleLink, Pendulum, PlanarArm
-from jaxid.models.effects import CoulombFriction, InputDelay
+from jaxid.models.effects import Backlash, CoulombFriction, DeadZone, InputDelay, SensorLag
 from simulated import Simulator
 
 
@@ -33,7 +36,29 @@ def test_the_width_of_a_block_changes_no_bit(model):
     chain = Chain(model(), [CoulombFriction(level=jnp.asarray(0.02)), InputDelay(delay=jnp.asarray(0.01))])
     u = 0.3 * np.sin(7 * t)[:, None] * np.ones(len(chain.signature.inputs))
     run = Simulator(chain, t, u, step=5e-3)
-    theta = np.tile(run.layout.values, (engine.LANES + 8, 1))
+    theta = np.tile(run.layout.values, (4 * engine.FEW + 8, 1))
     theta *= 1 + np.linspace(0.0, 0.2, len(theta))[:, None]
-    many, few = run.outputs(theta), run.outputs(theta[:3])
-    assert engine.FEW < engine.LANES and np.array_equal(many[:3], few) and np.ptp(many[:, -1]) > 0
+    few, many = run.outputs(theta[:3]), run.outputs(theta)  # in this order: what is there serves until the other one is
+    ready = {key for programs in engine._PROGRAMS.values() for key in programs.ready}
+    assert ready >= {("outputs", engine.FEW), ("outputs", engine.LANES)}
+    assert np.array_equal(many[:3], few) and np.ptp(many[:, -1]) > 0
+
+
+def test_only_what_remembers_follows_the_motion_before_a_record():
+    """Lanes of which nothing remembers start at the record itself; they come out as if they had followed the motion up to it."""
+    chain = Chain(Pendulum()).with_effects(DeadZone(), Backlash(), SensorLag())
+    t = np.arange(300) / 100
+    u = 0.4 * np.sin(3 * t)[:, None]
+    run = Simulator(chain, t, u, step=1e-2, size=512)
+    x = np.column_stack([0.3 * np.cos(3 * t), -0.9 * np.sin(3 * t)])
+    record = replace(run.engine.records[0], offset=100, count=200, lead=100, samples=np.arange(100, 300))
+    samples = run.engine.samples._replace(x=np.pad(x, [(0, len(run.engine.samples.t) - 300), (0, 0)], mode="edge"))
+    nothing_stated = np.full((1, len(run.layout)), np.nan)
+    sparing, whole = (engine.Engine(run.layout, samples, [record], nothing_stated, simulate_lane, 512, w) for w in (False, True))
+    sets = [run.theta(v) for v in ({"dead_zone.width@tau": 0.05}, {"sensor_lag.lag@q": 0.03}, {"backlash.play@q": 0.02})]
+    theta, start, at = np.array(sets), np.tile(x[100], (3, 1)), np.zeros(3, int)
+    busy = theta != np.array([e.spec.value for e in run.layout.entries])
+    assert sparing._where(busy, at)[:, 3].tolist() == [0, 0, 100] and whole._where(busy, at)[:, 3].tolist() == [100] * 3
+    found, expected = (e.outputs(theta, start, at)[:, :200] for e in (sparing, whole))
+    np.testing.assert_allclose(found, expected, rtol=0, atol=1e-12)
+    assert np.abs(found[2] - found[0]).max() > 1e-3 and np.ptp(found[:, :, 0], 1).min() > 0.1

@@ -27,10 +27,11 @@ from jaxid.fitters import (
     Hybrid,
     LevenbergMarquardt,
     ParticleSwarm,
+    race,
     RandToBestDE,
     RecursiveDE,
 )
-from jaxid.fitters.lm import accept, next_trial, Path
+from jaxid.fitters.lm import accept, next_trial, Path, PATIENCE
 from jaxid.objective import expand, FunctionProblem, Linear, PENALTY, rows
 from jaxid.recursion import follow, stretches
 from jaxid.residual import OutputError
@@ -446,3 +447,19 @@ def test_words_of_a_crossover_are_even_and_unrelated():
     coins = np.asarray(drawn < np.uint32(2**31)).reshape(40, -1)
     assert np.abs(np.corrcoef(coins) - np.eye(40)).max() < 5.5 / np.sqrt(coins.shape[1])
     assert len(np.unique(drawn)) > 0.9999 * drawn.size
+
+
+def test_a_race_gives_up_what_is_hopelessly_behind():
+    t = jnp.linspace(0.0, 10.0, 200)
+    y = 100 * jnp.sin(2 * t) + np.random.default_rng(4).normal(size=200)
+    wave = FunctionProblem(lambda z: 100 * jnp.sin(z[0] * t) - y, [0.1], [10.0])
+    level = FunctionProblem(lambda z: z[0] * t / 10 - y, [-200.0], [200.0])
+    groups = [[(wave, np.array([w])) for w in (5.0, 1.9, 7.0)], [(level, np.array([a])) for a in (150.0, -150.0)]]
+    right, wrong = race(groups, 20, 1e-6)
+    assert right.loss < 1.5 and right.z == pytest.approx([2.0], abs=1e-3)
+    assert wrong.linearisations == 2 and wrong.loss > 1000  # what explains the data needs no such rival to the end
+    assert race(groups, 20, 1e-6, sure=[1])[1].converged
+    alone = race(groups[1:], 20, 1e-6)[0]  # without it, the best goes on
+    assert alone.converged and alone.loss <= wrong.loss
+    lost = descend([(wave, np.array([w])) for w in (1.9, 5.0)], 8, 1e-8, hopeless=lambda paths: [p.loss > 100 for p in paths])
+    assert lost[0].loss < 1.5 and lost[1].linearisations == PATIENCE + 1
