@@ -354,8 +354,8 @@ def _bounded(path: Path, radius: float) -> tuple[np.ndarray, bool]:
         if not index.size:
             break
         pull = (g + H @ np.where(free, 0.0, dz))[index] / scale[index]
-        held = float(np.sum((scale * np.where(free, 0.0, dz)) ** 2))
-        left = np.sqrt(max(radius**2 - held, (0.1 * radius) ** 2))
+        held = _norm(scale * np.where(free, 0.0, dz)) / max(radius, 1e-300)
+        left = radius * np.sqrt(max(1.0 - held**2, 0.01))
         dz[index] = _within(H[np.ix_(index, index)] / scale[index] / scale[index][:, None], pull, left) / scale[index]
         out = free & ((z + dz < lower) | (z + dz > upper))
         if not out.any():
@@ -371,15 +371,20 @@ def _within(A: np.ndarray, b: np.ndarray, radius: float) -> np.ndarray:
     values, vectors = np.linalg.eigh(A)
     values = np.maximum(values, 1e-14)
     c = vectors.T @ b
-    largest = max(float(np.max(np.abs(c))), 1e-300)  # whose square may overflow where a model has all but diverged
-    mu, x = max(0.0, largest * float(np.linalg.norm(c / largest)) / radius - values[-1]), c  # no less will do
+    mu, x = max(0.0, _norm(c) / radius - values[-1]), c  # no less will do
     for _ in range(30):  # Newton on 1 / |x| - 1 / radius, which is nearly linear in mu
         x = c / (values + mu)
-        size = np.linalg.norm(x)
+        size = _norm(x)
         if size <= 1.1 * radius:
             break
-        mu += (size - radius) / radius * size**2 / np.sum(x**2 / (values + mu))
+        mu += (size - radius) / radius / np.sum((x / size) ** 2 / (values + mu))
     return -vectors @ x
+
+
+def _norm(x: np.ndarray) -> float:
+    """The length of a vector whose squares may overflow, as where a model has all but diverged."""
+    largest = max(float(np.max(np.abs(x), initial=0.0)), 1e-300)
+    return largest * float(np.linalg.norm(x / largest))
 
 
 def distinct(points: Sequence[np.ndarray]) -> list[np.ndarray]:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import warnings
 from typing import Any
 
 import jax
@@ -463,3 +464,13 @@ def test_a_race_gives_up_what_is_hopelessly_behind():
     assert alone.converged and alone.loss <= wrong.loss
     lost = descend([(wave, np.array([w])) for w in (1.9, 5.0)], 8, 1e-8, hopeless=lambda paths: [p.loss > 100 for p in paths])
     assert lost[0].loss < 1.5 and lost[1].linearisations == PATIENCE + 1
+
+
+def test_a_model_that_all_but_diverges_says_nothing_on_the_way():
+    problem = FunctionProblem(lambda z: z, [-1.0, -1e170], [1.0, 1e170])
+    gradient, hessian = np.array([1.0, 1e150]), np.diag([1.0, 1e-14])
+    path = Path(problem, np.zeros(2), 1e300, gradient, hessian, radius=1e200, scale=np.ones(2), history=[])
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        trial = next_trial(path)
+    assert np.isfinite(trial).all() and trial[1] < 0
