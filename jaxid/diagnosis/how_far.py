@@ -69,10 +69,8 @@ def measure(
     else:
         shrinkage = shrink(gaps[0] ** 2, gaps[2] ** 2)
         interval, made_of, reason = interval_of_further_run(runs[0], runs[2])
-    text = (
-        f"gap on {split} data: {gaps[0]:.3g} times the noise before, {gaps[1]:.3g} after re-tuning the old parameters alone, "
-        f"{gaps[2]:.3g} with the effects added"
-    )
+    text = f"gap on {split} data: {gaps[0]:.3g} times the noise before, {gaps[1]:.3g} after re-tuning the old parameters alone"
+    text += f", {gaps[2]:.3g} with the effects added" if verdict in ("named", "partly") else ""
     return HowFar(
         gaps[0], gaps[1], gaps[2], 1.0, shrinkage, interval, reason, per_channel, f"{text}. {note}".strip(),
         by_run(bench, split, runs), by_regime(bench, split, runs), made_of,

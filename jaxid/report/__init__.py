@@ -41,7 +41,7 @@ def write_diagnosis(diagnosis: Diagnosis, path: str | Path) -> Path:
         breakdown.section(diagnosis),
         missing_force.section(diagnosis.missing_force, diagnosis.regimes),
         ranking.section(diagnosis.which),
-        parameters.section(diagnosis.final, diagnosis.nominal),
+        parameters.section(diagnosis.final, diagnosis.nominal if diagnosis.which.effects else None),
         background.of_diagnosis(diagnosis),
     ]
     return _write(render(f"{one_line(diagnosis.dataset)}: diagnosis", sections), path)
