@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import json
-from dataclasses import dataclass, field
+from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import Any, TYPE_CHECKING
 
@@ -209,6 +209,11 @@ class Regime:
     null: tuple[float, float]  # the same ratio for a perfect model, 2.5 % and 97.5 %
     samples: int
 
+    @property
+    def stands_out(self) -> bool:
+        """Whether the force is clearly stronger here than elsewhere, and than chance makes it."""
+        return self.ratio > 1.1 * max(1.0, self.null[1])
+
 
 @dataclass(frozen=True)
 class MissingForce:
@@ -247,14 +252,7 @@ class Ranked:
     text: str
 
     def to_dict(self) -> dict[str, Any]:
-        return {
-            "effect": self.effect,
-            "location": self.location,
-            "validation_gap": self.validation_gap,
-            "bic": self.bic,
-            "evidence": self.evidence,
-            "text": self.text,
-        }
+        return asdict(self)
 
 
 @dataclass(frozen=True)
@@ -285,14 +283,7 @@ class ChannelGap:
     noise_source: str
 
     def to_dict(self) -> dict[str, Any]:
-        return {
-            "unit": self.unit,
-            "rmse_before": self.rmse_before,
-            "rmse_retuned": self.rmse_retuned,
-            "rmse_after": self.rmse_after,
-            "noise": self.noise,
-            "noise_source": self.noise_source,
-        }
+        return asdict(self)
 
 
 @dataclass(frozen=True)

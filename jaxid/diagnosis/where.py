@@ -222,7 +222,7 @@ def findings(
             inside = [regimes(m, j).get(row.regime, np.zeros(len(m.force), bool)) for m in found]
             energy = _excess(found, j, inside)
             lift = row.ratio / max(row.null[1], 1e-9)
-            if row.ratio > max(1.1, 1.1 * row.null[1]) and energy > 0.05 * total:
+            if row.stands_out and energy > 0.05 * total:
                 scored_rows.append((lift * np.sqrt(energy / total), energy / total, row.regime, inside))
         scored_rows.sort(key=lambda r: -r[0])
         if not scored_rows:

@@ -51,7 +51,7 @@ def headline(diagnosis: Diagnosis) -> str:
 
 def where_card(diagnosis: Diagnosis) -> tuple[str, list[str]]:
     if diagnosis.which.verdict == "none" or not diagnosis.where:
-        return "Nowhere above the noise", ["No regime of the motion stands out of what noise alone would show."]
+        return "Nowhere above the noise", ["What the simulation misses is no more than noise."]
     first = diagnosis.where[0]
     sentences = [text.where_sentence(f) for f in diagnosis.where[:2]]
     if first.text and text.percent(first.share_of_gap) not in sentences[0]:  # a sentence of its own may leave these out

@@ -142,8 +142,8 @@ def regime_picture(regimes: Sequence[Regime]):
             low, high = map(plot.drawable, r.null)
             ratio = plot.drawable(r.ratio)
             axes.barh(i, high - low, left=low, height=0.6, color=plot.PALE)
-            above = ratio > high
-            axes.plot([ratio], [i], "o" if above else "D", color=plot.VERMILLION if above else plot.GREY, markersize=6)
+            mark, color = ("o", plot.VERMILLION) if r.stands_out else ("D", plot.GREY)
+            axes.plot([ratio], [i], mark, color=color, markersize=6)
             axes.annotate(
                 text.number(r.ratio),
                 (max(ratio, high), i),
