@@ -143,9 +143,12 @@ def race(
             current = [[*now, *g[:2]] for now, g in zip(current, groups, strict=True)]
         order = sorted(range(len(paths)), key=lambda k: paths[k].cost)
         ahead = [k for n, k in enumerate(order) if front is None or n < front or paths[k].cost <= WITHIN * paths[order[0]].cost]
-        if ahead and paths[order[0]].loss <= AT_NOISE:
-            ahead = [k for k in ahead if paths[k].cost <= HOPELESS * paths[order[0]].cost]
-        ahead = [*ahead, *(k for k in sure if k not in ahead)] if ahead else list(range(len(groups)))
+        hopeful = list(range(len(groups)))
+        if heat > 1 and paths[order[0]].loss <= AT_NOISE:
+            hopeful = [k for k in hopeful if paths[k].cost <= HOPELESS * paths[order[0]].cost]
+            ahead = [k for k in ahead if k in hopeful]
+        last_chance = hopeful if steps is None else range(len(groups))
+        ahead = [*ahead, *(k for k in sure if k not in ahead and k in last_chance)] if ahead else hopeful
         if share == 1.0 and steps is not None:  # the whole for the first time: for all of them, for those behind one step
             behind = [k for k in range(len(groups)) if k not in ahead]
             for k in ahead:
