@@ -149,11 +149,11 @@ def race(
             ahead = [k for k in ahead if k in hopeful]
         last_chance = hopeful if steps is None else range(len(groups))
         ahead = [*ahead, *(k for k in sure if k not in ahead and k in last_chance)] if ahead else hopeful
-        if share == 1.0 and steps is not None:  # the whole for the first time: for all of them, for those behind one step
+        if share == 1.0 and steps is not None:  # the whole for the first time: for those behind one step, or a look
             behind = [k for k in range(len(groups)) if k not in ahead]
             for k in ahead:
                 current[k] += [groups[k][0]]
-            last = descend([current[k][0] for k in behind], 1, 1e-4) if behind else []
+            last = descend([current[k][0] for k in behind], int(len(hopeful) == len(groups)), 1e-4) if behind else []
             paths = [Path(g[0][0], g[0][1]) for g in current]
             for k, path in zip(behind, last, strict=True):
                 paths[k] = path

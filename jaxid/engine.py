@@ -31,6 +31,8 @@ from jaxid.traced import key_of, Traced
 
 #: Lanes of one block: enough for vector code, few enough to stay in the cache; and of each block of a call that has few of them.
 LANES, FEW = 48, 16
+#: A call of at most so many small blocks is made of them: two cores take no longer for it than with large ones.
+SMALL = 4
 
 #: Blocks of lanes run side by side, one per core; which thread runs a block changes nothing in its result.
 _POOL = ThreadPoolExecutor(max_workers=os.cpu_count() or 1, thread_name_prefix="jaxid-lanes")
@@ -290,12 +292,12 @@ class Engine:
         busy = np.any([numbers[0] != self._neutral, *(d != 0 for d in numbers[1:])], 0)
         where = self._where(busy, record)
         steps = np.ceil(self.steps[record] * share).astype(np.int32) + where[:, 3]
+        width = FEW if record.size <= SMALL * FEW else LANES  # whatever the number of cores: bits may differ by rounding
         jobs: list[Callable[[], tuple[np.ndarray, tuple]]] = []
         first: list[Callable[[], tuple[np.ndarray, tuple]]] = []
         for kept, lanes in self._at_work(busy).items():
             programs, index = self._programs_of(kept)
             program, own = getattr(programs, name), [a[:, index] for a in numbers]
-            width = self._width(programs, name, kept, record.size)
             lanes = lanes[np.argsort(-steps[lanes], kind="stable")]  # longest first, so that a block holds lanes of like length
             blocks = [
                 partial(self._block, program, own, states, where, lanes[k : k + width], steps[lanes[k]], width)
@@ -315,19 +317,6 @@ class Engine:
             self.compile_time_s += time.perf_counter() - began
             yield from done
         yield from ahead(jobs)
-
-    def _width(self, programs: Programs, name: str, kept: frozenset[str], count: int) -> int:
-        """Lanes of the blocks of a call of `count`. While the program of the better width is made ready, that of the other one
-        serves: the bits are the same."""
-        there = lambda width: (name, width) in programs.ready and ((p := programs.ready[name, width]) is None or p.done())
-        few = count <= FEW * min(2, os.cpu_count() or 1)
-        better, other = (FEW, LANES) if few else (LANES, FEW)
-        if there(better) or not there(other):
-            return better
-        if few:
-            self._begin(name, kept, also_compile=True, width=FEW)
-            return LANES
-        return FEW if (name, LANES) not in programs.ready and count <= 4 * FEW else LANES
 
     def _block(self, program: Callable, numbers, states, where: np.ndarray, lanes: np.ndarray, steps: Any, width: int):
         padded = np.concatenate([lanes, np.repeat(lanes[-1:], width - lanes.size)])

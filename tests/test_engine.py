@@ -36,9 +36,9 @@ def test_the_width_of_a_block_changes_no_bit(model):
     chain = Chain(model(), [CoulombFriction(level=jnp.asarray(0.02)), InputDelay(delay=jnp.asarray(0.01))])
     u = 0.3 * np.sin(7 * t)[:, None] * np.ones(len(chain.signature.inputs))
     run = Simulator(chain, t, u, step=5e-3)
-    theta = np.tile(run.layout.values, (4 * engine.FEW + 8, 1))
+    theta = np.tile(run.layout.values, (engine.SMALL * engine.FEW + 8, 1))
     theta *= 1 + np.linspace(0.0, 0.2, len(theta))[:, None]
-    few, many = run.outputs(theta[:3]), run.outputs(theta)  # in this order: what is there serves until the other one is
+    many, few = run.outputs(theta), run.outputs(theta[:3])
     ready = {key for programs in engine._PROGRAMS.values() for key in programs.ready}
     assert ready >= {("outputs", engine.FEW), ("outputs", engine.LANES)}
     assert np.array_equal(many[:3], few) and np.ptp(many[:, -1]) > 0
