@@ -143,17 +143,17 @@ def race(
             current = [[*now, *g[:2]] for now, g in zip(current, groups, strict=True)]
         order = sorted(range(len(paths)), key=lambda k: paths[k].cost)
         ahead = [k for n, k in enumerate(order) if front is None or n < front or paths[k].cost <= WITHIN * paths[order[0]].cost]
-        hopeful = list(range(len(groups)))
+        lost: set[int] = set()
         if heat > 1 and paths[order[0]].loss <= AT_NOISE:
-            hopeful = [k for k in hopeful if paths[k].cost <= HOPELESS * paths[order[0]].cost]
-            ahead = [k for k in ahead if k in hopeful]
-        last_chance = hopeful if steps is None else range(len(groups))
-        ahead = [*ahead, *(k for k in sure if k not in ahead and k in last_chance)] if ahead else hopeful
-        if share == 1.0 and steps is not None:  # the whole for the first time: for those behind one step, or a look
+            lost = {k for k in order if paths[k].cost > HOPELESS * paths[order[0]].cost}
+        over = lost if steps is None else set()  # until the last heat those that are sure have a chance all the same
+        ahead = [k for k in ahead if k not in lost]
+        ahead = [*ahead, *(k for k in sure if k not in ahead and k not in over)] if order else list(range(len(groups)))
+        if share == 1.0 and steps is not None:  # the whole for the first time: for those behind one step, or a mere look
             behind = [k for k in range(len(groups)) if k not in ahead]
             for k in ahead:
                 current[k] += [groups[k][0]]
-            last = descend([current[k][0] for k in behind], int(len(hopeful) == len(groups)), 1e-4) if behind else []
+            last = descend([current[k][0] for k in behind], 0 if lost else 1, 1e-4) if behind else []
             paths = [Path(g[0][0], g[0][1]) for g in current]
             for k, path in zip(behind, last, strict=True):
                 paths[k] = path

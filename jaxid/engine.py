@@ -2,7 +2,8 @@
 
 A lane is one candidate on one record, with one tangent direction. Candidates, parameters and records share ONE flat batch
 axis in blocks of fixed size: the program never recompiles because a number changed, a lane's result does not depend on its
-neighbours (bitwise), and a lane that diverges costs the others nothing.
+neighbours (bitwise), and a lane that diverges costs the others nothing. Calls of few and of many lanes are made of blocks of two
+sizes: of some models with springs (`backlash` in the tracker) they differ by rounding.
 """
 
 from __future__ import annotations
@@ -292,7 +293,7 @@ class Engine:
         busy = np.any([numbers[0] != self._neutral, *(d != 0 for d in numbers[1:])], 0)
         where = self._where(busy, record)
         steps = np.ceil(self.steps[record] * share).astype(np.int32) + where[:, 3]
-        width = FEW if record.size <= SMALL * FEW else LANES  # whatever the number of cores: bits may differ by rounding
+        width = FEW if record.size <= SMALL * FEW else LANES  # on any number of cores
         jobs: list[Callable[[], tuple[np.ndarray, tuple]]] = []
         first: list[Callable[[], tuple[np.ndarray, tuple]]] = []
         for kept, lanes in self._at_work(busy).items():

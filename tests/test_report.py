@@ -197,6 +197,8 @@ def test_spectrum_of_white_noise_is_its_density():
 )
 def test_value_with_std(value, std, expected):
     assert text.value_with_std(Estimate(value, std, "", 0.0, 1.0)) == expected
+    assert text.value_with_std(Estimate(value, std, "1", 0.0, 1.0)) == expected  # a share of 0.08 is no "0.08 1"
+    assert text.value_with_std(Estimate(value, std, "N m", 0.0, 1.0)) == f"{expected} N m"
 
 
 @pytest.mark.parametrize(

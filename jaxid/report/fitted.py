@@ -43,7 +43,7 @@ def headline(fit: Fit) -> str:
 
 def history_picture(fit: Fit):
     evaluations, losses = (np.asarray(column, float) for column in zip(*fit.history, strict=True))
-    positive = (losses > 0) & (losses < plot.LARGEST)  # before, every start diverges
+    positive = (losses > 0) & (losses < plot.LARGEST)  # beyond, models diverge or nearly do
 
     def draw(figure):
         axes = figure.add_subplot()
