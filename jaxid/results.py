@@ -177,7 +177,7 @@ class Fit:
 
 @dataclass(frozen=True)
 class Finding:
-    """One place where the gap lies. `times_noise_floor` is the missing signal there over its own noise."""
+    """One place where the gap lies. `times_noise_floor` is the missing signal there over what noise would show there."""
 
     channel: str
     location: str
@@ -230,7 +230,7 @@ class MissingForce:
     load: np.ndarray
     before: np.ndarray
     after: np.ndarray
-    floor: float  # one standard deviation of what noise alone would show
+    floor: np.ndarray  # one standard deviation of what noise alone would show at each sample
 
     def plot(self, after: bool = False, ax: Axes | None = None) -> Axes:
         """Draws the motion in the phase plane, coloured by the missing force: a band along an axis is a law of velocity or

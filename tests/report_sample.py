@@ -142,7 +142,9 @@ def sample_diagnosis(samples: int = 4000) -> Diagnosis:
         nominal=nominal,
         final=final,
         traces=sample_traces(samples, ("nominal model", "with coulomb_friction at q")),
-        missing_force=(MissingForce("q", "N m", "rad", "rad/s", "step_2", t, q, qd, 1.2 * np.sin(q), before, rest, 0.012),),
+        missing_force=(
+            MissingForce("q", "N m", "rad", "rad/s", "step_2", t, q, qd, 1.2 * np.sin(q), before, rest, np.full_like(t, 0.012)),
+        ),
         regimes=(
             Regime("q", "velocity_reversal", 2.4, (0.8, 1.2), 410),
             Regime("q", "low_speed", 1.6, (0.85, 1.15), 820),

@@ -132,7 +132,7 @@ def test_numbers_that_are_hard_to_draw(tmp_path, value):
     traces = tuple(
         replace(t, simulated={k: np.full_like(s, value) for k, s in t.simulated.items()}, noise=value) for t in d.traces
     )
-    forces = tuple(replace(m, before=np.full_like(m.before, value), floor=value) for m in d.missing_force)
+    forces = tuple(replace(m, before=np.full_like(m.before, value), floor=np.full_like(m.floor, value)) for m in d.missing_force)
     regimes = tuple(replace(r, ratio=value) for r in d.regimes)
     which = replace(d.which, ranking=ranking)
     d = replace(d, how_far=far, traces=traces, missing_force=forces, regimes=regimes, which=which)

@@ -35,7 +35,7 @@ from jaxid.fitters import descend, LevenbergMarquardt
 from jaxid.residual import InverseDynamics, MultipleShooting, OutputError, Residual
 from jaxid.results import Diagnosis, EffectEstimate, Fit, Ranked, Which
 from jaxid.runtime import Interrupted
-from jaxid.text import number
+from jaxid.text import number, times
 from jaxid.time_stamps import scattered_stamps, with_scatter
 from jaxid.uncertainty import covariance
 
@@ -115,8 +115,8 @@ def run_diagnosis(
         if again.which.verdict in PREFERRED[verdict]:
             note = (
                 f"a difference at the start of a run grows {grown:.2g} times within it, and by free runs the answer was "
-                f"{verdict} with {found.how_far.gap_after:.3g} times the noise left: models are compared over windows, each with "
-                "its own start"
+                f"{verdict} with {times(found.how_far.gap_after)} times the noise left: models are compared over windows, each "
+                "with its own start"
             )
             found = dataclasses.replace(again, notes=(*again.notes, note))
     notes = (*found.notes, *(s.text for s in stamps.values()))
@@ -164,7 +164,7 @@ def _diagnosed(question: Question, scatter: timing.Scatter | None = None) -> tup
             verdict, text = upheld(judged, judged_text, gaps[0], gaps[1], search.several)
             if verdict == judged:
                 text += (
-                    f" The report data are {how_far.gap_after:.3g} times the noise away, but go where fit and validation data "
+                    f" The report data are {times(how_far.gap_after)} times the noise away, but go where fit and validation data "
                     "leave numbers of the model open; within what is known of these it holds there too."
                 )
         if verdict == "unknown":
@@ -174,7 +174,8 @@ def _diagnosed(question: Question, scatter: timing.Scatter | None = None) -> tup
             if verdict == "none":  # the gap was one next to the noise
                 text = (
                     f"{plain} {' and '.join(map(str, chosen.effects))} would follow fit and validation data more closely, but "
-                    f"leaves {seen_with:.3g} times the noise of the report data, {how_far.gap_retuned:.3g} without: not claimed."
+                    f"leaves {times(seen_with)} times the noise of the report data, {times(how_far.gap_retuned)} without: not "
+                    "claimed."
                 )
     estimates = _effect_estimates(binding, final, named)
     final_fit = _fit(bench, final, residual, seed, compile_time, time.perf_counter() - began)
@@ -276,7 +277,7 @@ def judge(search: Search) -> tuple[str, str]:
         if nominal.loss <= floor and search.nominal.fit_loss <= 1 + 4 * np.sqrt(2 / search.nominal.path.count) + 0.06:
             return "none", "The model reaches the noise floor on data that were not fitted: there is no gap."
         gap = np.sqrt(max(nominal.loss, search.nominal.fit_loss))
-        return "unknown", f"There is a gap ({gap:.3g} times the noise), and no effect of the library explains it."
+        return "unknown", f"There is a gap ({times(gap)} times the noise), and no effect of the library explains it."
     closed = (nominal.loss - chosen.loss) / max(nominal.loss - 1, 1e-12)
     names = " and ".join(str(c) for c in search.chosen.effects)
     left = np.sqrt(max(chosen.loss, 1.0))
@@ -287,20 +288,20 @@ def judge(search: Search) -> tuple[str, str]:
     followed = 1 - (search.chosen.fit_loss - 1) / max(search.nominal.fit_loss - 1, 1e-12)
     closed_on_both = closed >= NAMED and (followed >= NAMED or search.chosen.fit_loss <= LEFT**2)
     if chosen.loss <= max(floor, 1.1) or (closed_on_both and not close):
-        return "named", f"The model lacks {names}; with it {left:.3g} times the noise is left on validation data.{each}"
+        return "named", f"The model lacks {names}; with it {times(left)} times the noise is left on validation data.{each}"
     if closed >= PARTLY:
         return "partly", (
             f"The model lacks {names}, which explains {np.floor(100 * closed):.0f} % of the gap on validation data; a clear "
-            f"remainder ({left:.3g} times the noise) stays unexplained.{each}"
+            f"remainder ({times(left)} times the noise) stays unexplained.{each}"
         )
     if search.chosen.fit_loss <= 1.1 < search.nominal.fit_loss:
         return "partly", (
             f"The model lacks {names}: with it the fit runs are followed down to the noise. The validation runs go where the fit "
-            f"runs do not: there {100 * closed:.0f} % of the gap is explained and {left:.3g} times the noise is left."
+            f"runs do not: there {100 * closed:.0f} % of the gap is explained and {times(left)} times the noise is left."
         )
     return "unknown", (
         f"No effect explains most of the gap: the best, {names}, explains {100 * closed:.0f} % of it and leaves "
-        f"{left:.3g} times the noise."
+        f"{times(left)} times the noise."
     )
 
 
@@ -312,11 +313,12 @@ def upheld(verdict: str, text: str, retuned: float, after: float, several: bool 
         return verdict, text
     if after >= retuned:
         return "unknown", (
-            f"{text} On the report data that model is {after:.3g} times the noise away, {retuned:.3g} without: it is not claimed."
+            f"{text} On the report data that model is {times(after)} times the noise away, {times(retuned)} without: it is not "
+            "claimed."
         )
     closed = shrinking.shrink(retuned**2, after**2)
     if verdict == "named" and several and after > LEFT:
-        return "partly", f"{text} On the report data {after:.3g} times the noise is left."
+        return "partly", f"{text} On the report data {times(after)} times the noise is left."
     if verdict == "named" and (closed < PARTLY or (closed < NAMED and after > LEFT)):
         return "partly", f"{text} On the report data it explains {100 * closed:.0f} % of the gap."
     return verdict, text

@@ -11,6 +11,7 @@ from jaxid.estimation import Bench
 from jaxid.residual import InverseDynamics, Residual
 from jaxid.results import ChannelGap, HowFar
 from jaxid.samples import columns
+from jaxid.text import times
 
 
 #: An interval needs at least this many runs, or independent blocks of fewer runs.
@@ -61,16 +62,18 @@ def measure(
         reason = "the verdict is none: there is no gap to shrink"
         if beyond > UNSEEN:
             note += (
-                f" The {split} runs are {gaps[2]:.3g} times the noise away all the same: they go where fit and validation runs "
-                "do not, with numbers that those do not determine. Fit runs that go there tell more."
+                f" The {split} runs are {times(gaps[2])} times the noise away all the same: they go where fit and validation "
+                "runs do not, with numbers that those do not determine. Fit runs that go there tell more."
             )
     elif gaps[0] <= 1.0:
         reason = "the gap was at the noise floor on report data before any effect was added"
     else:
         shrinkage = shrink(gaps[0] ** 2, gaps[2] ** 2)
         interval, made_of, reason = interval_of_further_run(runs[0], runs[2])
-    text = f"gap on {split} data: {gaps[0]:.3g} times the noise before, {gaps[1]:.3g} after re-tuning the old parameters alone"
-    text += f", {gaps[2]:.3g} with the effects added" if verdict in ("named", "partly") else ""
+    text = (
+        f"gap on {split} data: {times(gaps[0])} times the noise before, {times(gaps[1])} after re-tuning the old parameters alone"
+    )
+    text += f", {times(gaps[2])} with the effects added" if verdict in ("named", "partly") else ""
     return HowFar(
         gaps[0], gaps[1], gaps[2], 1.0, shrinkage, interval, reason, per_channel, f"{text}. {note}".strip(),
         by_run(bench, split, runs), by_regime(bench, split, runs), made_of,

@@ -13,6 +13,7 @@ from jaxid.diagnosis.hypothesis import Candidate, Hypothesis
 from jaxid.estimation import Bench
 from jaxid.residual import Residual
 from jaxid.results import Ranked
+from jaxid.text import times
 from jaxid.time_stamps import Stamps
 
 
@@ -50,5 +51,5 @@ class Scatter:
         squares = lambda held: float(sum(np.sum(r**2) for r in held.residual))
         evidence = (squares(held) - squares(h.validation) - wider) / 2
         gap = float(np.sqrt(max(h.validation.loss, 0.0)))
-        text = f"validation gap {gap:.3g} times the noise that the stamps make"
+        text = f"validation gap {times(gap)} times the noise that the stamps make"
         return tuple(Ranked(c.effect, c.location, gap, float(h.bic), evidence, f"{c}: {text}") for c in self.effects())

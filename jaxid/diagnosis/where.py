@@ -18,6 +18,7 @@ from jaxid.experiment import Experiment
 from jaxid.problem import Problem
 from jaxid.residual import InverseDynamics, OutputError
 from jaxid.results import Finding, MissingForce, Regime
+from jaxid.text import times
 
 
 #: Simulated repetitions for the null of every regime.
@@ -199,9 +200,16 @@ def _ratio(series: Sequence[np.ndarray], masks: Sequence[np.ndarray]) -> float:
     return float(np.sqrt(np.mean(inside**2) / max(np.mean(np.concatenate(series) ** 2), 1e-300)))
 
 
-def floor_of(found: Sequence[Missing], joint: int) -> float:
-    """Root mean square of the missing force that noise alone would show."""
-    return float(np.sqrt(np.mean(np.concatenate([m.null[:, :, joint].ravel() for m in found]) ** 2)))
+def floor_of(found: Sequence[Missing], joint: int, masks: Sequence[np.ndarray]) -> float:
+    """Root mean square of the missing force that noise alone would show in a regime."""
+    return float(np.sqrt(np.mean(np.concatenate([m.null[:, k, joint].ravel() for m, k in zip(found, masks, strict=True)]) ** 2)))
+
+
+def floor_at(m: Missing, joint: int) -> np.ndarray:
+    """The same at every sample [time], over a hundredth of the run: noise shows more where the motion is abrupt."""
+    from scipy.ndimage import uniform_filter1d
+
+    return np.sqrt(uniform_filter1d(np.mean(m.null[:, :, joint] ** 2, 0), 1 + len(m.force) // 100, mode="nearest"))
 
 
 def findings(
@@ -214,7 +222,6 @@ def findings(
     total = sum(_excess(found, j, None) for j in range(len(joints))) or 1e-300
     out = []
     for j, joint in enumerate(joints):
-        floor = floor_of(found, j)
         scored_rows = []
         for row in rows:
             if row.joint != joint or row.null[1] <= 0:
@@ -233,15 +240,16 @@ def findings(
         for _, share, regime, inside in scored_rows[:most]:
             values = np.concatenate([m.force[k, j] for m, k in zip(found, inside, strict=True)])
             strength = float(np.sqrt(np.mean(values**2)))
-            times = strength / max(floor, 1e-300)
+            above = strength / max(floor_of(found, j, inside), 1e-300)
             window, experiment = _window(found, j, inside)
             place = locations.get(joint, joint)
             text = (
                 f"{joint}: {100 * share:.0f} % of the missing force lies {_WORDS[regime]} ({strength:.3g} {unit} rms, "
-                f"{times:.3g} times what noise would show); worst from {window[0]:.4g} to {window[1]:.4g} s of {experiment}"
+                f"{times(above)} times what noise would show there); worst from {window[0]:.4g} to {window[1]:.4g} s of "
+                f"{experiment}"
             )
             channel = joint if joint in outputs else outputs[min(j, len(outputs) - 1)]
-            out.append(Finding(channel, place, regime, window, float(share), float(times), text))
+            out.append(Finding(channel, place, regime, window, float(share), above, text))
     return sorted(out, key=lambda f: -f.share_of_gap * f.times_noise_floor)[:most]
 
 
@@ -287,9 +295,9 @@ def output_findings(bench: Bench, theta: np.ndarray, starts: np.ndarray) -> list
             rms = float(np.sqrt(strength[k] / max(1, until[k] - k)))
             share = float(strength[k] / max(energy[-1], 1e-300))
             window = (float(e.t[k]), float(e.t[until[k] - 1]))
-            times = rms / float(b.sigma[c])
+            above = rms / float(b.sigma[c])
             text = f"{name}: the free run is worst from {window[0]:.4g} to {window[1]:.4g} s of {e.name} ({rms:.3g} {unit} rms)"
-            out.append(Finding(name, name, "time_window", window, share, times, text))
+            out.append(Finding(name, name, "time_window", window, share, above, text))
     return sorted(out, key=lambda f: -f.times_noise_floor)[:3]
 
 
@@ -303,7 +311,7 @@ def pictures(bench: Bench, before: Sequence[Missing], after: Sequence[Missing]) 
             out.append(
                 MissingForce(
                     joint, s.unit("{F}"), s.unit("{X}"), s.unit("{X}/s"), m.experiment.name, m.experiment.t[m.keep],
-                    m.q[:, j], m.qd[:, j], m.load[:, j], m.force[:, j], a.force[:, j], floor_of(before, j),
+                    m.q[:, j], m.qd[:, j], m.load[:, j], m.force[:, j], a.force[:, j], floor_at(m, j),
                 )
             )  # fmt: skip
     return out

@@ -18,6 +18,8 @@ if TYPE_CHECKING:
 
 SHOWN = 6
 DOTS = 900
+#: Parts of an axis over each of which what noise would show is one number.
+PARTS = 30
 
 
 def section(forces: Sequence[MissingForce], regimes: Sequence[Regime]) -> Section | None:
@@ -42,10 +44,13 @@ def section(forces: Sequence[MissingForce], regimes: Sequence[Regime]) -> Sectio
 def picture(forces: Sequence[MissingForce], name: str):
     """All recordings of one joint; time and spectrum show the longest one."""
     longest = max(forces, key=lambda f: len(f.t))
-    unit, floor = longest.unit, plot.drawable(longest.floor)
+    unit = longest.unit
+
+    def everywhere(field: str) -> np.ndarray:
+        return np.concatenate([plot.series(getattr(f, field)) for f in forces])
 
     def together(field: str) -> np.ndarray:
-        series = np.concatenate([plot.series(getattr(f, field)) for f in forces])
+        series = everywhere(field)
         return series[:: max(1, len(series) // DOTS)]
 
     before, after = together("before"), together("after")
@@ -64,14 +69,14 @@ def picture(forces: Sequence[MissingForce], name: str):
             x = together(field)
             plot.dots(axes, x, before, plot.VERMILLION)
             plot.dots(axes, x, after, plot.BLUE)
-            axes.axhspan(-2 * floor, 2 * floor, color=plot.GREY, alpha=0.3, linewidth=0)
+            draw_noise(axes, everywhere(field), everywhere("floor"))
             axes.set_xlabel(title)
         spectrum_axes = figure.add_subplot(grid[len(against) // 2, len(against) % 2])
         draw_spectrum(spectrum_axes, longest)
         over_time = figure.add_subplot(grid[2, :] if len(against) > 1 else grid[1:, :])
         over_time.plot(*plot.thin(longest.t, plot.series(longest.before)), color=plot.VERMILLION, linewidth=0.9)
         over_time.plot(*plot.thin(longest.t, plot.series(longest.after)), color=plot.BLUE, linewidth=0.9)
-        over_time.axhspan(-2 * floor, 2 * floor, color=plot.GREY, alpha=0.3, linewidth=0)
+        draw_noise(over_time, longest.t, plot.series(longest.floor), 400)
         over_time.set_xlabel(f"time in {plot.label(longest.experiment)} (s)")
         over_time.margins(x=0)
         for axes in (*panels, over_time):
@@ -87,6 +92,16 @@ def picture(forces: Sequence[MissingForce], name: str):
         figure.legend(handles=handles, loc="outside upper left", ncols=3, fontsize=8.5)
 
     return plot.svg(name, (9.2, 7.6), draw)
+
+
+def draw_noise(axes, x: np.ndarray, floor: np.ndarray, parts: int = PARTS) -> None:
+    """A band of two standard deviations of what noise alone would show, over equal parts of the axis."""
+    edges = np.linspace(np.min(x), np.max(x), parts + 1)
+    part = np.clip(np.searchsorted(edges, x, side="right") - 1, 0, parts - 1)
+    count = np.bincount(part, minlength=parts)
+    with np.errstate(invalid="ignore"):  # nothing of the motion in a part: no band there
+        level = 2 * np.sqrt(np.bincount(part, floor**2, parts) / count)
+    axes.stairs(level, edges, baseline=-level, fill=True, color=plot.GREY, alpha=0.3, linewidth=0)
 
 
 def draw_spectrum(axes, force: MissingForce) -> None:

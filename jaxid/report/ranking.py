@@ -47,12 +47,12 @@ def picture(rows: list[tuple[Ranked, str]]):
         axes.grid(False, axis="y")
         if logarithmic:
             axes.set_xscale("log")
-        start = min(1.0, *gaps) if logarithmic else 0.0
+        start = 1.0 if logarithmic else 0.0
         for i, (r, kind) in enumerate(rows):
             axes.barh(i, gaps[i] - start, left=start, color=palette[kind], height=0.66)
             axes.annotate(
                 text.number(r.validation_gap),
-                (gaps[i], i),
+                (max(gaps[i], start), i),
                 xytext=(5, 0),
                 textcoords="offset points",
                 va="center",
@@ -64,7 +64,7 @@ def picture(rows: list[tuple[Ranked, str]]):
         axes.tick_params(axis="y", length=0)
         axes.spines["left"].set_visible(False)
         high = max(1.0, *gaps)
-        axes.set_xlim((start / 1.2, 1.6 * high) if logarithmic else (0, 1.12 * high))
+        axes.set_xlim((min(start, *gaps) / 1.2, 1.6 * high) if logarithmic else (0, 1.12 * high))
         axes.set_xlabel("gap on validation data after the refit, in multiples of the noise (dashed: the noise)")
         if logarithmic:
             plot.plain_log(axes.xaxis)
