@@ -279,7 +279,7 @@ def typical(values: np.ndarray) -> Typical:
 
 
 def along(run: Run, at: np.ndarray, column: int) -> np.ndarray:
-    """Best loss of a run after so many evaluations (column 0) or seconds (1); nan before its first."""
+    """Best loss of a run after so many evaluations (column 0) or seconds (1); infinite before its first."""
     x, loss = run.history[:, column], run.history[:, 2]
     index = np.searchsorted(x, at, side="right") - 1
-    return np.where(index < 0, np.nan, loss[np.maximum(index, 0)])
+    return np.where(index < 0, np.inf, loss[np.maximum(index, 0)])

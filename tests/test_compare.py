@@ -82,6 +82,20 @@ def test_summaries_of_known_runs():
     assert json.loads(json.dumps(c.to_dict()["fitters"][0]))["successes"] == 4
 
 
+def test_the_drawn_median_never_rises():
+    """Runs that come to a loss late do not lift the line of those that came early: without one, a run stands above all."""
+    from matplotlib.figure import Figure
+
+    c = made({"a": [1.0, 1.0, 3.0, 3.0, 5.0]})
+    c.runs[3].history[:, :2] += 150  # no loss until all others are done
+    c.runs[4].history[:6, 2] = 1e200  # diverges at first
+    axes = Figure().add_subplot()
+    c.plot("evaluations", ax=axes)
+    middle = np.asarray(axes.lines[0].get_ydata(), float)
+    assert np.all(np.diff(middle) <= 0) and middle[-1] == pytest.approx(2.0)
+    assert middle[0] < 100
+
+
 # ---- the real thing
 
 

@@ -71,12 +71,11 @@ def draw_convergence(c: Comparison, axes: Axes, by: str) -> None:
             continue
         grid = np.geomspace(max(min(ends), 1e-4), max(ends) * (1 + 1e-9), 160)
         curves = np.array([excess(c, along(r, grid, column)) for r in runs])
-        curves[curves >= DIVERGED] = np.nan
-        seen = np.isfinite(curves).sum(0) >= (len(runs) + 1) / 2
+        low, middle, high = np.percentile(curves, [10, 50, 90], axis=0)
+        seen = middle < DIVERGED
         if not seen.any():
             continue
-        with np.errstate(all="ignore"):
-            low, middle, high = np.nanpercentile(curves[:, seen], [10, 50, 90], axis=0)
+        low, middle, high = low[seen], middle[seen], np.minimum(high[seen], np.max(curves[curves < DIVERGED]))
         color, dash, _ = style(c, fitter)
         axes.fill_between(grid[seen], low, high, step="post", color=color, alpha=0.12, linewidth=0)
         axes.step(grid[seen], middle, where="post", color=color, linestyle=dash, label=plot.label(fitter, 20))
