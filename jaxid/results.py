@@ -208,11 +208,17 @@ class Regime:
     ratio: float  # rms of the missing force in this regime / rms over all samples
     null: tuple[float, float]  # the same ratio for a perfect model, 2.5 % and 97.5 %
     samples: int
+    supplied: float | None = None  # the same ratio for the force that named effects supply, which has no noise
+
+    @property
+    def strength(self) -> float:
+        """The ratio, without noise where that is known."""
+        return self.ratio if self.supplied is None else self.supplied
 
     @property
     def stands_out(self) -> bool:
         """Whether the force is clearly stronger here than elsewhere, and than chance makes it."""
-        return self.ratio > 1.1 * max(1.0, self.null[1])
+        return self.strength > 1.1 * (max(1.0, self.null[1]) if self.supplied is None else 1.0)
 
 
 @dataclass(frozen=True)

@@ -365,23 +365,29 @@ def _starts(bench: Bench, h: Hypothesis) -> np.ndarray | None:
 def _where(bench: Bench, nominal: Hypothesis, final: Hypothesis, verdict: str, named, seed: int):
     """Findings, pictures and regime table; no finding where there is no gap."""
     starts = _starts(bench, nominal)
-    before = location.missing_forces(bench, nominal.theta, starts, seed)
-    if not before:
-        found = [] if verdict == "none" or starts is None else location.output_findings(bench, nominal.theta, starts)
-        return tuple(found), (), ()
-    after = location.missing_forces(bench, final.theta, _starts(bench, final), seed, draws=0)
     joints = bench.binding.chain.signature.joints
-    rows = location.table(before, joints)
-    places: dict[str, str] = {}
     inputs = [n for n, _ in bench.binding.chain.signature.inputs]
+    places: dict[str, str] = {}
     for c in named:
         joint = c.location if c.location in joints else None
         if joint is None and c.location in inputs and inputs.index(c.location) < len(joints):
             joint = joints[inputs.index(c.location)]
         if joint is not None:
             places.setdefault(joint, c.location)
-    found = [] if verdict == "none" else location.findings(bench, before, rows, places)
-    return tuple(found), tuple(location.pictures(bench, before, after)), tuple(rows)
+    only = tuple(places) if verdict == "named" else ()  # else what is left may lie anywhere
+    before = location.missing_forces(bench, nominal.theta, starts, seed)
+    found, rows, pictures = [], [], []
+    if before:
+        after = location.missing_forces(bench, final.theta, _starts(bench, final), seed, draws=0)
+        forces = {j: location.supplied(before, after, joints.index(j)) for j in only}
+        given = {j: force for j, force in forces.items() if force is not None}
+        rows = location.table(before, joints, given)
+        pictures = location.pictures(bench, before, after)
+        if verdict != "none":
+            found = location.findings(bench, before, rows, places, only, given)
+    if not found and verdict != "none" and starts is not None:  # not measured, or too weak to be seen through derivatives
+        found = location.output_findings(bench, nominal.theta, starts, places, only)
+    return tuple(found), tuple(pictures), tuple(rows)
 
 
 def _ranked(search: Search) -> list[Ranked]:

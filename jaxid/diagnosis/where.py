@@ -2,7 +2,8 @@
 
 The missing force m(t) = drive - (M qdd + bias + friction) is computed along the smoothed measured motion. Derivatives of a
 noisy position make such a residual even for a perfect model, so every figure is compared with the same figure of simulated
-data: the model's own free run with the measured noise added, through the same filters.
+data: the model's own free run with the measured noise added, through the same filters. Where named effects explain what is
+missing, the force that they supply along the same motion is looked at in its place: it has no noise.
 """
 
 from __future__ import annotations
@@ -24,6 +25,9 @@ from jaxid.text import times
 #: Simulated repetitions for the null of every regime.
 NULLS = 12
 WINDOW_S = 0.5
+#: What named effects supply is what was missing if taking it away leaves less by so many times its own energy, and by that share
+#: of what is missing above the noise.
+OWN, SHARE = 0.3, 0.5
 
 
 @dataclass
@@ -174,12 +178,23 @@ _WORDS = {
     "late": "in the last third of the run",
     "high_load": "under high load",
     "low_load": "under low load",
-    "everywhere": "everywhere alike",
 }
 
 
-def table(found: Sequence[Missing], joints: Sequence[str]) -> list[Regime]:
-    """Strength of the missing force in each regime over its strength overall, and the same for a perfect model."""
+def supplied(found: Sequence[Missing], after: Sequence[Missing], joint: int) -> list[np.ndarray] | None:
+    """The force [time] that the named effects supply at a joint in each run: what is missing without them less what is missing
+    with them, noise and filters being the same. None where that is not what was missing: a sensor, a spring or play changes the
+    motion itself."""
+    given = [m.force[:, joint] - a.force[:, joint] for m, a in zip(found, after, strict=True)]
+    energy = sum(float(g @ g) for g in given)
+    gained = sum(float(np.sum(m.force[:, joint] ** 2 - a.force[:, joint] ** 2)) for m, a in zip(found, after, strict=True))
+    above = sum(float(np.sum(m.force[:, joint] ** 2 - np.mean(m.null[:, :, joint] ** 2, 0))) for m in found)
+    return given if energy > 0 and gained >= max(OWN * energy, SHARE * above) else None
+
+
+def table(found: Sequence[Missing], joints: Sequence[str], given: dict[str, list[np.ndarray]]) -> list[Regime]:
+    """Strength of the missing force in each regime over its strength overall, the same for a perfect model, and for the force
+    that named effects supply (`given`, by joint)."""
     out = []
     for j, joint in enumerate(joints):
         masks = [regimes(m, j) for m in found]
@@ -191,7 +206,8 @@ def table(found: Sequence[Missing], joints: Sequence[str]) -> list[Regime]:
             ratio = _ratio([m.force[:, j] for m in found], mask)
             null = [_ratio([m.null[d][:, j] for m in found], mask) for d in range(len(found[0].null))]
             low, high = (float(x) for x in np.percentile(null, [2.5, 97.5])) if null else (np.nan, np.nan)
-            out.append(Regime(joint, name, ratio, (low, high), count))
+            own = _ratio(given[joint], mask) if joint in given else None
+            out.append(Regime(joint, name, ratio, (low, high), count, own))
     return out
 
 
@@ -213,63 +229,81 @@ def floor_at(m: Missing, joint: int) -> np.ndarray:
 
 
 def findings(
-    bench: Bench, found: Sequence[Missing], rows: Sequence[Regime], locations: dict[str, str], most: int = 3
+    bench: Bench,
+    found: Sequence[Missing],
+    rows: Sequence[Regime],
+    locations: dict[str, str],
+    only: Sequence[str],
+    given: dict[str, list[np.ndarray]],
+    most: int = 3,
 ) -> list[Finding]:
-    """The places that hold most of the gap, worst first; `locations` joint -> location of the effect blamed there."""
+    """The places that hold most of the gap, worst first; `locations` joint -> location of the effect blamed there, `only`: joints
+    to look at (all, if empty), `given`: what named effects supply there, in place of what is missing."""
     b = bench.binding
     joints, outputs = b.chain.signature.joints, [n for n, _ in b.chain.signature.outputs]
     unit = b.chain.signature.unit("{F}")
-    total = sum(_excess(found, j, None) for j in range(len(joints))) or 1e-300
+    energy_of = lambda j, masks: _excess(found, j, masks, given.get(joints[j]))
+    looked = [j for j, joint in enumerate(joints) if joint in only or not only]
+    total = sum(energy_of(j, None) for j in looked) or 1e-300
     out = []
-    for j, joint in enumerate(joints):
+    for j in looked:
+        joint = joints[j]
+        force = given.get(joint, [m.force[:, j] for m in found])
         scored_rows = []
         for row in rows:
             if row.joint != joint or row.null[1] <= 0:
                 continue
             inside = [regimes(m, j).get(row.regime, np.zeros(len(m.force), bool)) for m in found]
-            energy = _excess(found, j, inside)
-            lift = row.ratio / max(row.null[1], 1e-9)
+            energy = energy_of(j, inside)
+            lift = row.ratio / max(row.null[1], 1e-9) if row.supplied is None else row.supplied
             if row.stands_out and energy > 0.05 * total:
                 scored_rows.append((lift * np.sqrt(energy / total), energy / total, row.regime, inside))
         scored_rows.sort(key=lambda r: -r[0])
         if not scored_rows:
             every = [np.ones(len(m.force), bool) for m in found]
-            share = _excess(found, j, None) / total
+            share = energy_of(j, None) / total
             if share > 0.2:
                 scored_rows = [(0.0, share, "everywhere", every)]
         for _, share, regime, inside in scored_rows[:most]:
-            values = np.concatenate([m.force[k, j] for m, k in zip(found, inside, strict=True)])
+            values = np.concatenate([f[k] for f, k in zip(force, inside, strict=True)])
             strength = float(np.sqrt(np.mean(values**2)))
             above = strength / max(floor_of(found, j, inside), 1e-300)
-            window, experiment = _window(found, j, inside)
+            window, experiment = _window(found, force, inside)
             place = locations.get(joint, joint)
+            spread = "is alike in all situations" if regime == "everywhere" else f"lies {_WORDS[regime]}"
+            noise = f"{times(above)} times what noise would show there{', yet it adds up' if above < 1 else ''}"
             text = (
-                f"{joint}: {100 * share:.0f} % of the missing force lies {_WORDS[regime]} ({strength:.3g} {unit} rms, "
-                f"{times(above)} times what noise would show there); worst from {window[0]:.4g} to {window[1]:.4g} s of "
-                f"{experiment}"
+                f"{joint}: {100 * share:.0f} % of the missing force {spread} ({strength:.3g} {unit} rms, {noise}); "
+                f"worst from {window[0]:.4g} to {window[1]:.4g} s of {experiment}"
             )
             channel = joint if joint in outputs else outputs[min(j, len(outputs) - 1)]
             out.append(Finding(channel, place, regime, window, float(share), above, text))
     return sorted(out, key=lambda f: -f.share_of_gap * f.times_noise_floor)[:most]
 
 
-def _excess(found: Sequence[Missing], joint: int, masks: Sequence[np.ndarray] | None) -> float:
-    """Energy of the missing force above what noise would show, over a regime or everything, in units of that noise."""
+def _excess(
+    found: Sequence[Missing], joint: int, masks: Sequence[np.ndarray] | None, given: Sequence[np.ndarray] | None
+) -> float:
+    """Energy of the missing force above what noise would show, over a regime or everything, in units of that noise; where the
+    force itself is `given`, its energy."""
     total = 0.0
     for k, m in enumerate(found):
         mask = np.ones(len(m.force), bool) if masks is None else masks[k]
         null = m.null[:, mask, joint]
         floor = np.mean(m.null[:, :, joint] ** 2) + 1e-300
-        total += float(np.sum(m.force[mask, joint] ** 2) - np.sum(null**2) / max(1, len(null))) / float(floor)
+        energy = np.sum(m.force[mask, joint] ** 2) - np.sum(null**2) / max(1, len(null))
+        total += float(energy if given is None else np.sum(given[k][mask] ** 2)) / float(floor)
     return max(total, 0.0)
 
 
-def _window(found: Sequence[Missing], joint: int, masks: Sequence[np.ndarray]) -> tuple[tuple[float, float], str]:
+def _window(
+    found: Sequence[Missing], force: Sequence[np.ndarray], masks: Sequence[np.ndarray]
+) -> tuple[tuple[float, float], str]:
     """The half second (or twentieth of the run) in which the missing force of a regime is strongest."""
     best, where = -1.0, ((0.0, 0.0), "")
-    for m, mask in zip(found, masks, strict=True):
+    for m, missing, mask in zip(found, force, masks, strict=True):
         t = m.experiment.t[m.keep]
-        energy = np.concatenate([[0.0], np.cumsum(np.where(mask, m.force[:, joint] ** 2, 0.0))])
+        energy = np.concatenate([[0.0], np.cumsum(np.where(mask, missing**2, 0.0))])
         until = np.searchsorted(t, t + min(WINDOW_S, (t[-1] - t[0]) / 20), side="right")
         strength = energy[until] - energy[np.arange(len(t))]
         k = int(np.argmax(strength))
@@ -279,13 +313,17 @@ def _window(found: Sequence[Missing], joint: int, masks: Sequence[np.ndarray]) -
     return where
 
 
-def output_findings(bench: Bench, theta: np.ndarray, starts: np.ndarray) -> list[Finding]:
-    """For models whose joints are not measured: the window of each channel where the free run is worst."""
+def output_findings(
+    bench: Bench, theta: np.ndarray, starts: np.ndarray, locations: dict[str, str], only: Sequence[str]
+) -> list[Finding]:
+    """Where the force cannot be seen: the window of each channel where the free run is worst."""
     b = bench.binding
     runs = bench.runs(OutputError(), "fit")
     predictions = free_runs(bench, "fit", [theta], starts[None])[0]
     out = []
     for c, (name, unit) in enumerate(b.chain.signature.outputs):
+        if name not in only and any(n in only for n, _ in b.chain.signature.outputs):
+            continue
         for record, e, p in zip(runs.records, runs.experiments, predictions, strict=True):
             error = p[:, c] - runs.targets[runs.record(record).samples][:, c]
             energy = np.concatenate([[0.0], np.cumsum(error**2)])
@@ -297,7 +335,7 @@ def output_findings(bench: Bench, theta: np.ndarray, starts: np.ndarray) -> list
             window = (float(e.t[k]), float(e.t[until[k] - 1]))
             above = rms / float(b.sigma[c])
             text = f"{name}: the free run is worst from {window[0]:.4g} to {window[1]:.4g} s of {e.name} ({rms:.3g} {unit} rms)"
-            out.append(Finding(name, name, "time_window", window, share, above, text))
+            out.append(Finding(name, locations.get(name, name), "time_window", window, share, above, text))
     return sorted(out, key=lambda f: -f.times_noise_floor)[:3]
 
 

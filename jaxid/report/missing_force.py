@@ -28,7 +28,7 @@ def section(forces: Sequence[MissingForce], regimes: Sequence[Regime]) -> Sectio
     for i, joint in enumerate(joints[:SHOWN]):
         own = [f for f in forces if f.joint == joint]
         pictures.append((f"Joint {joint}", picture(own, f"force-{i}")))
-    strongest = sorted(regimes, key=lambda r: -r.ratio)[:30]
+    strongest = sorted(regimes, key=lambda r: -r.strength)[:30]
     if not pictures and not strongest:
         return None
     return Section(
@@ -149,19 +149,22 @@ def spectrum(t: np.ndarray, series: np.ndarray) -> tuple[np.ndarray, np.ndarray]
 
 def regime_picture(regimes: Sequence[Regime]):
     """Each regime's strength against the band that noise alone would give."""
+    known = any(r.supplied is not None for r in regimes)
 
     def draw(figure):
         axes = figure.add_subplot()
         axes.grid(False, axis="y")
         for i, r in enumerate(regimes):
             low, high = map(plot.drawable, r.null)
-            ratio = plot.drawable(r.ratio)
+            strength = plot.drawable(r.strength)
             axes.barh(i, high - low, left=low, height=0.6, color=plot.PALE)
             mark, color = ("o", plot.VERMILLION) if r.stands_out else ("D", plot.GREY)
-            axes.plot([ratio], [i], mark, color=color, markersize=6)
+            if r.supplied is not None:
+                axes.plot([plot.drawable(r.ratio)], [i], "|", color=plot.BLACK, markersize=11)
+            axes.plot([strength], [i], mark, color=color, markersize=6)
             axes.annotate(
-                text.number(r.ratio),
-                (max(ratio, high), i),
+                text.number(r.strength),
+                (max(strength, high, plot.drawable(r.ratio)), i),
                 xytext=(8, 0),
                 textcoords="offset points",
                 va="center",
@@ -172,13 +175,14 @@ def regime_picture(regimes: Sequence[Regime]):
             [f"{plot.label(r.joint, 20)}, {plot.label(text.regime_words(r.regime), 30)}" for r in regimes],
         )
         axes.set_ylim(len(regimes) - 0.4, -0.6)
-        axes.set_xlim(0, 1.12 * max([1e-3, *(plot.drawable(x) for r in regimes for x in (r.ratio, r.null[1]))]))
+        axes.set_xlim(0, 1.12 * max([1e-3, *(plot.drawable(x) for r in regimes for x in (r.strength, r.ratio, r.null[1]))]))
         axes.set_xlabel("rms of the missing force in the regime / rms over all samples")
         handles = [
             *axes.plot([], [], "o", color=plot.VERMILLION, label="stands out"),
             *axes.plot([], [], "D", color=plot.GREY, label="does not"),
+            *(axes.plot([], [], "|", color=plot.BLACK, markersize=11, label="with the noise in it") if known else ()),
             axes.barh([0], [0], color=plot.PALE, label="what a perfect model would show (95 %)"),
         ]
-        figure.legend(handles=handles, loc="outside upper left", ncols=3, fontsize=8.5)
+        figure.legend(handles=handles, loc="outside upper left", ncols=4, fontsize=8.5)
 
     return plot.svg("regimes", (9.2, 1.0 + 0.3 * len(regimes)), draw)

@@ -1,0 +1,75 @@
+"""Where the gap lies: missing forces made by hand, with the noise of derivatives over them."""
+
+from __future__ import annotations
+
+from types import SimpleNamespace
+from typing import Any, cast
+
+import numpy as np
+import pytest
+
+from jaxid.diagnosis.where import findings, floor_at, Missing, supplied, table
+
+
+N, JOINTS = 2000, ("a", "b")
+T = np.arange(N) / 200
+QD = np.stack([np.sin(0.8 * T), np.sin(0.5 * T + 1)], 1)
+
+
+def missing(force: np.ndarray, rng: np.random.Generator) -> Missing:
+    """One run with that force [time joint]; noise of 1 N m in every draw."""
+    experiment = cast(Any, SimpleNamespace(t=T, name="run"))
+    null = rng.standard_normal((12, N, 2))
+    qdd = np.gradient(QD, T, axis=0)
+    return Missing(experiment, np.ones(N, bool), np.cumsum(QD, 0) / 200, QD, qdd, np.zeros((N, 2)), force, null)
+
+
+def bench() -> Any:
+    signature = SimpleNamespace(joints=JOINTS, outputs=(("a", "rad"), ("b", "rad")), unit=lambda _: "N m")
+    return SimpleNamespace(binding=SimpleNamespace(chain=SimpleNamespace(signature=signature)))
+
+
+def looked_at(force: np.ndarray, left: np.ndarray, only: tuple[str, ...]):
+    rng = np.random.default_rng(0)
+    before, after = [missing(force, rng)], [missing(left, rng)]
+    given = {j: g for j in only if (g := supplied(before, after, JOINTS.index(j))) is not None}
+    rows = table(before, JOINTS, given)
+    return findings(bench(), before, rows, {j: j for j in only}, only, given), rows, given
+
+
+def test_a_force_far_below_the_noise_is_found_where_its_effect_acts():
+    """A third of the noise at speed forwards, at b. Joint a shows more than noise of itself, with and without it."""
+    noise = np.random.default_rng(1).standard_normal((N, 2))
+    noise[:, 0] *= 1.4
+    law = np.stack([np.zeros(N), 0.35 * (QD[:, 1] > 0.5)], 1)
+    found, rows, given = looked_at(law + noise, noise, ("b",))
+    assert np.allclose(given["b"][0], law[:, 1])
+    assert {f.location for f in found} == {"b"} and sum(f.regime == "forward" for f in found) == 1
+    forward = next(f for f in found if f.regime == "forward")
+    assert forward.share_of_gap == pytest.approx(1.0) and 0.2 < forward.times_noise_floor < 0.35
+    inside = T[(QD[:, 1] > 0.5)]
+    assert inside.min() <= forward.window_s[0] < forward.window_s[1] <= inside.max() + 0.01
+    row = next(r for r in rows if (r.joint, r.regime) == ("b", "forward"))
+    assert row.stands_out and not row.ratio > 1.1 * row.null[1]  # what is measured alone does not show it
+    assert all(r.supplied is None for r in rows if r.joint == "a")
+    # Without the effect all that is seen is that joint a shows more than noise.
+    blind, _, _ = looked_at(law + noise, noise, ())
+    assert blind and {f.location for f in blind} == {"a"}
+
+
+def test_what_an_effect_does_not_take_away_is_looked_at_as_measured():
+    """A sensor or play changes the motion: what the law with it supplies along that motion is not what was missing."""
+    rng = np.random.default_rng(2)
+    noise = rng.standard_normal((N, 2))
+    large = 3.0 * (QD > 0.5)
+    moved = 0.3 * rng.standard_normal((N, 2))
+    found, rows, given = looked_at(large + noise, large + noise + moved, ("a",))
+    assert not given and all(r.supplied is None for r in rows)
+    assert {f.location for f in found} == {"a"} and found[0].regime == "forward" and found[0].times_noise_floor > 1.5
+
+
+def test_the_floor_is_told_where_it_lies():
+    m = missing(np.zeros((N, 2)), np.random.default_rng(3))
+    m.null[:, : N // 2] *= 10
+    floor = floor_at(m, 0)
+    assert floor[: N // 2 - 20] == pytest.approx(10, rel=0.4) and floor[N // 2 + 20 :] == pytest.approx(1, rel=0.4)
