@@ -689,8 +689,9 @@ def test_a_model_in_a_local_minimum_is_freed_by_a_richer_one():
     assert searcher.nominal.fit_loss > 100 and not freed.effects and freed.fit_loss < 1.2
     assert searcher._freed(freed, richer) is freed
     # The same where it follows the fit runs, and others along what these leave open only.
-    astray = dataclasses.replace(freed, validation=dataclasses.replace(freed.validation, loss=1e3))
-    assert searcher._freed(astray, richer).validation.loss < 1.2
+    for loss in (1e3, 4.0):
+        astray = dataclasses.replace(freed, validation=dataclasses.replace(freed.validation, loss=loss))
+        assert searcher._freed(astray, richer).validation.loss < 1.2
 
 
 def test_a_small_effect_has_to_show_on_report_data_too():

@@ -27,6 +27,7 @@ from jaxid.diagnosis.choice import (
     outweighed,
     rivals_among,
     significant,
+    WHITE,
 )
 from jaxid.diagnosis.evidence import held_out, knowledge, together
 from jaxid.diagnosis.hypothesis import Candidate, Hypothesis, key_of, read_off_of, refined_by, Search, sensible, without_each
@@ -62,10 +63,9 @@ HALVINGS, CORRECTIONS = 3, 2
 STANDING_OUT = 25.0
 #: Iterations and tolerance of a descent to the end, and of that of a nominal model to which something better is compared.
 THOROUGH, BRIEF = (20, 1e-8), (6, 1e-5)
-#: A nominal model that leaves more (mean square over the noise) is one that something better will be compared to.
-FAR = 10.0
-#: A hypothesis was in a local minimum if less than this share is left from where a richer one ended.
-FREED = 0.5
+#: A nominal model that leaves more (mean square over the noise) is one that something better will be compared to; it was in a
+#: local minimum if less than this share is left from where a richer one ended.
+FAR, FREED = 10.0, 0.5
 #: What leaves at most so many times what the best of a batch leaves of the fit runs, and so many times the noise (mean squares),
 #: is followed on validation runs.
 CLOSE, NEAR = 1.5, 6.0
@@ -323,17 +323,18 @@ class Searcher:
         return chosen
 
     def _freed(self, h: Hypothesis, richer: Hypothesis) -> Hypothesis:
-        """`h` from where a richer hypothesis ended, if far less is left there than where it stands: an effect may have led out of
-        a local minimum, or along what the fit runs leave open, and be of no other use."""
-        if joint_loss(h) < FAR or self.by_torque:
+        """`h` from where a richer one ended, if far less is left there or, as fit runs show no gap, nothing for the richer one to
+        add: an effect may have led out of a local minimum, or along what the fit runs leave open, and be of no other use."""
+        quiet = h.fit_inflation < WHITE
+        if self.by_torque or (joint_loss(h) < FAR and not quiet):
             return h
         theta = richer.theta.copy()
         for c in richer.effects:
             theta[list(c.index)] = (h.theta if c in h.effects else self.bench.binding.theta)[list(c.index)]
-        p = self.problem(h.effects, theta)
-        end = descend([(p, p.z(theta, richer.path.problem.starts(richer.path.z)))], *THOROUGH)[0]
-        freed = self._hypotheses([(h.effects, end)])[0]
-        if joint_loss(freed) > FREED * joint_loss(h):
+        p, starts = self.problem(h.effects, theta), richer.path.problem.starts(richer.path.z)
+        freed = self._hypotheses([(h.effects, descend([(p, p.z(theta, starts))], *THOROUGH)[0])])[0]
+        share = joint_loss(freed) / joint_loss(h)
+        if share > FREED and not (quiet and share * ALIKE < 1 and not significant(freed, richer)):
             return h
         self.known[key_of(h.effects)] = freed
         return freed
