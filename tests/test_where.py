@@ -55,6 +55,8 @@ def test_a_force_far_below_the_noise_is_found_where_its_effect_acts():
     # Without the effect all that is seen is that joint a shows more than noise.
     blind, _, _ = looked_at(law + noise, noise, ())
     assert blind and {f.location for f in blind} == {"a"}
+    nothing, _, _ = looked_at(0.9 * noise / [1.4, 1.0], 0.9 * noise / [1.4, 1.0], ("b",))
+    assert not nothing
 
 
 def test_what_an_effect_does_not_take_away_is_looked_at_as_measured():

@@ -268,6 +268,8 @@ def findings(
             values = np.concatenate([f[k] for f, k in zip(force, inside, strict=True)])
             strength = float(np.sqrt(np.mean(values**2)))
             above = strength / max(floor_of(found, j, inside), 1e-300)
+            if above < 1 and joint not in given:
+                continue  # no more than noise
             window, experiment = _window(found, force, inside)
             place = locations.get(joint, joint)
             spread = "is alike in all situations" if regime == "everywhere" else f"lies {_WORDS[regime]}"
