@@ -2,13 +2,24 @@
 
 from __future__ import annotations
 
+import dataclasses
+import sys
+from pathlib import Path
 from types import SimpleNamespace
 from typing import Any, cast
 
 import numpy as np
 import pytest
 
-from jaxid.diagnosis.where import findings, floor_at, Missing, supplied, table
+import jaxid
+from jaxid.binding import bind
+from jaxid.diagnosis.where import findings, floor_at, Missing, missing_forces, supplied, table
+from jaxid.estimation import Bench, estimate_starts
+from reference import multisine
+
+
+sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
+from benchmarks import twins  # noqa: E402
 
 
 N, JOINTS = 2000, ("a", "b")
@@ -75,3 +86,25 @@ def test_the_floor_is_told_where_it_lies():
     m.null[:, : N // 2] *= 10
     floor = floor_at(m, 0)
     assert floor[: N // 2 - 20] == pytest.approx(10, rel=0.4) and floor[N // 2 + 20 :] == pytest.approx(1, rel=0.4)
+
+
+def test_a_right_model_shows_what_noise_shows():
+    """At each joint, though one moves faster than the other: what is measured and what is simulated pass the same filters."""
+    plant, t = dataclasses.replace(twins.PLANTS["tracker"], resolution=0.0), np.arange(800) / 100
+    slow, fast = (multisine(t, [a], seed=s, periods=p, lines=6)[:, 0] for a, s, p in ((1.0, 1, 4.0), (0.8, 2, 0.8)))
+    u = np.stack([slow, fast], 1)[None]
+    numbers = {k: np.array(x)[None] for k, x in plant.nominal.items()}
+    y = twins.recorded(plant, u, numbers, np.random.default_rng(0))[0]
+    data = jaxid.Dataset.from_arrays(
+        [t], {"tau_theta": [u[0, :, 0]], "tau_alpha": [u[0, :, 1]]}, {"theta": [y[:, 0]], "alpha": [y[:, 1]]}, split=["fit"],
+        at_rest=True, noise_std={"theta": plant.noise, "alpha": plant.noise}, model="tracker",
+    )  # fmt: skip
+    binding = bind(None, data)
+    theta = binding.theta.copy()
+    for name, key in (("J", "J"), ("b", "viscous")):
+        for k, joint in enumerate(("theta", "alpha")):
+            theta[binding.layout.index(f"{name}_{joint}")] = plant.nominal[key][k]
+    bench = Bench(binding, differences=1)
+    (m,) = missing_forces(bench, theta, estimate_starts(bench, "fit", [theta])[0], 0)
+    ratio = np.sqrt(np.mean(m.force**2, 0) / np.mean(m.null**2, (0, 1)))
+    assert ratio == pytest.approx(1.0, abs=0.15)

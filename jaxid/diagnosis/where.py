@@ -47,11 +47,14 @@ class Missing:
 def missing_forces(bench: Bench, theta: np.ndarray, starts: np.ndarray | None, seed: int, draws: int = NULLS) -> list[Missing]:
     """Missing force on the fit runs at `theta`; empty where the model does not measure its joints. `starts` None: nothing is
     simulated, and noise is that of the torque."""
+    from jaxid.signals import differentiate
+
     b = bench.binding
     if not b.motions or b.chain.mechanism.hidden_states:
         return []
     residual = InverseDynamics(decimate=1)
     runs = bench.runs(residual, "fit")
+    assert runs.setting is not None
     experiments = b.experiments("fit")
     iu, iy = samples.columns(b.dataset, b.chain)
     problem = bench.problem(residual, "fit", [], theta)
@@ -65,8 +68,8 @@ def missing_forces(bench: Bench, theta: np.ndarray, starts: np.ndarray | None, s
         motion = []
         for e, y in zip(experiments, simulated, strict=True):
             noise = e.noise(b.sigma, iy)
-            noisy = y + noise * rng.standard_normal(y.shape)
-            motion.append(_differentiated(e, noisy, np.sqrt(np.mean(noise**2, 0)), [e.y[:, i] for i in iy]))
+            noisy = (y + noise * rng.standard_normal(y.shape))[:, b.chain.joint_outputs]
+            motion.append(np.concatenate(differentiate(e.t, noisy, runs.setting.cutoff_hz)[:3], 1))  # as the measured motion
         for k, p in enumerate(_torque(problem, theta, motion)):
             nulls[k].append(-p)
     out = []
@@ -83,15 +86,6 @@ def missing_forces(bench: Bench, theta: np.ndarray, starts: np.ndarray | None, s
 def _positions(runs, k: int) -> np.ndarray:
     record = runs.record(runs.records[k])
     return np.arange(record.first, record.last + 1)
-
-
-def _differentiated(e: Experiment, y: np.ndarray, sigma: np.ndarray, measured: Sequence[np.ndarray]) -> np.ndarray:
-    from jaxid.signals import differentiate
-
-    parts = []
-    for c in range(y.shape[1]):
-        parts.append(differentiate(e.t, y[:, c], samples.content_cutoff(e.t, measured[c], sigma[c]))[:3])
-    return np.concatenate([np.stack([p[k] for p in parts], -1) for k in range(3)], 1)
 
 
 def _torque(problem: Problem, theta: np.ndarray, motion: Sequence[np.ndarray] | None = None) -> list[np.ndarray]:
