@@ -149,8 +149,9 @@ def _diagnosed(question: Question, scatter: timing.Scatter | None = None) -> tup
     if named and binding.experiments("report"):
         judged, judged_text = verdict, text
         verdict, text = upheld(verdict, text, how_far.gap_retuned, how_far.gap_after, search.several)
-        # Unless the model follows the fit runs and what they leave open can account for it, where it is not better without.
-        if verdict != judged and how_far.gap_retuned > SEEN:
+        # Unless the model follows the fit runs and what they leave open can account for it, where it is not better without; what
+        # is `partly` there has to hold as it is.
+        if judged == "named" and verdict != judged and how_far.gap_retuned > SEEN:
             told = [knowledge(h.path) for h in (search.nominal, final)]
             seen = held_out(
                 bench,
