@@ -71,7 +71,7 @@ def _draw(folder: Path, model: str, names: list[str]) -> set[str]:
 
 def _force(path: Path, bench, e, theta, y: np.ndarray, nominal: np.ndarray, location: str) -> None:
     """Missing force against velocity and over time."""
-    from jaxid.diagnosis.where import _differentiated, _torque
+    from jaxid.diagnosis.where import _torque, filtered
     from jaxid.report import plot
     from jaxid.residual import InverseDynamics
 
@@ -87,7 +87,7 @@ def _force(path: Path, bench, e, theta, y: np.ndarray, nominal: np.ndarray, loca
     columns = b.chain.joint_outputs
 
     def missing(outputs: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        motion = _differentiated(e, outputs[:, columns], b.sigma[columns], [outputs[:, i] for i in columns])
+        motion = filtered(runs, e, outputs[:, columns])
         return motion, -_torque(problem, theta, [motion])[0][:, j]
 
     # Less what the filters alone leave where the command steps.

@@ -17,7 +17,7 @@ from jaxid import samples
 from jaxid.estimation import Bench, free_runs
 from jaxid.experiment import Experiment
 from jaxid.problem import Problem
-from jaxid.residual import InverseDynamics, OutputError
+from jaxid.residual import InverseDynamics, OutputError, Runs
 from jaxid.results import Finding, MissingForce, Regime
 from jaxid.text import times
 
@@ -47,14 +47,11 @@ class Missing:
 def missing_forces(bench: Bench, theta: np.ndarray, starts: np.ndarray | None, seed: int, draws: int = NULLS) -> list[Missing]:
     """Missing force on the fit runs at `theta`; empty where the model does not measure its joints. `starts` None: nothing is
     simulated, and noise is that of the torque."""
-    from jaxid.signals import differentiate
-
     b = bench.binding
     if not b.motions or b.chain.mechanism.hidden_states:
         return []
     residual = InverseDynamics(decimate=1)
     runs = bench.runs(residual, "fit")
-    assert runs.setting is not None
     experiments = b.experiments("fit")
     iu, iy = samples.columns(b.dataset, b.chain)
     problem = bench.problem(residual, "fit", [], theta)
@@ -69,7 +66,7 @@ def missing_forces(bench: Bench, theta: np.ndarray, starts: np.ndarray | None, s
         for e, y in zip(experiments, simulated, strict=True):
             noise = e.noise(b.sigma, iy)
             noisy = (y + noise * rng.standard_normal(y.shape))[:, b.chain.joint_outputs]
-            motion.append(np.concatenate(differentiate(e.t, noisy, runs.setting.cutoff_hz)[:3], 1))  # as the measured motion
+            motion.append(filtered(runs, e, noisy))
         for k, p in enumerate(_torque(problem, theta, motion)):
             nulls[k].append(-p)
     out = []
@@ -86,6 +83,14 @@ def missing_forces(bench: Bench, theta: np.ndarray, starts: np.ndarray | None, s
 def _positions(runs, k: int) -> np.ndarray:
     record = runs.record(runs.records[k])
     return np.arange(record.first, record.last + 1)
+
+
+def filtered(runs: Runs, e: Experiment, q: np.ndarray) -> np.ndarray:
+    """Simulated joints, their velocities and accelerations [time 3 nq], through the filter of the measured motion."""
+    from jaxid.signals import differentiate
+
+    assert runs.setting is not None
+    return np.concatenate(differentiate(e.t, q, runs.setting.cutoff_hz)[:3], 1)
 
 
 def _torque(problem: Problem, theta: np.ndarray, motion: Sequence[np.ndarray] | None = None) -> list[np.ndarray]:
