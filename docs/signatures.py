@@ -18,7 +18,8 @@ MODELS = ("pendulum", "planar_arm", "flexible_link", "space_manipulator")
 
 def key(root: Path) -> str:
     """Changes whenever code changes that the pictures show."""
-    files = [Path(__file__), *sorted((root / "models").rglob("*.py")), root / "jaxid" / "chain.py", root / "jaxid" / "joint.py"]
+    used = (root / "jaxid" / name for name in ("chain.py", "joint.py", "torque.py", "diagnosis/where.py"))
+    files = [Path(__file__), *sorted((root / "models").rglob("*.py")), *used]
     return hashlib.sha256(b"".join(f.read_bytes() for f in files)).hexdigest()[:16]
 
 
