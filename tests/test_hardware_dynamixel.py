@@ -15,7 +15,7 @@ import pyarrow.parquet as pq
 import pytest
 from hypothesis import example, given, HealthCheck, settings, strategies as st
 
-from emulators import Emulator, PATIENT_S, signed, SLACK_S, writes
+from emulators import Emulator, hand_over, PATIENT_S, signed, SLACK_S, writes
 from jaxid.dataset_io import load_dataset
 from jaxid.errors import UsageError
 from jaxid.hardware import Dynamixel, HardwareError, Limits, record, recover, Trajectory, xseries as x
@@ -341,7 +341,8 @@ class Moves:
             self.driver.send("begin")
             self.driver.ask("arm", "armed", 10.0, mode="current", data_age=1.0)
         try:
-            self.driver.ask("play", "done", 5.0, table=rows, step=0.005, start=[self.last], **BOUNDS)
+            hand_over(self.driver, rows)
+            self.driver.ask("play", "done", 5.0, step=0.005, start=[self.last], **BOUNDS)
         except HardwareError as error:
             self.close()
             return str(error)

@@ -17,7 +17,7 @@ import pyarrow.parquet as pq
 import pytest
 from hypothesis import given, HealthCheck, settings, strategies as st
 
-from emulators import Emulator, PATIENT_S, servoing, SLACK_S, stops
+from emulators import Emulator, hand_over, PATIENT_S, servoing, SLACK_S, stops
 from jaxid.dataset_io import load_dataset
 from jaxid.errors import UsageError
 from jaxid.hardware import HardwareError, Limits, record, recover, SensorSpec, Trajectory, UR
@@ -260,7 +260,8 @@ class Moves:
             self.driver = Driver("jaxid.hardware.ur_motion", "test")
             self.driver.ask("arm", "armed", 10.0, host=self.host, frequency=500.0, data_age=1.0)
         try:
-            self.driver.ask("play", "done", 5.0, table=rows, step=0.004, start=self.last, lookahead=0.1, gain=300, **BOUNDS)
+            hand_over(self.driver, rows)
+            self.driver.ask("play", "done", 5.0, step=0.004, start=self.last, lookahead=0.1, gain=300, **BOUNDS)
         except HardwareError as error:
             self.close()
             return str(error)
