@@ -111,7 +111,7 @@ def test_bytes_that_look_like_a_header_go_through(bus, content):
         assert (list(back), result, error) == (content, 0, 0)
 
 
-@pytest.fixture(scope="module")
+@pytest.fixture
 def bus(three):
     made = Bus(three.address, 1_000_000, [1], "sync")
     yield made
@@ -379,7 +379,51 @@ def test_nothing_beyond_a_limit_reaches_the_wire(servo, moves, rows):
     moves.last = sent[-1] if sent else moves.last
 
 
+# ---- long paths
+
+
+def test_a_path_of_any_length_begins(servo, tmp_path):
+    """400 s at 200 Hz go over and play; the end is not waited for."""
+    play = Trajectory.multisine(0.3, 400.0, frequencies=(0.4, 1.5), rest=0.1, kind="current", rate=200.0)
+    since = time.monotonic()
+
+    def progress(stage, done, total, text):
+        moved = {signed(e["data"]) for e in writes(servo.log(since=since), x.GOAL_CURRENT.address)} - {0}
+        if len(moved) > 3:
+            raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        record(
+            Dynamixel(servo.address, mode="current"),
+            tmp_path / "out",
+            play=play,
+            live=True,
+            limits=Limits(data_age=2.0),
+            progress=progress,
+        )
+    about = report(tmp_path / "out")
+    assert about["end_reason"] == "interrupted" and any(e.get("name") == "play_start" for e in about["events"])
+    assert writes(servo.log(since=since), 64)[-1]["data"] == [0]
+
+
 # ---- before recording
+
+
+def test_a_second_recorder_is_told_and_the_first_goes_on(servo, tmp_path):
+    command = [sys.executable, "-m", "jaxid.cli", "record", "dynamixel", "--port", servo.address, "--id", "1", "--rate", "100"]
+    since = time.monotonic()
+    first = subprocess.Popen([*command, "--seconds", "8", "--out", str(tmp_path / "a")], stderr=subprocess.PIPE, text=True)
+    servo.wait_for(lambda log: sum(e["what"] == "read" and e["at"] > since for e in log) > 50)
+    second = subprocess.run(
+        [*command, "--seconds", "1", "--out", str(tmp_path / "b")], capture_output=True, text=True, timeout=60, check=False
+    )
+    with pytest.raises(UsageError, match="port .* is in use by another program"):
+        Bus(servo.address, 1_000_000, [1], "sync")
+    _, errors = first.communicate(timeout=60)
+    assert second.returncode == 2 and f"port {servo.address} is in use" in second.stderr, second.stderr
+    assert not (tmp_path / "b").exists()
+    assert first.returncode == 0, errors
+    assert not any("losses" in e and "of_another_question" in e["losses"] for e in report(tmp_path / "a")["events"])
 
 
 def test_what_slows_a_line_down_is_said_before(tmp_path):

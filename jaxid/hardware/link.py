@@ -133,11 +133,10 @@ class Leash:
     def wait(self, until: float) -> None:
         """Returns at `until` (monotonic s), never later than needed to notice; looks at the line at least once."""
         while True:
-            now = time.monotonic()
+            began = time.monotonic()
             deadline = min(until, self._heard + self.longest_s) if self.tight else until
-            due = max(now, deadline)
             try:
-                arrived = self.link.messages(deadline - now)
+                arrived = self.link.messages(deadline - began)
             except Closed:
                 raise Stop("the recording process is gone") from None
             now = time.monotonic()
@@ -149,7 +148,7 @@ class Leash:
                 if message["kind"] != "beat":
                     self.inbox.append(message)
             if self.tight and now - self._heard > self.longest_s:
-                own, silence = max(now - due, due - self._looked), now - self._heard
+                own, silence = max(now - max(began, deadline), began - self._looked), now - self._heard
                 if own > 0.5 * silence:  # it was this process that did not run: the other one may have spoken
                     raise Stop(busy(own))
                 raise Stop(f"the recording process was silent for {silence:.2f} s")
@@ -199,7 +198,8 @@ class Driver:
             try:
                 self.inbox += self.link.messages()
             except Closed:
-                raise self.died() from None
+                if not self.inbox:
+                    raise self.died() from None
             # What it said before its end says why: `messages` gives it.
 
     def messages(self, timeout: float = 0.0) -> list[dict[str, Any]]:

@@ -71,18 +71,19 @@ def _play(link: Link, leash: Leash, control: Any, order: dict[str, Any], table: 
     clamp = Clamp(order["lower"], order["upper"], order["largest_step"], order["start"])
     marks = {int(row): name for row, name in order.get("marks", [])}
     deadline = told = time.monotonic()
-    late = longest = 0.0
+    late = longest = overrun = 0.0
     for k, row in enumerate(table):
         leash.wait(deadline)
-        pause = time.monotonic() - deadline
+        asked = time.monotonic()
+        pause = asked - deadline
         try:
             sent = clamp(row)
         except Refused as error:
             raise RuntimeError(f"row {k + 1} of the path was refused: {error}") from None
         if not control.servoJ(list(sent), 0.0, 0.0, step, order["lookahead"], order["gain"]):
-            taken = f"the robot did not take command {k + 1} of {table.rows}"
-            if max(pause, longest) > leash.longest_s:
-                raise Stop(f"{busy(max(pause, longest))}, and the controller's watchdog stopped the arm: {taken}")
+            taken = f"the robot did not take command {k + 1} of {table.rows} within {time.monotonic() - asked:.2f} s"
+            if max(pause, overrun) > 0.5 * leash.longest_s:
+                raise Stop(f"{busy(max(pause, overrun))}, and the controller's watchdog stops the arm meanwhile: {taken}")
             raise RuntimeError(f"{taken}; is a program or a stop in the way?")
         now = time.monotonic()
         if k in marks:
