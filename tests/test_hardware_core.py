@@ -284,9 +284,7 @@ def test_the_longest_path_goes_over_in_pieces():
     driver = Driver("jaxid.hardware.ur_motion", "test")
     try:
         assert hand_over(driver, rows, 60.0) == int(np.ceil(len(rows) / 500))
-        with pytest.raises(
-            HardwareError, match="numbers of the path came for row"
-        ):  # not asked for
+        with pytest.raises(HardwareError, match="numbers of the path came for row"):  # not asked for
             driver.ask("rows", "nothing", 10.0, at=7, content="AAAAAAAA8D8=")
     finally:
         driver.close()

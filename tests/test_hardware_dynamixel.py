@@ -411,21 +411,15 @@ def test_a_path_of_any_length_begins(servo, tmp_path):
 
 
 def test_a_second_recorder_is_told_and_the_first_goes_on(servo, tmp_path, capsys):
-    record_ = ["record", "dynamixel", "--port", servo.address, "--id", "1", "--rate", "50"]
-    command = [sys.executable, "-m", "jaxid.cli", *record_, "--seconds", "60", "--out", str(tmp_path / "a")]
-    since = time.monotonic()
-    answered = lambda count, since: servo.wait_for(lambda log: sum(e["what"] == "read" and e["at"] > since for e in log) > count)
-    first = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
-    answered(100, since)  # the trial questions, and samples
-    for _ in range(2):
-        assert main([*record_, "--seconds", "1", "--out", str(tmp_path / "b")]) == 2
-        assert f"port {servo.address} is in use by another program" in capsys.readouterr().err
-    answered(30, time.monotonic())
-    first.send_signal(signal.SIGINT)
-    _, errors = first.communicate(timeout=60)
-    about = report(tmp_path / "a")
-    assert (first.returncode, about["end_reason"]) == (130, "interrupted") and about["rows"] > 30, errors
-    assert not (tmp_path / "b").exists()
+    first = Bus(servo.address, 1_000_000, [1], "sync")
+    before = first.read()
+    arguments = ["record", "dynamixel", "--port", servo.address, "--id", "1", "--seconds", "1", "--out", str(tmp_path / "out")]
+    assert main(arguments) == 2
+    assert f"port {servo.address} is in use by another program" in capsys.readouterr().err
+    after = [first.read() for _ in range(5)]
+    first.port.closePort()
+    assert before and all(after) and first.lost == {} and not (tmp_path / "out").exists()
+    assert main([*arguments, "--rate", "20"]) == 0
 
 
 def test_what_slows_a_line_down_is_said_before(tmp_path):

@@ -262,13 +262,16 @@ def test_a_pause_of_this_computer_is_named(robot, tmp_path):
 
 
 def test_a_program_that_runs_is_not_replaced(robot, tmp_path):
-    process = run_cli(robot, tmp_path / "out")
-    since = time.monotonic()
-    with pytest.raises(UsageError, match="a program is running on the robot"):
-        record(UR(robot.address), tmp_path / "second", play=path())
-    assert not robot.log("script", since=since) and process.poll() is None
-    process.send_signal(signal.SIGINT)
-    process.communicate(timeout=20)
+    first = Driver("jaxid.hardware.ur_motion", "first")
+    try:
+        first.ask("arm", "armed", 20.0, host=robot.address, frequency=500.0, data_age=2.0)
+        since = time.monotonic()
+        with pytest.raises(UsageError, match="a program is running on the robot"):
+            record(UR(robot.address), tmp_path / "out", play=path())
+        assert not robot.log("script", since=since)
+    finally:
+        first.stop("over", 5.0)
+        first.close()
 
 
 def test_an_exception_of_the_user_stops_the_robot(robot, tmp_path):

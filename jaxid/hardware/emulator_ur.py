@@ -7,7 +7,6 @@ an address each (127.0.0.2, 127.0.0.3 …).
 
 from __future__ import annotations
 
-import math
 import os
 import selectors
 import socket
@@ -48,6 +47,7 @@ class Client:
         self.line, self.kind = line, kind
         self.inbox, self.outbox = bytearray(), bytearray()
         self.packages: deque[tuple[int, bytes]] = deque()
+        self.share = 1.0  # of a package that may be taken
         self.names: list[str] = []
         self.layout = struct.Struct(">B")
         self.recipes: list[tuple[list[str], struct.Struct]] = []
@@ -218,7 +218,10 @@ class Emulator:
     def _take(self, steps: int) -> None:
         """The packages that belong to the first of so many `steps` that are to be made now."""
         for client in [c for c in self.clients if c.packages]:
-            for _ in range(math.ceil(len(client.packages) / steps)):
+            client.share = client.share + len(client.packages) / steps if steps > 1 else len(client.packages)
+            count = min(int(client.share), len(client.packages))
+            client.share = client.share - count if steps > 1 else 1.0  # the first one at once: it shows that the client lives
+            for _ in range(count):
                 kind, payload = client.packages.popleft()
                 try:
                     self._rtde(client, kind, payload)
