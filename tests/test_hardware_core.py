@@ -26,7 +26,7 @@ from jaxid.hardware.channels import channel_map
 from jaxid.hardware.clock import from_arrivals, from_signals, within_tick
 from jaxid.hardware.limits import Clamp, Refused
 from jaxid.hardware.link import Closed, Driver, farewell, Leash, Link, Stop
-from jaxid.hardware.pauses import Pauses, waited
+from jaxid.hardware.pauses import kept_from_running, Pauses, waited
 from jaxid.hardware.port import opened
 from jaxid.hardware.preflight import refuse_size
 from jaxid.hardware.recorder import Column, read_events, read_rows, Recorder, Stream
@@ -364,6 +364,7 @@ def test_a_pause_and_what_it_was():
     pauses.lap(doing="showing the progress")
     assert pauses.said(0.1).startswith("showing the progress took 0.2")
     assert waited(os.getpid()) >= 0.0 == waited(2**30)
+    assert kept_from_running(0.5, 0.4) == ": this computer was busy for 0.4 s" and "too busy" in kept_from_running(0.5, 0.1)
 
 
 def test_a_port_has_one_reader(tmp_path):

@@ -15,8 +15,8 @@ from jaxid.hardware import xseries as x
 from jaxid.hardware.device import approach, Measured, News, Plan, Sample
 from jaxid.hardware.errors import HardwareError
 from jaxid.hardware.limits import Limits
-from jaxid.hardware.link import busy, Driver
-from jaxid.hardware.pauses import waited
+from jaxid.hardware.link import Driver
+from jaxid.hardware.pauses import kept_from_running, waited
 from jaxid.hardware.recorder import Column, COMMANDS, Stream
 from jaxid.hardware.trajectory import KINDS, Trajectory
 from jaxid.hardware.transfer import Sender
@@ -177,7 +177,7 @@ class Dynamixel:
             self._heard, self._waited = now, waited(self._driver.process.pid)
         elif now - self._heard > SILENT_S + 3 / self.rate:
             silence, kept = now - self._heard, waited(self._driver.process.pid) - self._waited
-            why = f", for {busy(kept)}" if kept > 0.5 * silence else ""
+            why = kept_from_running(silence, kept)
             raise HardwareError(f"{self.port}: the driver has been silent for {silence:.2f} s{why}")
         for m in messages:
             if m["kind"] == "sample":

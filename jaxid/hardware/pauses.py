@@ -36,8 +36,18 @@ class Pauses:
 
 
 def waited(process: int) -> float:
-    """For how long (s) the main thread of a process was ready and got no processor, so far; 0 where the system does not tell."""
-    try:
-        return 1e-9 * int(Path(f"/proc/{process}/schedstat").read_text(encoding="ascii").split()[1])
-    except (OSError, ValueError, IndexError):
-        return 0.0
+    """For how long (s) the threads of a process were ready and got no processor, so far; 0 where the system does not tell."""
+    total = 0.0
+    for thread in Path(f"/proc/{process}/task").glob("*"):
+        try:
+            total += 1e-9 * int((thread / "schedstat").read_text(encoding="ascii").split()[1])
+        except (OSError, ValueError, IndexError):
+            continue
+    return total
+
+
+def kept_from_running(silence: float, kept: float) -> str:
+    """What is known of why a driver was silent for so long, of which its threads were `kept` waiting for a processor."""
+    if kept > 0.5 * silence:
+        return f": {busy(min(kept, silence))}"
+    return "; it hangs, or this computer was too busy to run it"

@@ -13,8 +13,8 @@ from jaxid.errors import UsageError
 from jaxid.hardware.device import approach, Measured, News, Plan, Sample
 from jaxid.hardware.errors import HardwareError
 from jaxid.hardware.limits import Limits
-from jaxid.hardware.link import busy, Driver, ENDS
-from jaxid.hardware.pauses import waited
+from jaxid.hardware.link import Driver, ENDS
+from jaxid.hardware.pauses import kept_from_running, waited
 from jaxid.hardware.recorder import Column, Stream
 from jaxid.hardware.rtde import RTDEReader
 from jaxid.hardware.trajectory import Trajectory
@@ -136,7 +136,7 @@ class UR:
                 self._playing &= message["kind"] != "done"
             if self._playing and now - self._heard > self._patience:
                 silence, kept = now - self._heard, waited(self._driver.process.pid) - self._waited
-                why = f", for {busy(kept)}" if kept > 0.5 * silence else ""
+                why = kept_from_running(silence, kept)
                 raise HardwareError(f"{self.host}: the motion driver was silent for {silence:.2f} s{why}")
         return news
 
