@@ -8,8 +8,13 @@ import os
 import subprocess
 import sys
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from pathlib import Path
+
+import numpy as np
+
+from jaxid.hardware.link import Driver
+from jaxid.hardware.transfer import Sender
 
 
 _NUMBER = itertools.count(1)
@@ -90,3 +95,21 @@ def writes(log: list[dict], address: int | None = None) -> list[dict]:
 
 def signed(data: list[int]) -> int:
     return int.from_bytes(bytes(data), "little", signed=True)
+
+
+def hand_over(driver: Driver, rows: Sequence[Sequence[float]], seconds: float = 10.0) -> int:
+    """Gives a driver the table of a path; returns in how many pieces."""
+    path = Sender(np.array(rows, float), driver.send)
+    until, pieces, others = time.monotonic() + seconds, 0, []
+    while True:
+        for message in driver.messages(0.02):
+            if message["kind"] == "want":
+                path.answer(message)
+                pieces += 1
+            elif message["kind"] == "loaded":
+                driver.inbox = others + driver.inbox
+                return pieces
+            else:
+                others.append(message)
+        assert time.monotonic() < until, "the driver did not take the path"
+        driver.send("beat")

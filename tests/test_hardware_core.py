@@ -4,7 +4,9 @@ from __future__ import annotations
 
 import json
 import os
+import socket
 import struct
+import threading
 import time
 import tty
 from pathlib import Path
@@ -15,6 +17,7 @@ import pyarrow.parquet as pq
 import pytest
 from hypothesis import given, settings, strategies as st
 
+from emulators import hand_over
 from jaxid.cli import main
 from jaxid.dataset_io import load_dataset
 from jaxid.errors import UsageError
@@ -22,10 +25,15 @@ from jaxid.hardware import HardwareError, Limits, recover, SensorSpec, Trajector
 from jaxid.hardware.channels import channel_map
 from jaxid.hardware.clock import from_arrivals, from_signals, within_tick
 from jaxid.hardware.limits import Clamp, Refused
+from jaxid.hardware.link import Closed, Driver, farewell, Leash, Link, Stop
+from jaxid.hardware.pauses import kept_from_running, Pauses, waited
+from jaxid.hardware.port import opened
+from jaxid.hardware.preflight import refuse_size
 from jaxid.hardware.recorder import Column, read_events, read_rows, Recorder, Stream
 from jaxid.hardware.rtde import DATA, RTDEReader
 from jaxid.hardware.sensor import SerialSensor
 from jaxid.hardware.tick import TickClock
+from jaxid.hardware.transfer import Sender, Table
 from jaxid.precision import float64
 
 
@@ -137,6 +145,54 @@ def test_a_multisine_rests_at_both_ends_and_has_its_size(seconds):
     assert play.check(Limits(acceleration=(200.0,)), 0.008) == []
 
 
+def saved(folder: Path, t: np.ndarray, values: np.ndarray) -> Trajectory:
+    np.savetxt(folder / "path.csv", np.column_stack([t, values]), delimiter=",", header="t,q_cmd", comments="")
+    return Trajectory.read(folder / "path.csv")
+
+
+@pytest.mark.parametrize(("factor", "unit"), [(1e3, "ms"), (1e6, "us"), (1e9, "ns")])
+@pytest.mark.parametrize("rate", [50.0, 500.0, 1000.0])
+def test_a_time_that_is_not_in_seconds_is_recognised(tmp_path, factor, unit, rate):
+    t = np.arange(300) / rate
+    play = saved(tmp_path, factor * t, 0.1 * np.sin(t))
+    assert f"rather {unit} than s: divide it by {factor:.0f}" in play.not_in_seconds()
+    assert "row 3 comes" in play.not_in_seconds()
+    assert Trajectory(t, np.sin(t)).not_in_seconds() == ""
+
+
+def test_steps_that_are_held_for_seconds_are_a_path():
+    t = np.arange(40) * 5.0
+    assert Trajectory(t, 0.02 * np.arange(40), "current").not_in_seconds() == ""
+
+
+@pytest.mark.parametrize("row", [2, 57, 58, 59, 60, 301])
+@pytest.mark.parametrize("lasting", [False, True])
+def test_a_jump_is_found_with_its_row(tmp_path, row, lasting):
+    """In one row of 500 a second, whichever of them are sent; row numbers are those of the file."""
+    t = np.arange(300) / 500
+    q = 0.05 * np.sin(6 * t)
+    k = row - 2
+    q[k : None if lasting and k else k + 1] += 0.4
+    speed = [p for p in saved(tmp_path, t, q).check(Limits(speed=(3.0,)), 0.008) if "speed" in p]
+    found = {int(p.split("(row ")[1].split(")")[0]) for p in speed}
+    assert found & {row, row + 1} and all("the limit is" in p and "correct the row if it is a jump" in p for p in speed)
+
+
+def test_what_is_commanded_first_and_last_counts_as_a_step():
+    play = Trajectory(np.array([0.0, 1.0]), np.array([0.5, 0.5]), "velocity")
+    problems = play.check(Limits(acceleration=(10.0,)), 0.01)
+    assert len(problems) == 2 and "reaches 50 rad/s^2 at 0.000 s (row 2)" in problems[0] and "(row 3)" in problems[1]
+    assert play.check(Limits(acceleration=(51.0,)), 0.01) == []
+
+
+@pytest.mark.parametrize("step", [0.002, 0.005, 0.008, 0.1, 0.3])
+@pytest.mark.parametrize("duration", [0.3, 0.7, 1.0, 2.4])
+def test_commands_have_their_step_and_the_end(step, duration):
+    sent = Trajectory(np.array([0.0, duration]), np.array([0.0, duration])).sampled(step)[:, 0]
+    assert sent[0] == 0 and sent[-1] == duration and np.allclose(np.diff(sent)[:-1], step)
+    assert 1e-6 * step < np.diff(sent)[-1] <= step * (1 + 1e-9)
+
+
 def test_a_held_current_is_sampled_as_held():
     play = Trajectory(np.array([0.0, 0.5, 1.0]), np.array([0.1, 0.4, 0.0]), "current")
     assert play.sampled(0.25)[:, 0].tolist() == [0.1, 0.1, 0.4, 0.4, 0.0]
@@ -217,6 +273,125 @@ def test_a_tick_clock_wraps_and_takes_no_old_answer(seed, start, drift, stale):
     assert np.all(np.diff(times[:, 0]) > 0)
     assert np.ptp(times[:, 1] - times[:, 0]) < 1e-3 + 1e-9
     assert clock.stale + clock.repeated == len(set(stale))
+
+
+# ---- between the processes
+
+
+def test_the_longest_path_goes_over_in_pieces():
+    """600 s at 500 Hz of six joints, to the driver of an arm that is not there."""
+    rows = np.random.default_rng(0).uniform(-1, 1, (300_001, 6))
+    driver = Driver("jaxid.hardware.ur_motion", "test")
+    try:
+        assert hand_over(driver, rows, 60.0) == int(np.ceil(len(rows) / 500))
+        with pytest.raises(HardwareError, match="numbers of the path came for row"):  # not asked for
+            driver.ask("rows", "nothing", 10.0, at=7, content="AAAAAAAA8D8=")
+    finally:
+        driver.close()
+
+
+@settings(max_examples=30, deadline=None)
+@given(rows=st.integers(1, 9000), joints=st.integers(1, 7))
+def test_a_table_arrives_as_it_was(rows, joints):
+    table, taken = np.random.default_rng(rows).standard_normal((rows, joints)), Table()
+    table[rows // 2, 0] = np.nan  # for the clamp to refuse, and nobody else
+    sent: list[dict] = []
+    sender = Sender(table, lambda kind, **content: sent.append({"kind": kind, **content}))
+    while True:
+        kind, content = taken.take(sent[-1])
+        if kind == "loaded":
+            break
+        with pytest.raises(ValueError, match="of the path are there"):
+            iter(taken)
+        sender.answer(content)
+        assert len(json.dumps(sent[-1])) < 40_000
+    np.testing.assert_array_equal(np.array(list(taken)), table)
+
+
+def test_words_wait_for_a_slow_listener_and_the_last_one_says_why():
+    """Far more than a line holds, while nobody reads; then the sender ends."""
+    here, there = socket.socketpair()
+    driver, recorder = Link(here), Link(there)
+    for k in range(20_000):
+        driver.send("sample", number=k)
+    farewell(driver, Stop("the reason"))
+    ender = threading.Thread(target=lambda: (farewell(driver), driver.close()))
+    ender.start()
+    heard = []
+    with pytest.raises(Closed):
+        while True:
+            heard += recorder.messages(1.0)
+    ender.join()
+    recorder.close()
+    assert [m["number"] for m in heard[:-2]] == list(range(20_000))
+    assert heard[-2:] == [{"kind": "stopping", "reason": "the reason"}, {"kind": "stopped"}]
+
+
+def test_a_reason_is_heard_although_the_line_is_closed():
+    """The driver ends while the recorder writes to it; what it said before its end is raised, not that the line is gone."""
+    driver = Driver("jaxid.hardware.ur_motion", "test")
+    driver.send("quit")
+    driver.process.wait(20)
+    for _ in range(3):
+        driver.send("beat")
+    with pytest.raises(HardwareError, match="test: the driver stopped by itself: finished"):
+        driver.messages()
+    driver.close()
+
+
+@pytest.mark.parametrize("held", [False, True])
+def test_a_silence_is_of_the_recorder_or_of_this_computer(held):
+    here, there = socket.socketpair()
+    leash = Leash(Link(here), 0.05)
+    leash.tighten(True)
+    leash.wait(time.monotonic())
+    if held:
+        time.sleep(0.3)  # this process is not run: the other one is not to blame
+    with pytest.raises(Stop, match="this computer was busy for 0.3 s" if held else "recording process was silent for 0.[01]"):
+        leash.wait(time.monotonic() + 1.0)
+    here.close()
+    there.close()
+
+
+def test_a_pause_and_what_it_was():
+    pauses = Pauses()
+    pauses.lap()
+    assert pauses.said(0.5) == ""
+    time.sleep(0.12)
+    pauses.lap(0.01)
+    assert "this computer was busy for 0.1" in pauses.said(0.1) and pauses.said(1.0) == ""
+    time.sleep(0.2)
+    pauses.lap(doing="showing the progress")
+    assert pauses.said(0.1).startswith("showing the progress took 0.2")
+    assert waited(os.getpid()) >= 0.0 == waited(2**30)
+    assert kept_from_running(0.5, 0.4) == ": this computer was busy for 0.4 s" and "too busy" in kept_from_running(0.5, 0.1)
+
+
+def test_a_port_has_one_reader(tmp_path):
+    master, slave = os.openpty()
+    name = os.ttyname(slave)
+    line = opened(name, 57600)
+    os.write(master, b"for the first")
+    time.sleep(0.05)
+    with pytest.raises(UsageError, match=f"port {name} is in use by another program.*wait until that has ended"):
+        opened(name, 115200)
+    (tmp_path / "tip.toml").write_text(SENSOR.format(port=name))
+    with pytest.raises(UsageError, match="sensor tip: port .* is in use"):
+        SerialSensor(SensorSpec.read(tmp_path / "tip.toml")).open()
+    assert line.read(100) == b"for the first" and line.baudrate == 57600
+    line.close()
+    opened(name, 115200).close()
+    for wrong in (str(tmp_path), "/dev/null", "/dev/nowhere"):
+        with pytest.raises(UsageError, match="cannot be opened .*check cable, name and rights"):
+            opened(wrong, 57600)
+    os.close(slave)
+    os.close(master)
+
+
+def test_a_recording_that_finds_no_room_is_refused(tmp_path):
+    with pytest.raises(UsageError, match="1e.* s need .* GB, and .* GB are free for .*: make room"):
+        refuse_size(tmp_path / "new" / "out", [STREAM], 1e12)
+    refuse_size(tmp_path / "new" / "out", [STREAM], 1.0)
 
 
 # ---- rows on disk

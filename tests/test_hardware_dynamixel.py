@@ -15,7 +15,8 @@ import pyarrow.parquet as pq
 import pytest
 from hypothesis import example, given, HealthCheck, settings, strategies as st
 
-from emulators import Emulator, PATIENT_S, signed, SLACK_S, writes
+from emulators import Emulator, hand_over, PATIENT_S, signed, SLACK_S, writes
+from jaxid.cli import main
 from jaxid.dataset_io import load_dataset
 from jaxid.errors import UsageError
 from jaxid.hardware import Dynamixel, HardwareError, Limits, record, recover, Trajectory, xseries as x
@@ -111,7 +112,7 @@ def test_bytes_that_look_like_a_header_go_through(bus, content):
         assert (list(back), result, error) == (content, 0, 0)
 
 
-@pytest.fixture(scope="module")
+@pytest.fixture
 def bus(three):
     made = Bus(three.address, 1_000_000, [1], "sync")
     yield made
@@ -341,7 +342,8 @@ class Moves:
             self.driver.send("begin")
             self.driver.ask("arm", "armed", 10.0, mode="current", data_age=1.0)
         try:
-            self.driver.ask("play", "done", 5.0, table=rows, step=0.005, start=[self.last], **BOUNDS)
+            hand_over(self.driver, rows)
+            self.driver.ask("play", "done", 5.0, step=0.005, start=[self.last], **BOUNDS)
         except HardwareError as error:
             self.close()
             return str(error)
@@ -378,7 +380,46 @@ def test_nothing_beyond_a_limit_reaches_the_wire(servo, moves, rows):
     moves.last = sent[-1] if sent else moves.last
 
 
+# ---- long paths
+
+
+def test_a_path_of_any_length_begins(servo, tmp_path):
+    """80,000 rows go over and play; the end is not waited for."""
+    play = Trajectory.multisine(0.3, 80_000 / RATE, frequencies=(0.4, 1.5), rest=0.1, kind="current", rate=200.0)
+    since = time.monotonic()
+
+    def progress(stage, done, total, text):
+        moved = {signed(e["data"]) for e in writes(servo.log(since=since), x.GOAL_CURRENT.address)} - {0}
+        if len(moved) > 3:
+            raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        record(
+            Dynamixel(servo.address, mode="current", rate=RATE),
+            tmp_path / "out",
+            play=play,
+            live=True,
+            limits=Limits(data_age=2.0),
+            progress=progress,
+        )
+    about = report(tmp_path / "out")
+    assert about["end_reason"] == "interrupted" and any(e.get("name") == "play_start" for e in about["events"])
+    assert writes(servo.log(since=since), 64)[-1]["data"] == [0]
+
+
 # ---- before recording
+
+
+def test_a_second_recorder_is_told_and_the_first_goes_on(servo, tmp_path, capsys):
+    first = Bus(servo.address, 1_000_000, [1], "sync")
+    before = first.read()
+    arguments = ["record", "dynamixel", "--port", servo.address, "--id", "1", "--seconds", "1", "--out", str(tmp_path / "out")]
+    assert main(arguments) == 2
+    assert f"port {servo.address} is in use by another program" in capsys.readouterr().err
+    after = [first.read() for _ in range(5)]
+    first.port.closePort()
+    assert before and all(after) and first.lost == {} and not (tmp_path / "out").exists()
+    assert main([*arguments, "--rate", "20"]) == 0
 
 
 def test_what_slows_a_line_down_is_said_before(tmp_path):

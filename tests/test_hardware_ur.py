@@ -17,7 +17,7 @@ import pyarrow.parquet as pq
 import pytest
 from hypothesis import given, HealthCheck, settings, strategies as st
 
-from emulators import Emulator, PATIENT_S, servoing, SLACK_S, stops
+from emulators import Emulator, hand_over, PATIENT_S, servoing, SLACK_S, stops
 from jaxid.dataset_io import load_dataset
 from jaxid.errors import UsageError
 from jaxid.hardware import HardwareError, Limits, record, recover, SensorSpec, Trajectory, UR
@@ -230,6 +230,50 @@ def test_a_dead_or_hung_driver_stops_the_robot(robot, tmp_path, number):
     assert rows["rows"] > 200 and rows["lost"] == 0
 
 
+def test_a_path_of_any_length_begins(robot, tmp_path):
+    """600 s with 500 commands a second go over while samples come; the end is not waited for."""
+    play = Trajectory.multisine([0.3] * 6, 600.0, frequencies=(0.1, 0.6), rest=0.1)
+    seen: list[int] = []
+
+    def progress(stage, done, total, text):
+        seen.append(servoing(robot.log(since=began)))
+        if seen[-1] > 100:
+            raise KeyboardInterrupt
+
+    began = time.monotonic()
+    with pytest.raises(KeyboardInterrupt):
+        device = UR(robot.address, command_rate=500.0)
+        record(device, tmp_path / "out", play=play, live=True, limits=Limits(data_age=2.0), progress=progress)
+    about = report(tmp_path / "out")
+    assert about["end_reason"] == "interrupted" and about["lost"] == 0 and about["rows"] > 300
+
+
+def test_a_pause_of_this_computer_is_named(robot, tmp_path):
+    process = run_cli(robot, tmp_path / "out")
+    sent = time.monotonic()
+    os.kill(process.pid, signal.SIGSTOP)  # as the recorder sees it, a computer that does other things
+    assert first_stop(robot, sent) < PATIENT_S + 0.2 + SLACK_S
+    time.sleep(max(0.0, sent + 1.5 - time.monotonic()))
+    os.kill(process.pid, signal.SIGCONT)
+    _, errors = process.communicate(timeout=20)
+    assert process.returncode == 1 and "rows up to then are in" in errors
+    assert "this computer was busy for 1." in errors and "data_age allows 0.8 s" in errors, errors
+    assert report(tmp_path / "out")["lost"] == 0
+
+
+def test_a_program_that_runs_is_not_replaced(robot, tmp_path):
+    first = Driver("jaxid.hardware.ur_motion", "first")
+    try:
+        first.ask("arm", "armed", 20.0, host=robot.address, frequency=500.0, data_age=2.0)
+        since = time.monotonic()
+        with pytest.raises(UsageError, match="a program is running on the robot"):
+            record(UR(robot.address), tmp_path / "out", play=path())
+        assert not robot.log("script", since=since)
+    finally:
+        first.stop("over", 5.0)
+        first.close()
+
+
 def test_an_exception_of_the_user_stops_the_robot(robot, tmp_path):
     raised: list[float] = []
 
@@ -260,7 +304,8 @@ class Moves:
             self.driver = Driver("jaxid.hardware.ur_motion", "test")
             self.driver.ask("arm", "armed", 10.0, host=self.host, frequency=500.0, data_age=1.0)
         try:
-            self.driver.ask("play", "done", 5.0, table=rows, step=0.004, start=self.last, lookahead=0.1, gain=300, **BOUNDS)
+            hand_over(self.driver, rows)
+            self.driver.ask("play", "done", 5.0, step=0.004, start=self.last, lookahead=0.1, gain=300, **BOUNDS)
         except HardwareError as error:
             self.close()
             return str(error)

@@ -49,10 +49,9 @@ class Plan:
         return len(self.table) * self.step
 
     def order(self) -> dict[str, Any]:
-        """As a message to a driver."""
+        """As a message to a driver that has the table."""
         return {
             "mode": self.kind,
-            "table": self.table.tolist(),
             "step": self.step,
             "lower": list(self.lower),
             "upper": list(self.upper),
@@ -78,6 +77,7 @@ class Device(Protocol):
     name: str
     joints: int
     kinds: tuple[str, ...]  # of commands it takes
+    command_step: float  # s between the commands of a path
 
     def open(self) -> None:
         """Connects and checks; changes nothing on the device."""
@@ -109,6 +109,10 @@ class Device(Protocol):
 
     def plan(self, trajectory: Trajectory, limits: Limits, values: Sequence[float]) -> Plan:
         """How a path would be sent, starting from the sample `values`."""
+        ...
+
+    def load(self, plan: Plan) -> None:
+        """Hands the path over to the driver while samples go on; messages `want` and, in the end, `loaded` follow."""
         ...
 
     def arm(self, plan: Plan, data_age: float) -> None:

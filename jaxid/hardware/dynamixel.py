@@ -16,8 +16,10 @@ from jaxid.hardware.device import approach, Measured, News, Plan, Sample
 from jaxid.hardware.errors import HardwareError
 from jaxid.hardware.limits import Limits
 from jaxid.hardware.link import Driver
+from jaxid.hardware.pauses import kept_from_running, waited
 from jaxid.hardware.recorder import Column, COMMANDS, Stream
 from jaxid.hardware.trajectory import KINDS, Trajectory
+from jaxid.hardware.transfer import Sender
 
 
 FORMS = ("sync", "bulk", "fast")
@@ -60,13 +62,15 @@ class Dynamixel:
             raise UsageError(f"zero is {zero!r}; write a number of counts, or here")
         self.port, self.baud, self.rate, self.form, self.mode, self._zero = port, baud, float(rate), form, mode, zero
         self.joints, self.kinds = len(self.ids), () if mode is None else (mode,)
+        self.command_step = 1 / self.rate
         self.name, self.where = "dynamixel", port
         self.local = port.startswith("/dev/pts/")
         self.still_rad = 1.5 * x.POSITION
         self.advice: list[str] = []
         self._driver: Driver | None = None
+        self._path: Sender | None = None
         self._lost: dict[str, int] = {}
-        self._heard = 0.0
+        self._heard = self._waited = 0.0
 
     def open(self) -> None:
         self._driver = Driver("jaxid.hardware.dynamixel_bus", f"servos on {self.port}")
@@ -170,9 +174,11 @@ class Dynamixel:
         out, now = News(), time.monotonic()
         messages = self._driver.messages()
         if messages:
-            self._heard = now
+            self._heard, self._waited = now, waited(self._driver.process.pid)
         elif now - self._heard > SILENT_S + 3 / self.rate:
-            raise HardwareError(f"{self.port}: the driver has been silent for {now - self._heard:.2f} s")
+            silence, kept = now - self._heard, waited(self._driver.process.pid) - self._waited
+            why = kept_from_running(silence, kept)
+            raise HardwareError(f"{self.port}: the driver has been silent for {silence:.2f} s{why}")
         for m in messages:
             if m["kind"] == "sample":
                 out.samples.append(Sample(m["received"], m["device"], self._values(m)))
@@ -181,9 +187,9 @@ class Dynamixel:
                 out.commands.append(Sample(m["at"], m["at"], values))
             elif m["kind"] == "lost":
                 self._lost = {k: v for k, v in m.items() if k != "kind"}
-            elif m["kind"] == "stopping":
-                raise HardwareError(f"{self.port}: the driver ended by itself: {m['reason']}")
             else:
+                if m["kind"] == "want" and self._path is not None:
+                    self._path.answer(m)
                 out.messages.append(m)
         return out
 
@@ -216,7 +222,7 @@ class Dynamixel:
         return None  # the driver tells of hardware errors by itself
 
     def plan(self, trajectory: Trajectory, limits: Limits, values: Sequence[float]) -> Plan:
-        step = 1 / self.rate
+        step = self.command_step
         path = trajectory.sampled(step)
         speed = limits.speed or (math.inf,) * self.joints
         here = np.array(self.measured(values).q)
@@ -256,8 +262,13 @@ class Dynamixel:
         shift = np.array(self.zero if self.mode == "position" else [0] * self.joints)
         return values / np.array([self._scale(j) for j in range(self.joints)]) + shift
 
+    def load(self, plan: Plan) -> None:
+        assert self._driver is not None
+        self._path = Sender(plan.table, self._driver.send)
+
     def arm(self, plan: Plan, data_age: float) -> None:
         assert self._driver is not None
+        self._path = None
         self._driver.send("arm", mode=plan.kind, data_age=data_age)
 
     def play(self, plan: Plan) -> None:
@@ -279,13 +290,14 @@ class Dynamixel:
         said = "the driver did not answer and was ended; the servo's own bus watchdog stops it"
         try:
             driver.link.send("stop", reason=reason)
-            until = time.monotonic() + STOPPED_S
+            until, arrived = time.monotonic() + STOPPED_S, driver.inbox
             while time.monotonic() < until:
-                for m in driver.link.messages(0.02):
+                for m in arrived:
                     if m["kind"] == "lost":
                         self._lost = {k: v for k, v in m.items() if k != "kind"}
                     if m["kind"] == "stopped":
                         said, until = m.get("said") or "nothing was moving", 0.0
+                arrived = driver.link.messages(0.02) if until else []
         except EOFError:
             said = "the driver had ended; the servo's own bus watchdog stops it"
         driver.close()

@@ -14,8 +14,10 @@ from typing import Any
 
 from jaxid.hardware import xseries as x
 from jaxid.hardware.limits import Clamp, Refused
-from jaxid.hardware.link import Closed, in_driver, Leash, Link, Stop
+from jaxid.hardware.link import busy, farewell, first_line, in_driver, Leash, Link, Stop
+from jaxid.hardware.port import opened
 from jaxid.hardware.tick import TickClock
+from jaxid.hardware.transfer import Table
 
 
 PROBES = 25  # questions that measure how long an answer takes
@@ -38,7 +40,16 @@ class Bus:
         self.ids, self.form, self._handler = list(ids), form, handler
 
         class Port(dynamixel_sdk.PortHandler):
-            """Waits for bytes in the kernel; the SDK alone would keep a core busy asking for them."""
+            """Opened for this process alone, and waiting for bytes in the kernel; the SDK shares a port with whoever opens it
+            too, and keeps a core busy asking for bytes."""
+
+            def setupPort(self, cflag_baud: int) -> bool:
+                if self.is_open:
+                    self.closePort()
+                self.ser = opened(self.port_name, self.baudrate)
+                self.is_open = True
+                self.tx_time_per_byte = 1e4 / self.baudrate
+                return True
 
             def readPort(self, length: int) -> bytes:
                 if length > 0 and self.ser is not None:
@@ -58,11 +69,7 @@ class Bus:
         self.packets: Any = Packets()
         self.lost: dict[str, int] = {}
         self.alerts: set[int] = set()
-        try:
-            good = self.port.setBaudRate(baud)
-        except Exception as error:  # pyserial raises SerialException, OSError, ValueError, termios.error
-            raise BusError(f"port {port} cannot be opened ({_first_line(error)}); check cable, name and rights") from None
-        if not good:
+        if not self.port.setBaudRate(baud):
             raise BusError(f"ROBOTIS' SDK has no baud rate {baud}; use 57600, 115200, 1000000, 2000000, 3000000 or 4000000")
 
     # ---- single registers
@@ -192,17 +199,11 @@ def main(fd: int) -> None:
         session = Session(link, leash, order)
         link.send("opened", **session.describe())
         session.run()
-    except Stop as stop:
-        _say(link, "stopping", reason=str(stop))
-    except Closed:
-        pass
-    except Exception as error:  # the SDK and pyserial raise what they like; each is a reason to stop, and is told
+    except BaseException as error:  # the SDK and pyserial raise what they like; each is a reason to stop, and is told
         gone = type(error).__name__ in ("SerialException", "OSError", "error")
-        text = f"the port is gone ({_first_line(error)})" if gone else _first_line(error)
-        _say(link, "failed", reason=text)
+        farewell(link, error, "the port is gone: " if gone else "")
     finally:
-        said = session.let_go() if session is not None else ""
-        _say(link, "stopped", said=said)
+        farewell(link, said=session.let_go() if session is not None else "")
 
 
 class Session:
@@ -220,6 +221,7 @@ class Session:
         self.goal: list[int] | None = None
         self.told: list[int] | None = None
         self.restore: dict[int, int] = {}
+        self.table = Table()
 
     def _inspect(self, identity: int, baud: int) -> dict[str, Any]:
         model = self.bus.ping(identity)
@@ -272,14 +274,20 @@ class Session:
             self.leash.wait(deadline)
             while self.leash.inbox:
                 order = self.leash.inbox.pop(0)
-                if order["kind"] == "arm":
+                if order["kind"] in ("path", "rows"):
+                    kind, content = self.table.take(order)
+                    self.link.send(kind, **content)
+                elif order["kind"] == "arm":
                     self._arm(order)
                     self.link.send("armed")
+                    deadline = time.monotonic()
                 elif order["kind"] == "play":
                     self.link.send("done", **self._play(order))
+                    deadline = time.monotonic()
                 elif order["kind"] == "quit":
                     raise Stop("finished")
-                deadline = time.monotonic()
+            if time.monotonic() < deadline:  # an order came before the next question was due
+                continue
             self._cycle()
             deadline = max(deadline + self.period, time.monotonic())
 
@@ -345,12 +353,12 @@ class Session:
         action(*arguments)
 
     def _play(self, order: dict[str, Any]) -> dict[str, Any]:
-        """Plays `table` (whole counts), a row a cycle; a late cycle delays the rest, so that nothing ever has to catch up."""
+        """Plays the table (rounded to counts), a row a cycle; a late one delays the rest, so that nothing has to catch up."""
         clamp = Clamp(order["lower"], order["upper"], order["largest_step"], order["start"])
         marks = {int(row): name for row, name in order.get("marks", [])}
         deadline = last = time.monotonic()
         longest = late = 0.0
-        for k, row in enumerate(order["table"]):
+        for k, row in enumerate(self.table):
             self.leash.wait(deadline)
             try:
                 self.goal = [int(v) for v in clamp([_whole(v) for v in row])]
@@ -361,8 +369,10 @@ class Session:
                 self.link.send("mark", name=marks[k], at=now)
             if self._cycle():
                 last = time.monotonic()
-            elif time.monotonic() - last > self.data_age:
-                raise BusError(f"no valid answer for {time.monotonic() - last:.2f} s while it moved ({self._losses()})")
+            elif (silence := time.monotonic() - last) > self.data_age:
+                # Made of one long cycle it is this process that did not run; many questions without an answer are the servo's.
+                why = f"; {busy(time.monotonic() - deadline)}" if time.monotonic() - deadline > 0.5 * silence else ""
+                raise BusError(f"no valid answer for {silence:.2f} s while it moved ({self._losses()}){why}")
             overrun = time.monotonic() - deadline - self.period
             if overrun > 0:
                 late, longest = late + overrun, max(longest, overrun)
@@ -395,21 +405,10 @@ def _tried(action: Callable[[], Any]) -> list[str]:
     try:
         action()
     except Exception as error:
-        return [_first_line(error)]
+        return [first_line(error)]
     return []
 
 
 def _whole(value: float) -> float:
     """Rounded to a count; what is no number stays so, for the clamp to refuse."""
     return float(round(value)) if value == value and abs(value) < 1e15 else value
-
-
-def _say(link: Link, kind: str, **content: Any) -> None:
-    try:
-        link.send(kind, **content)
-    except Closed:
-        pass
-
-
-def _first_line(error: Exception) -> str:
-    return (str(error).strip().splitlines() or [type(error).__name__])[0]

@@ -22,40 +22,69 @@ from jaxid.hardware.errors import HardwareError
 
 #: A driver stops its device after this long without a word from its supervisor (s).
 HEARTBEAT_S = 0.1
-#: Who leaves messages unread for so long is lost (s).
-UNREAD_S = 0.05
+#: How long a driver that has let go of its device waits for its last words to be taken (s).
+FAREWELL_S = 1.0
+#: Bytes that an end keeps for one that does not read: minutes of samples, for a line is not what ends a motion, silence is.
+UNREAD = 64 << 20
 
 
 class Closed(EOFError):
-    """The other end is gone, or does not read any more."""
+    """The other end is gone, or has not read for so long that nothing more is kept for it."""
 
 
 class Link:
-    """One end of a line of JSON messages, `{"kind": …}` each."""
+    """One end of a line of JSON messages, `{"kind": …}` each. Neither sending nor reading waits for the other end."""
 
     def __init__(self, line: socket.socket):
         self.line = line
         line.setblocking(False)
         self._buffer = b""
         self._waiting: list[dict[str, Any]] = []
+        self._unsent = bytearray()
 
     def fileno(self) -> int:
         return self.line.fileno()
 
     def send(self, kind: str, **content: Any) -> None:
-        """Raises `Closed` where the other end is gone or its buffer stays full."""
-        rest = memoryview(json.dumps({"kind": kind, **content}).encode() + b"\n")
+        """What the line does not take now goes with a later call. Raises `Closed` where the other end is gone."""
+        self._unsent += json.dumps({"kind": kind, **content}).encode() + b"\n"
+        self._flush()
+        if len(self._unsent) > UNREAD:
+            raise Closed(f"the other end has left {len(self._unsent) >> 20} MiB unread")
+
+    def finish(self, timeout: float) -> None:
+        """Waits at most `timeout` s until everything is sent; raises `Closed` where the other end is gone."""
+        until = time.monotonic() + timeout
+        while self._unsent and (left := until - time.monotonic()) > 0:
+            select.select([], [self.line], [], left)
+            self._flush()
+
+    def _flush(self) -> None:
         try:
-            while rest:
-                if not select.select([], [self.line], [], UNREAD_S)[1]:
-                    raise Closed("the other end does not read any more")
-                rest = rest[self.line.send(rest) :]
+            while self._unsent:
+                with memoryview(self._unsent) as rest:
+                    sent = self.line.send(rest[: 1 << 16])
+                del self._unsent[:sent]
+        except BlockingIOError:
+            pass
         except OSError as error:
-            raise Closed(str(error)) from None
+            raise Closed(error.strerror or str(error)) from None
 
     def messages(self, timeout: float = 0.0) -> list[dict[str, Any]]:
         """All that arrived, after waiting at most `timeout` s for a first one; raises `Closed` once all was read."""
-        ready = bool(self._waiting) or bool(select.select([self.line], [], [], max(timeout, 0.0))[0])
+        until = time.monotonic() + timeout
+        ready = bool(self._waiting)
+        while not ready:
+            left = max(until - time.monotonic(), 0.0)
+            found, free, _ = select.select([self.line], [self.line] if self._unsent else [], [], left)
+            ready = bool(found)
+            if free and not ready:
+                try:
+                    self._flush()
+                except Closed:
+                    ready = True  # reading tells what was said before the end
+            elif not ready:
+                break
         while ready:
             try:
                 block = self.line.recv(1 << 16)
@@ -80,6 +109,15 @@ class Stop(Exception):
     """The motion has to end; the text says why."""
 
 
+#: What a driver says when it ends by itself -> how the sentence begins that gives its reason.
+ENDS = {"stopping": "{}: the driver stopped by itself: ", "failed": ""}
+
+
+def busy(seconds: float) -> str:
+    """The sentence for a process that was not run."""
+    return f"this computer was busy for {seconds:.1f} s" if seconds >= 0.095 else f"this computer was busy for {seconds:.2f} s"
+
+
 class Leash:
     """In the driver: waits, and raises `Stop` as soon as the supervisor says so, is silent or is gone."""
 
@@ -87,7 +125,7 @@ class Leash:
         self.link, self.longest_s = link, longest_s
         self.tight = False  # while something moves
         self.inbox: list[dict[str, Any]] = []
-        self._heard = time.monotonic()
+        self._heard = self._looked = time.monotonic()
 
     def tighten(self, tight: bool) -> None:
         self.tight, self._heard = tight, time.monotonic()
@@ -95,10 +133,10 @@ class Leash:
     def wait(self, until: float) -> None:
         """Returns at `until` (monotonic s), never later than needed to notice; looks at the line at least once."""
         while True:
-            now = time.monotonic()
+            began = time.monotonic()
             deadline = min(until, self._heard + self.longest_s) if self.tight else until
             try:
-                arrived = self.link.messages(deadline - now)
+                arrived = self.link.messages(deadline - began)
             except Closed:
                 raise Stop("the recording process is gone") from None
             now = time.monotonic()
@@ -110,7 +148,11 @@ class Leash:
                 if message["kind"] != "beat":
                     self.inbox.append(message)
             if self.tight and now - self._heard > self.longest_s:
-                raise Stop(f"the recording process was silent for {1e3 * (now - self._heard):.0f} ms")
+                own, silence = max(now - max(began, deadline), began - self._looked), now - self._heard
+                if own > 0.5 * silence:  # it was this process that did not run: the other one may have spoken
+                    raise Stop(busy(own))
+                raise Stop(f"the recording process was silent for {silence:.2f} s")
+            self._looked = now
             if now >= until or self.inbox:
                 return
 
@@ -149,22 +191,29 @@ class Driver:
         return self.link.fileno()
 
     def send(self, kind: str, **content: Any) -> None:
-        """Raises `HardwareError` with what is known of its end where the driver is gone."""
+        """Raises `HardwareError` with what is known of its end where the driver is gone and has left no word."""
         try:
             self.link.send(kind, **content)
         except Closed:
-            raise self.died() from None
+            try:
+                self.inbox += self.link.messages()
+            except Closed:
+                if not self.inbox:
+                    raise self.died() from None
+            # What it said before its end says why: `messages` gives it.
 
     def messages(self, timeout: float = 0.0) -> list[dict[str, Any]]:
-        """What the driver said; a message `failed` and the driver's end are raised as `HardwareError`."""
+        """What the driver said. A reason to end (`stopping`, `failed`, its death) is raised as `HardwareError`, after all that it
+        said before."""
         try:
             self.inbox += self.link.messages(0.0 if self.inbox else timeout)
         except Closed:
-            raise self.died() from None
-        for message in self.inbox:
-            if message["kind"] == "failed":
-                raise HardwareError(message["reason"])
-        out, self.inbox = self.inbox, []
+            if not self.inbox:
+                raise self.died() from None
+        last = next((k for k, m in enumerate(self.inbox) if m["kind"] in ENDS), len(self.inbox))
+        if last == 0 and self.inbox:
+            raise HardwareError(ENDS[self.inbox[0]["kind"]].format(self.name) + self.inbox[0]["reason"])
+        out, self.inbox = self.inbox[:last], self.inbox[last:]
         return out
 
     def ask(self, kind: str, answer: str, timeout: float, **content: Any) -> dict[str, Any]:
@@ -189,7 +238,7 @@ class Driver:
         try:
             code = self.process.wait(0.3)
         except subprocess.TimeoutExpired:
-            return HardwareError(f"{self.name}: the driver closed its line")
+            return HardwareError(f"{self.name}: the driver closed its line without ending{self._last_words()}")
         how = f"by signal {signal.Signals(-code).name}" if code < 0 else f"with exit code {code}"
         return HardwareError(f"{self.name}: the driver process ended {how}{self._last_words()}")
 
@@ -234,3 +283,27 @@ def in_driver(fd: int) -> Link:
     """The driver's end of the line; signals of the terminal are the recording process's business."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     return Link(socket.socket(fileno=fd))
+
+
+def farewell(link: Link, error: BaseException | None = None, prefix: str = "", **content: Any) -> None:
+    """The last words of a driver: why it stops, or without an `error` that it has stopped. Where nobody is left to hear them they
+    stand in its output."""
+    if error is None:
+        kind = "stopped"
+    elif isinstance(error, Stop):
+        kind, content = "stopping", {"reason": str(error)}
+    elif isinstance(error, Closed):
+        kind, content = "stopping", {"reason": f"the line to the recording process is closed ({error})"}
+    else:
+        kind, content = "failed", {"reason": prefix + first_line(error)}
+    try:
+        link.send(kind, **content)
+        if error is None:
+            link.finish(FAREWELL_S)
+    except Closed:
+        if error is not None:
+            print(content["reason"], flush=True)
+
+
+def first_line(error: BaseException) -> str:
+    return (str(error).strip().splitlines() or [type(error).__name__])[0]

@@ -16,6 +16,7 @@ from pydantic import BaseModel, ConfigDict, Field, FiniteFloat, model_validator,
 from jaxid.errors import UsageError
 from jaxid.hardware.device import Sample
 from jaxid.hardware.errors import HardwareError
+from jaxid.hardware.port import opened
 from jaxid.hardware.recorder import Column, Stream
 from jaxid.units import Conversion, conversion, UnitError
 
@@ -160,16 +161,11 @@ class SerialSensor:
         self._turns, self._last = 0.0, None
 
     def open(self) -> None:
-        import serial
-
         assert self.spec.port is not None
         try:
-            self.line = serial.Serial(self.spec.port, self.spec.baud, timeout=0)
-            self.line.reset_input_buffer()
-        except (OSError, ValueError) as error:
-            raise UsageError(
-                f"sensor {self.spec.name}: port {self.spec.port} cannot be opened ({error}); check cable, name and rights"
-            ) from None
+            self.line = opened(self.spec.port, self.spec.baud)
+        except UsageError as error:
+            raise UsageError(f"sensor {self.spec.name}: {error}") from None
 
     def fileno(self) -> int:
         return self.line.fileno()

@@ -2,13 +2,10 @@
 
 from __future__ import annotations
 
-import datetime
 import os
-import platform
 import select
 import shutil
 import time
-import tomllib
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import ExitStack
 from dataclasses import dataclass, field
@@ -16,11 +13,14 @@ from pathlib import Path
 from typing import Any
 
 from jaxid.errors import UsageError
+from jaxid.hardware import preflight
 from jaxid.hardware.channels import channel_map
 from jaxid.hardware.device import Device, Plan, Sample
 from jaxid.hardware.errors import HardwareError
 from jaxid.hardware.finishing import finish, Recording
 from jaxid.hardware.limits import Limits
+from jaxid.hardware.pauses import Pauses
+from jaxid.hardware.preflight import check_words, dry_text, refuse_other_columns, refuse_path, refuse_size, refuse_state
 from jaxid.hardware.recorder import COMMANDS, Recorder, SUFFIX
 from jaxid.hardware.sensor import SensorSpec, SerialSensor
 from jaxid.hardware.trajectory import Trajectory
@@ -28,6 +28,7 @@ from jaxid.hardware.trajectory import Trajectory
 
 SILENCE_S = 0.5  # a device that sends nothing for so long is lost
 BEAT_S = 0.01
+BUSY = "this computer was busy"
 ARMED_S = 15.0
 
 
@@ -37,12 +38,13 @@ class _Watch:
 
     began: float
     heard: float
-    phase: str = "recording"  # recording | arming | playing | played
+    phase: str = "recording"  # recording | loading | arming | playing | played
     asked: float = 0.0
     last: Sample | None = None
     first: Sample | None = None
     done_at: float | None = None
     notes: list[str] = field(default_factory=list)
+    pauses: Pauses = field(default_factory=Pauses)
 
     @property
     def moving(self) -> bool:
@@ -77,8 +79,8 @@ def record(
     """
     out = Path(out)
     gains = None if gain is None else [float(gain)] if isinstance(gain, int | float) else [float(g) for g in gain]
-    number = _next_run(out, append)
-    _check_words(device, play, seconds, split)
+    number = preflight.next_run(out, append)
+    check_words(device, play, seconds, split)
     with ExitStack() as stack:
         stack.callback(device.close)
         device.open()
@@ -94,10 +96,11 @@ def record(
         columns = [c for s in streams if s.clock != COMMANDS for c in s.columns] + [c for s in files for c in s.stream().columns]
         channel_map(model, columns, joint, gains)
         if number > 1:
-            _refuse_other_columns(out, [c.name for c in columns])
+            refuse_other_columns(out, [c.name for c in columns])
         bounds = (limits or Limits()).within(device.limits(), device.joints)
+        refuse_size(out, streams, play.duration if play is not None else float(seconds or 0.0))
         if play is not None:
-            _refuse_path(play, bounds, device)
+            refuse_path(play, bounds, device)
             if streams[0].period is not None and streams[0].period > bounds.data_age / 2:
                 raise UsageError(
                     f"{1 / streams[0].period:g} samples a second are too few to move with a data_age of {bounds.data_age:g} s: "
@@ -107,11 +110,12 @@ def record(
         assert watch.last is not None
         plan = None
         if play is not None:
+            refuse_state(device, bounds, watch.last)
             plan = device.plan(play, bounds, watch.last.values)
-            _refuse_state(device, bounds, watch.last)
             if not live:
-                return Recording(out, "", 0, plan.duration, 0.0, 0, 0, (), False, _dry_text(device, play, plan), (), dry_run=True)
-        about = _about(device, out, split, model, joint, gains, constants, play, plan, bounds)
+                text = dry_text(device, play, plan, watch.last)
+                return Recording(out, "", 0, plan.duration, 0.0, 0, 0, (), False, text, (), dry_run=True)
+        about = preflight.about(device, out, split, model, joint, gains, constants, play, plan, bounds)
         about["sensor_files"] = [f.model_dump(exclude_none=True) for f in files]
         out.mkdir(parents=True, exist_ok=True)
         folder = out / f"run_{number}{SUFFIX}"
@@ -161,53 +165,6 @@ def recover(folder: str | os.PathLike[str]) -> list[Recording]:
     return [finish(p) for p in left]
 
 
-# ---- before
-
-
-def _next_run(out: Path, append: bool) -> int:
-    left = sorted(out.glob(f"run_*{SUFFIX}")) if out.is_dir() else []
-    if left:
-        raise UsageError(f"{left[0]} was never finished: save it with `jaxid record recover {out}`, or remove it")
-    if out.is_dir() and any(out.iterdir()):
-        if not append:
-            raise UsageError(f"{out} exists and is not empty; choose another folder, or add a run to it with --append")
-        if not (out / "run_1.json").is_file() or not (out / "dataset.toml").is_file():
-            raise UsageError(f"{out} was not made by a recording, so no run can be added to it")
-        return 1 + max(int(p.stem[4:]) for p in out.glob("run_*.json") if p.stem[4:].isdigit())
-    if append and not out.is_dir():
-        raise UsageError(f"{out} does not exist, so no run can be added to it; leave out --append")
-    return 1
-
-
-def _refuse_other_columns(out: Path, columns: Sequence[str]) -> None:
-    channels = tomllib.loads((out / "dataset.toml").read_text(encoding="utf-8")).get("channels", {})
-    lacking = [name for name, c in channels.items() if c.get("column", name) not in columns]
-    if lacking:
-        raise UsageError(f"{out} has channels that this recording lacks ({', '.join(lacking)}); record into another folder")
-
-
-def _check_words(device: Device, play: Trajectory | None, seconds: float | None, split: str) -> None:
-    if split not in ("fit", "validation", "report"):
-        raise UsageError(f"split is {split!r}; it is fit, validation or report")
-    if play is None and seconds is None:
-        raise UsageError("say for how many seconds to record")
-    if seconds is not None and not 0 < seconds < 1e6:
-        raise UsageError(f"{seconds:g} seconds cannot be recorded")
-    if play is not None and play.kind not in device.kinds:
-        raise UsageError(f"{device.name} takes {' or '.join(device.kinds)} commands, the trajectory holds {play.kind}")
-    if play is not None and seconds is not None and seconds < play.duration:
-        raise UsageError(f"the trajectory takes {play.duration:g} s: record at least so long, or give a shorter one")
-    if play is not None and play.joints != device.joints:
-        raise UsageError(f"the trajectory has {play.joints} joints, {device.name} has {device.joints}")
-
-
-def _refuse_path(play: Trajectory, bounds: Limits, device: Device) -> None:
-    problems = play.check(bounds, 0.008)
-    if problems:
-        text = "\n".join(f"- {p}" for p in problems)
-        raise UsageError(f"the trajectory breaks limits of {device.name}; nothing was moved:\n{text}")
-
-
 def _first_samples(device: Device) -> _Watch:
     """Waits for data; raises `HardwareError` where none come."""
     device.begin()
@@ -223,52 +180,6 @@ def _first_samples(device: Device) -> _Watch:
     return watch
 
 
-def _refuse_state(device: Device, bounds: Limits, sample: Sample) -> None:
-    why = device.alarm(sample.values, True) or bounds.violation(*device.measured(sample.values))
-    if why:
-        raise UsageError(f"{device.name} cannot be moved now: {why}")
-
-
-def _dry_text(device: Device, play: Trajectory, plan: Plan) -> str:
-    start = max(abs(a - b) for a, b in zip(plan.start, play.values[0], strict=True))
-    way = f", beginning {start:.3g} rad from where it stands" if play.kind == "position" else ""
-    return (
-        f"dry run: the path ({play.duration:.1f} s, {play.kind}) keeps all limits{way}; "
-        f"with the way there it takes {plan.duration:.1f} s. Nothing was moved or recorded; --live does it."
-    )
-
-
-def _about(device, out: Path, split, model, joint, gains, constants, play, plan, bounds: Limits) -> dict[str, Any]:
-    from importlib.metadata import PackageNotFoundError, version
-
-    versions = {"python": platform.python_version()}
-    for package in ("jaxid", "ur-rtde", "dynamixel-sdk", "pyserial"):
-        try:
-            versions[package] = version(package)
-        except PackageNotFoundError:
-            continue
-    now = datetime.datetime.now().astimezone()
-    excitation = None
-    if play is not None:
-        excitation = {"kind": play.kind, "source": play.source, "duration_s": play.duration, "sha256": play.sha256}
-    where = getattr(device, "where", device.name)
-    return {
-        "name": out.resolve().name,
-        "description": f"recorded from {device.name}" + (f" while playing {play.source or 'a path'}" if play else ""),
-        "source": {"hardware": f"{device.name} at {where}", "recorded": now.isoformat(timespec="seconds"), "by": "jaxid record"},
-        "provenance": "emulated or simulated (loopback or pseudo terminal)" if getattr(device, "local", False) else "real device",
-        "split": split,
-        "model": model,
-        "joint": joint,
-        "gain": gains,
-        "constants": dict(constants or {}),
-        "excitation": excitation,
-        "limits": {k: v for k, v in bounds.__dict__.items() if v is not None},
-        "still_rad": getattr(device, "still_rad", 1e-4),
-        "versions": versions,
-    }
-
-
 # ---- while
 
 
@@ -282,17 +193,37 @@ def _wait(device: Device, sensors: Sequence[SerialSensor], timeout: float) -> No
 def _run(
     device, sensors, own: int, recorder: Recorder, watch: _Watch, plan: Plan | None, seconds, bounds: Limits, progress
 ) -> str:
-    """Until the time is over or the path played; returns why it ended, raises what ended it early."""
+    """Until the time is over or the path played; returns why it ended, raises what ended it early, with the pause of this
+    computer that it may have come from."""
+    watch.pauses = Pauses()
+    try:
+        return _watched(device, sensors, own, recorder, watch, plan, seconds, bounds, progress)
+    except HardwareError as error:
+        watch.pauses.lap()
+        allowed, text = bounds.data_age if watch.moving else SILENCE_S, str(error)
+        why = "" if BUSY in text else watch.pauses.said(allowed)
+        if BUSY in text + why and watch.moving:
+            why += f" (data_age allows {allowed:g} s while it moves: close other programs, or raise it with --limits)"
+        if not why:
+            raise
+        raise HardwareError(text + (why if why.startswith(" ") else f"; {why}")) from error
+
+
+def _watched(
+    device, sensors, own: int, recorder: Recorder, watch: _Watch, plan: Plan | None, seconds, bounds: Limits, progress
+) -> str:
     watch.began = watch.heard = now = time.monotonic()
     silence = max(SILENCE_S, 3 * (recorder.streams[0].period or 0.0))
     total = plan.duration if plan is not None else float(seconds)
     heard = {id(s): now for s in sensors}
     beaten = told = 0.0
     if plan is not None:
-        watch.phase, watch.asked = "arming", now
-        device.arm(plan, bounds.data_age)
+        watch.phase, watch.asked = "loading", now
+        device.load(plan)
     while True:
+        watch.pauses.lap()
         _wait(device, sensors, BEAT_S)
+        watch.pauses.lap(BEAT_S)
         news = device.news()
         now = time.monotonic()
         for sample in news.samples:
@@ -310,18 +241,21 @@ def _run(
             if now - heard[id(sensor)] > 2 * SILENCE_S:
                 raise HardwareError(f"sensor {sensor.spec.name} has been silent for {now - heard[id(sensor)]:.1f} s")
         for message in news.messages:
-            _hear(device, recorder, watch, plan, message, now)
+            _hear(device, recorder, watch, plan, bounds, message, now)
         age = now - watch.heard
         if age > (bounds.data_age if watch.moving else silence):
             raise HardwareError(f"{device.name}: no data for {age:.2f} s" + (" while it moved" if watch.moving else ""))
-        if watch.phase == "arming" and now - watch.asked > ARMED_S:
-            raise HardwareError(f"{device.name} did not become ready to move within {ARMED_S:g} s")
+        if watch.phase in ("loading", "arming") and now - watch.asked > ARMED_S:
+            what = "its driver did not take the path" if watch.phase == "loading" else "it did not become ready to move"
+            raise HardwareError(f"{device.name}: {what} within {ARMED_S:g} s")
         if now - beaten >= BEAT_S:
             device.beat()
             beaten = now
         if progress is not None and now - told > 0.2:
             told = now
+            watch.pauses.lap()
             progress("recording", round(10 * (now - watch.began)), round(10 * total), f"{recorder.counts[0]} samples")
+            watch.pauses.lap(doing="showing the progress")
         if plan is None and now - watch.began >= seconds:
             return "the time was over"
         if watch.phase == "played" and watch.done_at is not None and now - watch.done_at > 0.25:
@@ -342,9 +276,22 @@ def _judge(device: Device, bounds: Limits, sample: Sample, watch: _Watch) -> Non
         raise HardwareError(f"{device.name}: {why}")
 
 
-def _hear(device: Device, recorder: Recorder, watch: _Watch, plan: Plan | None, message: Mapping[str, Any], now: float) -> None:
+def _hear(
+    device: Device,
+    recorder: Recorder,
+    watch: _Watch,
+    plan: Plan | None,
+    bounds: Limits,
+    message: Mapping[str, Any],
+    now: float,
+) -> None:
     kind = message["kind"]
-    if kind == "armed" and plan is not None:
+    if kind == "want":
+        watch.asked = now
+    elif kind == "loaded" and plan is not None:
+        watch.phase, watch.asked = "arming", now
+        device.arm(plan, bounds.data_age)
+    elif kind == "armed" and plan is not None:
         watch.phase = "playing"
         device.play(plan)
     elif kind == "mark":

@@ -17,6 +17,11 @@ from jaxid.hardware.limits import Limits
 
 #: Kind of command -> (channel stem in files, unit).
 KINDS = {"position": ("q", "rad"), "velocity": ("qd", "rad/s"), "current": ("current", "A")}
+#: So many rows are a path that was sampled, and nobody samples one as sparsely as this (s).
+SAMPLED, SPARSE_S = 100, 0.5
+UNITS = (("ms", 1000), ("us", 1_000_000), ("ns", 1_000_000_000))
+FIRST_ROW = 2  # row 1 of a file is its header
+JUMP = "correct the row if it is a jump, else give the path more time"
 
 
 @dataclass(frozen=True, eq=False)
@@ -119,50 +124,71 @@ class Trajectory:
 
     def sampled(self, step: float) -> np.ndarray:
         """Commands `[time joints]` every `step` s, first and last included."""
-        times = np.append(np.arange(0.0, self.duration, step), self.duration)
+        times = _times(self.duration, step)
         if self.kind == "current":
             return self.values[np.searchsorted(self.t, times + 1e-9, side="right") - 1]
         return np.stack([np.interp(times, self.t, v) for v in self.values.T], axis=1)
 
     def check(self, limits: Limits, step: float) -> list[str]:
-        """Every way in which the path breaks a limit: the worst place of each joint and quantity, as a sentence."""
+        """Every way in which the path, played with a command every `step` s, breaks a limit, as a sentence with its row and a
+        remedy: the worst place of each joint and quantity.
+
+        Values and speeds are those of the rows, accelerations and steps those of the commands.
+        """
         limits = limits.widened(self.joints)
-        values = self.sampled(step)
-        at = np.append(np.arange(0.0, self.duration, step), self.duration)
-        change = np.diff(values, axis=0) / np.diff(at)[:, None]
-        word = {"position": "q", "velocity": "qd", "current": "current"}[self.kind]
-        unit = KINDS[self.kind][1]
+        sent, at = self.sampled(step), _times(self.duration, step)
+        if self.kind != "position":  # nothing is commanded before and after
+            sent, at = np.pad(sent, ((1, 1), (0, 0))), np.concatenate([at[:1], at, at[-1:]])
+        change, unit = np.diff(sent, axis=0), KINDS[self.kind][1]
+        rates = ("acceleration", at[1:], change / step, *_both(limits.acceleration), "rad/s^2", JUMP)
         checks: list = []
         if self.kind == "position":
-            checks += [(word, at, values, limits.lower, limits.upper, unit)]
-            checks += [("speed", at[:-1], change, *_both(limits.speed), "rad/s")]
-            bend = np.diff(change, axis=0) / step
-            # A last step that is shorter than the others would show a rate that nothing follows.
-            checks += [("acceleration", at[1:-1], bend[:-1] if len(bend) > 1 else bend, *_both(limits.acceleration), "rad/s^2")]
+            speeds = np.diff(self.values, axis=0) / np.diff(self.t)[:, None]
+            bend = np.diff(change, axis=0) / step**2
+            # The last step is shorter than the others in the file and shows a rate that nothing follows.
+            checks += [("q", self.t, self.values, limits.lower, limits.upper, unit, "keep the path inside")]
+            checks += [("speed", self.t[1:], speeds, *_both(limits.speed), "rad/s", JUMP)]
+            bend = bend[:-1] if len(bend) > 1 else bend
+            checks += [("acceleration", at[1 : 1 + len(bend)], bend, *_both(limits.acceleration), "rad/s^2", JUMP)]
         elif self.kind == "velocity":
-            checks += [(word, at, values, *_both(limits.speed), unit)]
-            checks += [("acceleration", at[:-1], change, *_both(limits.acceleration), "rad/s^2")]
+            checks += [("qd", self.t, self.values, *_both(limits.speed), unit, "scale the path down"), rates]
         else:
-            checks += [(word, at, values, *_both(limits.current), unit)]
-        if limits.step is not None:
-            checks += [("step", at[:-1], np.diff(values, axis=0), *_both(limits.step), unit)]
-        return [text for c in checks for text in _worst(*c)]
+            checks += [("current", self.t, self.values, *_both(limits.current), unit, "scale the path down")]
+        checks += [("step", at[1:], change, *_both(limits.step), unit, JUMP)] if limits.step is not None else []
+        return [text for c in checks for text in self._worst(*c)]
+
+    def not_in_seconds(self) -> str:
+        """A sentence where the time is hardly in seconds (of a path that was sampled, rows that lie far apart), or nothing."""
+        step = float(np.median(np.diff(self.t)))
+        if len(self.t) <= SAMPLED or step < SPARSE_S:
+            return ""
+        guess = next((f"rather {name} than s: divide it by {n}" for name, n in UNITS if 1e-4 <= step / n <= 0.1), "no time in s")
+        k = 1 + int(np.argmax(np.diff(self.t) >= SPARSE_S))
+        return (
+            f"column t is {guess}. Read as seconds, row {k + FIRST_ROW} comes {self.t[k] - self.t[k - 1]:g} s after the last and "
+            f"{len(self.t)} rows take {self.duration / 3600:.3g} h; if that is meant, write rows less than {SPARSE_S:g} s apart"
+        )
+
+    def _worst(self, word, at, values, lower, upper, unit, remedy):
+        for j in range(self.joints if upper is not None or lower is not None else 0):
+            name = f"{word} of joint {j + 1}" if self.joints > 1 else word
+            for bound, excess in ((upper, 1.0), (lower, -1.0)):
+                if bound is None or not len(values):
+                    continue
+                k = int(np.argmax(excess * values[:, j]))
+                if excess * (values[k, j] - bound[j]) > 1e-9 + 1e-6 * abs(bound[j]):
+                    row = min(int(np.searchsorted(self.t, at[k] - 1e-9)), len(self.t) - 1) + FIRST_ROW
+                    found = f"{name} reaches {values[k, j]:.4g} {unit} at {at[k]:.3f} s (row {row})"
+                    yield f"{found}; the limit is {bound[j]:.4g} {unit}: {remedy}"
+
+
+def _times(duration: float, step: float) -> np.ndarray:
+    """Every `step` s from 0 on, and the end."""
+    return np.append(step * np.arange(max(1, int(np.ceil(duration / step - 1e-6)))), duration)
 
 
 def _both(limit):
     return (None, None) if limit is None else (tuple(-v for v in limit), limit)
-
-
-def _worst(word, at, values, lower, upper, unit):
-    joints = values.shape[1]
-    for j in range(joints if upper is not None or lower is not None else 0):
-        name = f"{word} of joint {j + 1}" if joints > 1 else word
-        for bound, excess in ((upper, 1.0), (lower, -1.0)):
-            if bound is None or not len(values):
-                continue
-            k = int(np.argmax(excess * values[:, j]))
-            if excess * (values[k, j] - bound[j]) > 1e-9 + 1e-6 * abs(bound[j]):
-                yield f"{name} reaches {values[k, j]:.4g} {unit} at {at[k]:.3f} s; the limit is {bound[j]:.4g} {unit}"
 
 
 def _columns(path: Path) -> tuple[dict[str, np.ndarray], np.ndarray]:

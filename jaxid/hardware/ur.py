@@ -13,10 +13,12 @@ from jaxid.errors import UsageError
 from jaxid.hardware.device import approach, Measured, News, Plan, Sample
 from jaxid.hardware.errors import HardwareError
 from jaxid.hardware.limits import Limits
-from jaxid.hardware.link import Driver
+from jaxid.hardware.link import Driver, ENDS
+from jaxid.hardware.pauses import kept_from_running, waited
 from jaxid.hardware.recorder import Column, Stream
 from jaxid.hardware.rtde import RTDEReader
 from jaxid.hardware.trajectory import Trajectory
+from jaxid.hardware.transfer import Sender
 
 
 JOINTS = 6
@@ -74,11 +76,15 @@ class UR:
         if not (0.03 <= lookahead <= 0.2 and 100 <= gain <= 2000):
             raise UsageError("servoJ takes a lookahead of 0.03 to 0.2 s and a gain of 100 to 2000")
         self.host, self.rate, self.name = host, float(rate), name
+        if not 1 <= command_rate <= 500:
+            raise UsageError(f"{command_rate:g} commands a second are none that a UR takes; choose 1 to 500")
         self.command_rate, self.lookahead, self.gain = command_rate, lookahead, gain
+        self.command_step = 1 / command_rate
         self.where, self.local = host, host.startswith("127.") or host == "localhost"
         self._reader: RTDEReader | None = None
         self._driver: Driver | None = None
-        self._heard, self._patience = 0.0, 0.4
+        self._path: Sender | None = None
+        self._heard, self._waited, self._patience = 0.0, 0.0, 0.4
         self._playing = False
 
     def open(self) -> None:
@@ -123,13 +129,15 @@ class UR:
             news.messages += messages
             now = time.monotonic()
             if messages:
-                self._heard = now
+                self._heard, self._waited = now, waited(self._driver.process.pid)
             for message in messages:
-                if message["kind"] == "stopping":
-                    raise HardwareError(f"the motion ended by itself: {message['reason']}")
+                if message["kind"] == "want" and self._path is not None:
+                    self._path.answer(message)
                 self._playing &= message["kind"] != "done"
             if self._playing and now - self._heard > self._patience:
-                raise HardwareError(f"{self.host}: the motion driver was silent for {now - self._heard:.2f} s")
+                silence, kept = now - self._heard, waited(self._driver.process.pid) - self._waited
+                why = kept_from_running(silence, kept)
+                raise HardwareError(f"{self.host}: the motion driver was silent for {silence:.2f} s{why}")
         return news
 
     def measured(self, values: Sequence[float]) -> Measured:
@@ -155,7 +163,10 @@ class UR:
         return max(abs(a - b) for a, b in zip(values[:6], values[18:24], strict=True))
 
     def plan(self, trajectory: Trajectory, limits: Limits, values: Sequence[float]) -> Plan:
-        step = 1 / self.command_rate
+        step = self.command_step
+        program = values[JOINTS * len(VECTORS) + SCALARS.index("runtime_state")]
+        if program == 2:
+            raise UsageError(f"{self.host}: a program is running on the robot; stop it, or wait for its end, and try again")
         here = np.asarray(values[:6])
         path = trajectory.sampled(step)
         lead = approach(here, path[0], limits, step)
@@ -170,14 +181,19 @@ class UR:
         table = np.concatenate([lead, rest, path, end])
         return Plan("position", table, step, limits.lower, limits.upper, largest, here.tolist(), marks)
 
-    def arm(self, plan: Plan, data_age: float) -> None:
+    def load(self, plan: Plan) -> None:
         self._driver = Driver("jaxid.hardware.ur_motion", f"UR at {self.host}")
+        self._path = Sender(plan.table, self._driver.send)
+
+    def arm(self, plan: Plan, data_age: float) -> None:
+        assert self._driver is not None
+        self._path = None
         self._driver.send("arm", host=self.host, frequency=self.rate, data_age=data_age)
         self._patience = max(0.4, 1.5 * data_age)
 
     def play(self, plan: Plan) -> None:
         assert self._driver is not None
-        self._playing, self._heard = True, time.monotonic()
+        self._playing, self._heard, self._waited = True, time.monotonic(), waited(self._driver.process.pid)
         self._driver.send("play", lookahead=self.lookahead, gain=self.gain, **plan.order())
 
     def beat(self) -> None:
@@ -222,12 +238,13 @@ def _confirmed(driver: Driver, reason: str) -> bool:
     """Whether the driver begins to stop within `ACKNOWLEDGE_S` and has stopped within `STOPPED_S`."""
     try:
         driver.link.send("stop", reason=reason)
-        began, acknowledged = time.monotonic(), False
+        began, acknowledged, arrived = time.monotonic(), False, driver.inbox
         while time.monotonic() - began < (STOPPED_S if acknowledged else ACKNOWLEDGE_S):
-            for message in driver.link.messages(0.01):
-                acknowledged |= message["kind"] in ("stopping", "failed")
+            for message in arrived:
+                acknowledged |= message["kind"] in ENDS
                 if message["kind"] == "stopped":
                     return True
+            arrived = driver.link.messages(0.01)
     except EOFError:
         pass
     return False

@@ -6,7 +6,8 @@ import time
 from typing import Any
 
 from jaxid.hardware.limits import Clamp, Refused
-from jaxid.hardware.link import Closed, in_driver, Leash, Link, Stop
+from jaxid.hardware.link import busy, farewell, in_driver, Leash, Link, Stop
+from jaxid.hardware.transfer import Table
 
 
 DECELERATION = 5.0  # rad/s^2, of servoStop
@@ -14,32 +15,32 @@ _PROGRESS_S = 0.05
 
 
 def main(fd: int) -> None:
-    """Serves orders `arm`, `play` and `quit` on this end of the line until it closes."""
+    """Serves orders `path` and `rows`, `arm`, `play` and `quit` on this end of the line until it closes."""
     link = in_driver(fd)
     leash = Leash(link)
     control: Any = None
+    table = Table()
     try:
         while True:
             order = leash.next_order() if control is None else _idle(leash, control)
-            if order["kind"] == "arm":
+            if order["kind"] in ("path", "rows"):
+                kind, content = table.take(order)
+                link.send(kind, **content)
+            elif order["kind"] == "arm":
                 control = _take(order)
                 leash.longest_s = order["data_age"]
                 leash.tighten(True)
                 link.send("armed")
             elif order["kind"] == "play":
-                link.send("done", **_play(link, leash, control, order))
+                link.send("done", **_play(link, leash, control, order, table))
             elif order["kind"] == "quit":
                 raise Stop("finished")
-    except Stop as stop:
-        _say(link, "stopping", reason=str(stop))
-    except Closed:
-        pass
-    except Exception as error:  # whatever the library raises is a reason to stop, and is told
-        _say(link, "failed", reason=f"the motion driver failed: {_first_line(error)}")
+    except BaseException as error:  # whatever the library raises is a reason to stop, and is told
+        farewell(link, error, "the motion driver failed: ")
     finally:
         if control is not None:
             _halt(control)
-        _say(link, "stopped")
+        farewell(link)
 
 
 def _take(order: dict[str, Any]) -> Any:
@@ -64,23 +65,26 @@ def _idle(leash: Leash, control: Any) -> dict[str, Any]:
     return leash.inbox.pop(0)
 
 
-def _play(link: Link, leash: Leash, control: Any, order: dict[str, Any]) -> dict[str, Any]:
-    """Plays `table` with one row every `step` s; a late row delays the rest, so that no catching up can ever make a jump."""
+def _play(link: Link, leash: Leash, control: Any, order: dict[str, Any], table: Table) -> dict[str, Any]:
+    """Plays `table`, a row every `step` s; a late row delays the rest, so that no catching up can ever make a jump."""
     step = order["step"]
     clamp = Clamp(order["lower"], order["upper"], order["largest_step"], order["start"])
     marks = {int(row): name for row, name in order.get("marks", [])}
     deadline = told = time.monotonic()
-    late = longest = 0.0
-    for k, row in enumerate(order["table"]):
+    late = longest = overrun = 0.0
+    for k, row in enumerate(table):
         leash.wait(deadline)
+        asked = time.monotonic()
+        pause = asked - deadline
         try:
             sent = clamp(row)
         except Refused as error:
             raise RuntimeError(f"row {k + 1} of the path was refused: {error}") from None
         if not control.servoJ(list(sent), 0.0, 0.0, step, order["lookahead"], order["gain"]):
-            raise RuntimeError(
-                f"the robot did not take command {k + 1} of {len(order['table'])}; is a program or a stop in the way?"
-            )
+            taken = f"the robot did not take command {k + 1} of {table.rows} within {time.monotonic() - asked:.2f} s"
+            if max(pause, overrun) > 0.5 * leash.longest_s:
+                raise Stop(f"{busy(max(pause, overrun))}, and the controller's watchdog stops the arm meanwhile: {taken}")
+            raise RuntimeError(f"{taken}; is a program or a stop in the way?")
         now = time.monotonic()
         if k in marks:
             link.send("mark", name=marks[k], at=now)
@@ -102,14 +106,3 @@ def _halt(control: Any) -> None:
             action()
         except Exception:  # noqa: S110 - the next one is tried whatever the library made of this one
             pass
-
-
-def _say(link: Link, kind: str, **content: Any) -> None:
-    try:
-        link.send(kind, **content)
-    except Closed:
-        pass
-
-
-def _first_line(error: Exception) -> str:
-    return (str(error).strip().splitlines() or [type(error).__name__])[0]
