@@ -11,6 +11,7 @@ from pathlib import Path
 from typing import Any, TYPE_CHECKING
 
 from jaxid import terminal
+from jaxid.atomic_files import settle
 from jaxid.errors import NotSaved, UsageError
 from jaxid.interim import listening
 from jaxid.stopping import stoppable
@@ -81,6 +82,7 @@ class Output:
         self._progress.stop()
         try:
             if isinstance(error, KeyboardInterrupt):
+                settle(self.out)
                 self._stopped(getattr(error, "partial", None) or self._latest)
         finally:
             self._stack.close()
@@ -113,8 +115,6 @@ class Output:
 
 def writable_folder(out: Path) -> None:
     """Makes the folder and ends what a process that was killed had begun there, or says why nothing could be written."""
-    from jaxid.atomic_files import settle
-
     try:
         out.mkdir(parents=True, exist_ok=True)
         settle(out)
