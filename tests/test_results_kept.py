@@ -1,4 +1,4 @@
-"""Nothing finished is lost or mixed up: files that belong together, runs that are stopped, a full disk, effects that are asked for."""
+"""Nothing finished is lost or mixed up: files that belong together, runs that are stopped, a full disk, effects asked for."""
 
 from __future__ import annotations
 
@@ -15,15 +15,15 @@ from dataclasses import replace
 from pathlib import Path
 
 import pytest
-from report_sample import sample_diagnosis, sample_fit
-from test_batch import write_dataset
 
 import jaxid
-from jaxid import atomic_files, cli, result_files
+from jaxid import atomic_files, cli, interim, result_files
 from jaxid.atomic_files import replace_files, settle, STAGE
 from jaxid.errors import NotSaved
 from jaxid.report.page import result_of
 from jaxid.small_files import LARGEST_BYTES
+from report_sample import sample_diagnosis, sample_fit
+from test_batch import write_dataset
 
 
 pytestmark = pytest.mark.skipif(not hasattr(os, "fork"), reason="ends processes in the middle of their work")
@@ -114,9 +114,14 @@ def belongs(folder: Path, page: str, result: str) -> bool:
     return result_of((folder / page).read_bytes()) == (result, digest)
 
 
+def undrawn() -> jaxid.Diagnosis:
+    """A diagnosis whose page has no pictures, which take seconds."""
+    return replace(sample_diagnosis(200), traces=(), missing_force=(), regimes=())
+
+
 def test_every_page_has_its_json(tmp_path):
     """Also where results of two kinds share a folder; what a stopped run left goes with the whole result."""
-    fit, diagnosis = sample_fit(samples=200), sample_diagnosis(200)
+    fit, diagnosis = replace(sample_fit(samples=200), traces=(), history=()), undrawn()
     result_files.save_partial(diagnosis, tmp_path, page=True)
     assert belongs(tmp_path / "partial", "report.html", "diagnosis.json")
     result_files.save_partial(replace(diagnosis, seed=5), tmp_path, page=False)
@@ -162,10 +167,10 @@ STOPPED = """
 import sys, time
 import jaxid
 from jaxid import cli, interim
-from report_sample import sample_diagnosis
+from test_results_kept import undrawn
 
 def slow(*_, **__):
-    interim.Interim().tell(sample_diagnosis(200))
+    interim.Interim().tell(undrawn())
     print("working", flush=True)
     while DEAF:  # as compiled code: no handler of Python runs
         try:
@@ -189,7 +194,7 @@ sys.exit(cli.main(["diagnose", sys.argv[1], "--out", sys.argv[2]]))
 @pytest.mark.parametrize("name, deaf", [("SIGINT", False), ("SIGTERM", False), ("SIGHUP", False), ("SIGTERM", True)])
 def test_signals_are_alike(data, tmp_path, name, deaf):
     """What was known is there, the older result too; also where the work does not hear the signal."""
-    result_files.save(replace(sample_diagnosis(200), seed=9), tmp_path)
+    result_files.save(replace(undrawn(), seed=9), tmp_path)
     before = content(tmp_path)
     code = STOPPED.replace("DEAF", str(deaf))
     here = [str(Path(__file__).parent), str(Path(__file__).parents[1])]
@@ -211,7 +216,7 @@ def test_signals_are_alike(data, tmp_path, name, deaf):
 def test_what_is_known_is_told_while_work_goes_on(data):
     """WHERE and the nominal fit, before effects are compared."""
     told = []
-    with jaxid.interim.listening(told.append):
+    with interim.listening(told.append):
         jaxid.diagnose(None, jaxid.load_dataset(data), effects=["dead_zone"], max_effects=1)
     assert told and isinstance(told[0], jaxid.Diagnosis)
     assert told[0].which.verdict == "unknown" and "Stopped before" in told[0].which.text
