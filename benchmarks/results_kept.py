@@ -175,7 +175,7 @@ def full_disk(home: Path) -> tuple[str, str, str]:
         assert ended(started("fit", home, home / "ready", 1, told, ready)) == 0, told.read_text()
     size = sum(p.stat().st_size for p in (home / "ready").iterdir())
     for point in range(points):
-        room = int(size * (1 + 1.4 * point / points)) // 4096 * 4096 + 4096
+        room = int(size * (1 + 3.5 * point / points)) // 4096 * 4096 + 4096
         subprocess.run(["mount", "-t", "tmpfs", "-o", f"size={room}", "tmpfs", str(place)], check=True)
         try:
             out = place / "o"
