@@ -394,7 +394,7 @@ def distinct(points: Sequence[np.ndarray]) -> list[np.ndarray]:
     """Points without near repetitions, in order."""
     kept: list[np.ndarray] = []
     for z in points:
-        if all(np.max(np.abs(z - k) / (np.abs(k) + 1e-9)) > 1e-3 for k in kept):
+        if all(np.max(np.abs(z - k) / (np.abs(k) + 1e-9), initial=0.0) > 1e-3 for k in kept):
             kept.append(z)
     return kept
 

@@ -128,7 +128,11 @@ def parse_effect(text: str, chain: Chain) -> tuple[type[Effect], str | None]:
     kind = catalogue.effect_class(name)
     places = chain.offers(kind)
     if not places:
-        raise UsageError(f"{name} has no place in {chain.mechanism.name}")
+        kinds = [catalogue.effect_class(n) for n in catalogue.effect_names()]
+        able = [k.name for k in kinds if k.name not in chain.contents and chain.offers(k)]
+        raise UsageError(f"{name} has no place in {chain.mechanism.name}, which can take: {', '.join(able) or 'none'}")
+    if name in chain.contents:
+        raise UsageError(f"{name} is part of {chain.mechanism.name} already: it is fitted without being asked for")
     if place and place not in places:
         raise UsageError(f"{name} cannot act at {place!r}{nearest(place, places)}")
     return kind, place or None

@@ -8,20 +8,19 @@ import os
 import sys
 from collections.abc import Callable
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import Any
 
 import click
 
 from jaxid import terminal
+from jaxid.cli_output import FAILED, Output, SUCCESS, writable_folder
+from jaxid.stopping import INTERRUPTED
 
 
-SUCCESS, FAILED, BAD_INPUT, INTERRUPTED = 0, 1, 2, 130
+BAD_INPUT = 2
 
 RESIDUALS = ("output_error", "multiple_shooting", "inverse_dynamics", "frequency_response", "closed_loop")
 LOSSES = ("sum_of_squares", "sum_of_norms", "sum_of_abs")
-
-T = TypeVar("T")
-
 
 #: Commands that live in modules of their own, as light to import as this one: name -> module that has it under that name.
 MODULES = {
@@ -105,28 +104,26 @@ def fit(dataset, out, model, fitter, effects, without, residual, loss, seed, bud
     Writes fit.json and report.html into DIR.
     """
     jaxid, data = start(dataset, out)
-    with terminal.Progress(quiet) as progress:
-        result = keeping_partial(
-            out,
-            lambda: jaxid.fit(
-                model,
-                data,
-                fitter=fitter,
-                residual=residual,
-                loss=loss,
-                effects=effects,
-                without=without or (),
-                seed=seed,
-                budget=budget,
-                progress=progress.callback,
-            ),
+    from jaxid.text import fit_text
+
+    with Output(out, as_json, quiet) as output:
+        result = jaxid.fit(
+            model,
+            data,
+            fitter=fitter,
+            residual=residual,
+            loss=loss,
+            effects=effects,
+            without=without or (),
+            seed=seed,
+            budget=budget,
+            progress=output.progress,
         )
-    save(result, out)
-    show(result, as_json, quiet)
+        code = output.deliver(result, fit_text)
     if result.failed:
         terminal.complain(f"the fit failed: {result.stopped_because}")
         return FAILED
-    return SUCCESS
+    return code
 
 
 @cli.command()
@@ -151,22 +148,20 @@ def diagnose(dataset, out, model, max_effects, effects, without, residual, seed,
 
     own = None if limits is None else Limits.read(limits)
     jaxid, data = start(dataset, out)
-    with terminal.Progress(quiet) as progress:
-        result = keeping_partial(
-            out,
-            lambda: jaxid.diagnose(
-                model,
-                data,
-                max_effects=max_effects,
-                effects=effects,
-                without=without or (),
-                residual=residual,
-                seed=seed,
-                progress=progress.callback,
-            ),
+    from jaxid.text import diagnosis_text
+
+    with Output(out, as_json, quiet) as output:
+        result = jaxid.diagnose(
+            model,
+            data,
+            max_effects=max_effects,
+            effects=effects,
+            without=without or (),
+            residual=residual,
+            seed=seed,
+            progress=output.progress,
         )
-    save(result, out)
-    show(result, as_json, quiet)
+        code = output.deliver(result, diagnosis_text)
     if next_ is not None:
         from jaxid.cli_excite import design_next
 
@@ -174,7 +169,7 @@ def diagnose(dataset, out, model, max_effects, effects, without, residual, seed,
     if result.nominal.failed:
         terminal.complain(f"the nominal fit failed: {result.nominal.stopped_because}")
         return FAILED
-    return SUCCESS
+    return code
 
 
 @cli.command()
@@ -190,19 +185,10 @@ def simulate(dataset, parameters, out, model, as_json, quiet) -> int:
     """
     fitted = read_parameters(parameters)
     jaxid, data = start(dataset, out)
-    result = jaxid.simulate(fitted, data, model=model)
-    import pyarrow
-    import pyarrow.parquet
+    from jaxid.text import simulation_text
 
-    for i, run in enumerate(result.runs, start=1):
-        partial = out / f"run_{i}.parquet.partial"
-        pyarrow.parquet.write_table(pyarrow.table(dict(run)), partial)
-        partial.replace(out / f"run_{i}.parquet")
-        if (moving := result.motion(i - 1)) is not None:
-            moving.strip().figure.savefig(out / f"run_{i}.png", dpi=120)
-    save(result, out)
-    show(result, as_json, quiet)
-    return SUCCESS
+    with Output(out, as_json, quiet) as output:
+        return output.deliver(jaxid.simulate(fitted, data, model=model), simulation_text)
 
 
 @cli.command("import")
@@ -311,26 +297,16 @@ def start(dataset: str, out: Path) -> tuple[Any, Any]:
     return jaxid, data
 
 
-def writable_folder(out: Path) -> None:
-    """Makes the folder, or says why nothing could be written there."""
-    from jaxid.errors import UsageError
-
-    try:
-        out.mkdir(parents=True, exist_ok=True)
-        probe = out / f".jaxid-{os.getpid()}.partial"
-        probe.touch()
-        probe.unlink()
-    except OSError as error:
-        raise UsageError(f"--out {out}: cannot write there ({error.strerror}); name a folder that is writable") from error
-
-
 def read_parameters(path: Path) -> dict[str, Any]:
     """The content of a FIT.json; only `parameters` is needed."""
     from jaxid.errors import UsageError
+    from jaxid.small_files import read_small, TooLarge
 
     wanted = 'it needs {"parameters": {"inertia": {"value": 0.08}}, "effects": []}'
     try:
-        content = json.loads(path.read_text(encoding="utf-8"))
+        content = json.loads(read_small(path).decode())
+    except TooLarge as error:
+        raise UsageError(f"--parameters {path}: {error}; {wanted}") from error
     except OSError as error:
         raise UsageError(f"--parameters {path}: cannot be read ({error.strerror})") from error
     except json.JSONDecodeError as error:
@@ -358,51 +334,15 @@ def read_parameters(path: Path) -> dict[str, Any]:
     return content
 
 
-def keeping_partial(out: Path, work: Callable[[], T]) -> T:
-    """Runs long work; on Ctrl-C what it had finished is saved before the interrupt goes on."""
-    from jaxid.runtime import Interrupted
-
-    try:
-        return work()
-    except Interrupted as stop:
-        if stop.partial is not None:
-            path = save(stop.partial, out)
-            terminal.complain(f"interrupted; what was finished is in {path}")
-        raise
-
-
-def save(result: Any, out: Path) -> Path:
-    """Writes the JSON, then the report where the result has one."""
-    from jaxid.results import Diagnosis, Fit, save_json
-
-    stem = "diagnosis" if isinstance(result, Diagnosis) else "fit" if isinstance(result, Fit) else "simulation"
-    path = save_json(result, out / f"{stem}.json")
-    if isinstance(result, Diagnosis | Fit):
-        result.report(out / "report.html")
-    return path
-
-
-def show(result: Any, as_json: bool, quiet: bool) -> None:
-    from jaxid import text
-    from jaxid.results import Diagnosis, finite, Fit
-
-    if as_json:
-        print(json.dumps(finite(result.to_dict()), indent=1, allow_nan=False))
-    elif not quiet and isinstance(result, Diagnosis):
-        terminal.say(text.diagnosis_text(result))
-    elif not quiet and isinstance(result, Fit):
-        terminal.say(text.fit_text(result))
-    elif not quiet:
-        terminal.say(text.simulation_text(result))
-
-
 def explain(error: Exception) -> tuple[int, str]:
     """Exit code and message of an error that reached the top."""
-    from jaxid.errors import UsageError
+    from jaxid.errors import NotSaved, UsageError
     from jaxid.experiment import DatasetError
 
     if isinstance(error, UsageError | DatasetError):
         return BAD_INPUT, str(error)
+    if isinstance(error, NotSaved):
+        return FAILED, f"{error}. Make room, or name another folder with --out"
     if isinstance(error, OSError):
         return BAD_INPUT, f"{error.filename or 'file'}: {error.strerror or error}"
     if isinstance(error, MemoryError):

@@ -44,13 +44,16 @@ def batch(study, workers, scheduler, status, retry, as_json, quiet) -> int:
     s = result.status
     if as_json:
         print(json.dumps(summary(result), indent=1, allow_nan=False))
-    elif not quiet:
+    elif result.unsaved or not quiet:
         from jaxid.study import words
 
         terminal.say(words.result_text(result))
     if result.interrupted:
         terminal.complain(f"interrupted; {s.done + s.failed} of {s.total} tasks are saved, the same command goes on from there")
         return INTERRUPTED
+    if result.unsaved:
+        terminal.complain(result.unsaved)
+        return FAILED
     if s.failed:
         terminal.complain(
             f"{s.failed} of {s.total} tasks failed; {result.study.store / 'report.html'} says why, --retry runs them again"

@@ -2,12 +2,11 @@
 
 from __future__ import annotations
 
-import json
-
 import click
 
 from jaxid import terminal
-from jaxid.cli import DATASET, FAILED, LOSSES, MODEL, names, OUT, output_options, RESIDUAL, SEED, start, SUCCESS, WITHOUT
+from jaxid.cli import DATASET, FAILED, LOSSES, MODEL, names, OUT, output_options, RESIDUAL, SEED, start, WITHOUT
+from jaxid.cli_output import Output
 
 
 @click.command()
@@ -49,41 +48,31 @@ def compare(
     """Compare fitters on the same loss.
 
     Success rate, evaluations and time to the best known loss; every fitter runs with every seed, from the same starts.
-    Writes comparison.json, runs.parquet and report.html into DIR; on Ctrl-C those of the runs that were finished.
+    Writes comparison.json, runs.parquet and report.html into DIR; when it is stopped, those of the runs that were finished into
+    DIR/partial.
     """
     jaxid, data = start(dataset, out)
-    from jaxid import text
-    from jaxid.results import finite
-    from jaxid.runtime import Interrupted
+    from jaxid.text import comparison_text
 
-    with terminal.Progress(quiet) as progress:
-        try:
-            result = jaxid.compare(
-                model,
-                data,
-                fitters=fitters,
-                seeds=seeds,
-                budget=budget,
-                seconds=seconds,
-                effects=effects,
-                without=without or (),
-                residual=residual,
-                loss=loss,
-                starts=starts,
-                tolerance=tolerance,
-                seed=seed,
-                progress=progress.callback,
-            )
-        except Interrupted as stop:
-            if stop.partial is not None:
-                terminal.complain(f"interrupted; {len(stop.partial.runs)} runs are in {stop.partial.save(out)}")
-            raise
-    result.save(out)
-    if as_json:
-        print(json.dumps(finite(result.to_dict()), indent=1, allow_nan=False))
-    elif not quiet:
-        terminal.say(text.comparison_text(result))
+    with Output(out, as_json, quiet) as output:
+        result = jaxid.compare(
+            model,
+            data,
+            fitters=fitters,
+            seeds=seeds,
+            budget=budget,
+            seconds=seconds,
+            effects=effects,
+            without=without or (),
+            residual=residual,
+            loss=loss,
+            starts=starts,
+            tolerance=tolerance,
+            seed=seed,
+            progress=output.progress,
+        )
+        code = output.deliver(result, comparison_text)
     if all(run.status == "failed" for run in result.runs):
         terminal.complain("every run failed; the model diverges within these bounds")
         return FAILED
-    return SUCCESS
+    return code

@@ -68,6 +68,7 @@ def excite(
     from jaxid.cli import read_parameters
 
     runtime.prepare()
+    from jaxid.errors import NotSaved
     from jaxid.excitation import excite
     from jaxid.hardware.limits import Limits
     from jaxid.results import finite
@@ -80,16 +81,22 @@ def excite(
             criterion=criterion, friction=friction, starts=starts, iterations=iterations, seed=seed, floor=floor, radius=radius,
             amplitude=amplitude, gain=gain, parameters=known, progress=progress.callback,
         )  # fmt: skip
-    made.save(out)
+    unsaved = None
+    try:
+        made.save(out)
+    except NotSaved as error:
+        unsaved = error
     if as_json:
         print(json.dumps(finite(made.to_dict()), indent=1, allow_nan=False))
-    elif not quiet:
-        terminal.say(excitation_text(made, out))
+    elif unsaved or not quiet:
+        terminal.say(excitation_text(made, out if unsaved is None else None))
+    if unsaved:
+        raise unsaved
     return SUCCESS
 
 
-def excitation_text(made: Excitation, out: Path) -> str:
-    """The design as tables for a terminal."""
+def excitation_text(made: Excitation, out: Path | None) -> str:
+    """The design as tables for a terminal; `out` is where it was written."""
     from jaxid.text import table
 
     c = made.content
@@ -105,7 +112,7 @@ def excitation_text(made: Excitation, out: Path) -> str:
     if clear:
         parts.append(f"links stay {clear['links_m']:.3f} m apart and {clear['height_m']:.3f} m above the base's plane")
     parts += [f"note: {n}" for n in c["notes"]]
-    parts.append(f"written to {out}; play it with: jaxid record … --play {out}")
+    parts += [] if out is None else [f"written to {out}; play it with: jaxid record … --play {out}"]
     return "\n".join(parts)
 
 

@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
-import json
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 import click
 
-from jaxid import terminal
-from jaxid.cli import DATASET, MODEL, OUT, output_options, start, SUCCESS
+from jaxid.cli import DATASET, MODEL, OUT, output_options, start
+from jaxid.cli_output import Output
 
 
 if TYPE_CHECKING:
@@ -50,20 +49,13 @@ def identify(dataset, out, model, method, friction, cutoff, motion_cutoff, refer
     Writes identification.json and report.html into DIR.
     """
     jaxid, data = start(dataset, out)
-    from jaxid.results import finite, save_json
 
-    with terminal.Progress(quiet):
+    with Output(out, as_json, quiet) as output:
         result = jaxid.identify(
             model, data, method=method, friction=friction, cutoff_hz=cutoff, motion_hz=motion_cutoff, reference=reference,
             gain_std=gain_std,
         )  # fmt: skip
-    save_json(result, out / "identification.json")
-    result.report(out / "report.html")
-    if as_json:
-        print(json.dumps(finite(result.to_dict()), indent=1, allow_nan=False))
-    elif not quiet:
-        terminal.say(identification_text(result))
-    return SUCCESS
+        return output.deliver(result, identification_text)
 
 
 def identification_text(result: Identification) -> str:

@@ -2,14 +2,14 @@
 
 from __future__ import annotations
 
-import json
+import io
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, TYPE_CHECKING
 
 import numpy as np
 
-from jaxid.results import finite, SCHEMA, versions
+from jaxid.results import SCHEMA, versions
 
 
 if TYPE_CHECKING:
@@ -194,20 +194,19 @@ class Comparison:
         }
 
     def save(self, folder: str | Path) -> Path:
-        """Writes comparison.json, runs.parquet and report.html, each whole or not at all; returns the folder."""
+        """Writes comparison.json, runs.parquet and report.html, all or none; returns the folder. Raises `NotSaved`."""
+        from jaxid.result_files import save
+
+        return save(self, Path(folder)).parent
+
+    def parquet(self) -> bytes:
+        """The content of a Parquet file with a row a run."""
         import pyarrow
         import pyarrow.parquet
 
-        folder = Path(folder)
-        folder.mkdir(parents=True, exist_ok=True)
-        partial = folder / "comparison.json.partial"
-        partial.write_text(json.dumps(finite(self.to_dict()), indent=1, allow_nan=False) + "\n", encoding="utf-8")
-        partial.replace(folder / "comparison.json")
-        partial = folder / "runs.parquet.partial"
-        pyarrow.parquet.write_table(pyarrow.Table.from_pylist([self._row(r) for r in self.runs]), partial)
-        partial.replace(folder / "runs.parquet")
-        self.report(folder / "report.html")
-        return folder
+        buffer = io.BytesIO()
+        pyarrow.parquet.write_table(pyarrow.Table.from_pylist([self._row(r) for r in self.runs]), buffer)
+        return buffer.getvalue()
 
     def report(self, path: str | Path) -> Path:
         """Writes the report page (one self-contained HTML file) and returns its path."""

@@ -18,6 +18,7 @@ from jaxid.estimation import Bench, default_residual, start_values
 from jaxid.experiment import Dataset
 from jaxid.fitter import AbstractFitter, AbstractPopulation, Minimum, Progress, sampling_box
 from jaxid.fitters import descend
+from jaxid.interim import Interim
 from jaxid.problem import LOSSES, Problem
 from jaxid.residual import Residual
 from jaxid.runtime import Interrupted
@@ -82,6 +83,7 @@ def run_comparison(
             (*binding.dataset.notes, f"residual: {problem.runs.statement}"),
         )  # fmt: skip
 
+    known = Interim()
     try:
         for label, fitter in chosen:
             for number in range(seed, seed + seeds):
@@ -89,6 +91,7 @@ def run_comparison(
                     progress("compare", len(runs), total, f"{label}, seed {number}")
                 start = guess if starts == "guess" else random_start(problem, guess, number)
                 runs.append(one_run(problem, fitter, label, start, number, budget, seconds))
+                known.offer(finished)
     except KeyboardInterrupt as stop:
         raise Interrupted(finished() if runs else None) from stop
     if progress:

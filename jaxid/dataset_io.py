@@ -15,6 +15,7 @@ from jaxid.dataset_checks import assemble
 from jaxid.dataset_schema import ExperimentEntry, Places, read_document
 from jaxid.dataset_table import read_table, Table
 from jaxid.experiment import Dataset, DatasetError, Problem
+from jaxid.small_files import read_small
 
 
 SUFFIXES = (".csv", ".parquet", ".pq")
@@ -55,7 +56,7 @@ def _description(folder: Path) -> tuple[bytes, str, dict[str, Any]]:
             raise _refuse(str(folder), "there is no such folder", "Name a folder that holds a dataset.toml")
         if not (folder / file).is_file():
             raise _refuse(file, f"there is no dataset.toml in {folder}", "Write one; see the README for its few keys")
-        content = (folder / file).read_bytes()
+        content = read_small(folder / file)
     except (OSError, ValueError) as error:
         if isinstance(error, DatasetError):
             raise

@@ -4,11 +4,14 @@ from __future__ import annotations
 
 import csv
 import json
+from contextlib import suppress
 from pathlib import Path
+from tempfile import TemporaryDirectory
 from typing import Any, TYPE_CHECKING
 
 import numpy as np
 
+from jaxid.atomic_files import replace_files, settle
 from jaxid.dataset_write import write_files
 from jaxid.errors import UsageError
 from jaxid.results import finite
@@ -23,12 +26,23 @@ UR_RATES = (125, 500)
 
 
 def write(made: Excitation, folder: Path) -> Path:
-    """All files of an excitation; an earlier one in the same folder is replaced. Raises `UsageError` where other files lie."""
+    """All files of an excitation; an earlier one in the same folder is replaced, at once. Raises `UsageError` where other files
+    lie, and `NotSaved` where they cannot be written."""
+    settle(folder)
     if folder.exists() and not folder.is_dir():
         raise UsageError(f"--out {folder}: a file has this name; choose another folder")
     if folder.is_dir() and any(folder.iterdir()) and not (folder / "excitation.json").is_file():
         raise UsageError(f"--out {folder} holds other files; choose another folder")
-    folder.mkdir(parents=True, exist_ok=True)
+    with TemporaryDirectory() as place:
+        _write(made, Path(place))
+        files = {path.name: path.read_bytes() for path in sorted(Path(place).iterdir())}
+    older: dict[str, str] = {}
+    with suppress(OSError, ValueError, KeyError):
+        older = json.loads((folder / "excitation.json").read_bytes())["files"]
+    return replace_files(folder, files, [n for n in older.values() if n not in files and Path(n).name == n])
+
+
+def _write(made: Excitation, folder: Path) -> None:
     files = {"dataset": "dataset.toml", "run": "run_1.parquet", "trajectory": "trajectory.csv", "plot": "excitation.png"}
     write_files(made.dataset, folder, "parquet")
     table = {"t": made.t, **made.commands, **made.rates}
@@ -44,10 +58,8 @@ def write(made: Excitation, folder: Path) -> Path:
         files["urscript"] = "ur.script"
     figure(made).savefig(folder / "excitation.png", dpi=110)
     made.content["files"] = files
-    partial = folder / "excitation.json.partial"
-    partial.write_text(json.dumps(finite(made.content), indent=1, allow_nan=False), encoding="utf-8")
-    partial.replace(folder / "excitation.json")
-    return folder
+    content = json.dumps(finite(made.content), indent=1, allow_nan=False)
+    (folder / "excitation.json").write_text(content, encoding="utf-8")
 
 
 def _csv(path: Path, columns: dict[str, np.ndarray]) -> None:

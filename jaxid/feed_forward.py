@@ -22,6 +22,7 @@ import numpy as np
 from jaxid.base_parameters import torque_columns
 from jaxid.errors import UsageError
 from jaxid.identification_rows import friction_columns, LAWS
+from jaxid.small_files import read_small
 
 
 GEOMETRY = ("a", "alpha", "d", "theta", "b", "gamma")
@@ -104,7 +105,7 @@ class FeedForward:
     def load(cls, path: str | Path) -> FeedForward:
         """From a file that `save` wrote; raises `UsageError` for another one."""
         try:
-            c = json.loads(Path(path).read_text(encoding="utf-8"))
+            c = json.loads(read_small(path).decode())
             if c.get("kind") != "feed_forward" or c["law"] not in LAWS:
                 raise UsageError(f"{path} holds no feed-forward torque; FeedForward.save writes one")
             arrays = (np.asarray(c[k], float) for k in ("phi", "levels", "exponent"))

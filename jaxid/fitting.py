@@ -16,9 +16,11 @@ from jaxid.errors import UsageError
 from jaxid.estimation import assemble, Bench, default_residual, start_values
 from jaxid.fitter import AbstractFitter, Minimum, Progress
 from jaxid.fitters import LevenbergMarquardt
+from jaxid.interim import Interim
 from jaxid.problem import Problem
 from jaxid.residual import InverseDynamics, Residual
 from jaxid.results import Fit
+from jaxid.runtime import Interrupted
 from jaxid.stepping import step_error, STEP_SHARE
 
 
@@ -32,7 +34,11 @@ def fit_binding(
     progress: Progress | None,
 ) -> Fit:
     """The whole of `jaxid.fit` once model and data are bound."""
-    return fit_seeds(binding, fitter, residual, loss, [seed], budget, progress)[0]
+    known = Interim()
+    try:
+        return fit_seeds(binding, fitter, residual, loss, [seed], budget, progress, known=known)[0]
+    except KeyboardInterrupt as stop:
+        raise Interrupted(known.latest()) from stop
 
 
 def fit_seeds(
@@ -44,9 +50,11 @@ def fit_seeds(
     budget: int | None,
     progress: Progress | None = None,
     benches: Benches | None = None,
+    known: Interim | None = None,
 ) -> list[Fit]:
     """A fit of each seed, the same as each alone. What does not depend on the seed is done once, and fitters take all seeds in
-    the same batches where they can; each fit states its share of the time. `benches` keeps runs from call to call."""
+    the same batches where they can; each fit states its share of the time. `benches` keeps runs from call to call.
+    `known` is told of a fit before it is refined."""
     began = time.perf_counter()
     residual = residual or default_residual(binding)
     if isinstance(residual, InverseDynamics) and binding.dataset.inputs and not binding.chain.direct:
@@ -82,6 +90,10 @@ def fit_seeds(
             moved = step_error(problem, result.z, benches.of(step / 2).runs(residual, "fit"))
             if moved > STEP_SHARE:
                 finer[seed] = problem.theta(result.z)
+                if known:
+                    spent, note = time.perf_counter() - began, f"stopped before it was refined with steps of {step / 2:.3g} s"
+                    end = *ended[seed], residual, fitter.name, seed, 0.0, spent, [note]
+                    known.offer(lambda end=end: assemble(*end))
                 notes[seed].append(
                     f"halving the step moved the simulation by {moved:.2g} of the noise or gap: refitted at {step / 2:.3g} s"
                 )

@@ -21,6 +21,7 @@ from jaxid.base_parameters import BaseParameters
 from jaxid.errors import UsageError
 from jaxid.identification_solve import consistent_bodies
 from jaxid.rigid_body import INERTIA, pseudo_inertia
+from jaxid.small_files import read_small
 
 
 Z95 = 1.959963984540054
@@ -83,7 +84,7 @@ def read_reference(reference: Any) -> dict[str, Any]:
         reference = reference.to_dict()
     if isinstance(reference, str | Path):
         try:
-            reference = json.loads(Path(reference).read_text(encoding="utf-8"))
+            reference = json.loads(read_small(reference).decode())
         except OSError as error:
             raise UsageError(f"--reference {reference}: cannot be read ({error.strerror})") from error
         except ValueError as error:

@@ -9,6 +9,8 @@ from typing import Any, TYPE_CHECKING
 
 import numpy as np
 
+from jaxid.atomic_files import replace_files
+
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -407,13 +409,14 @@ class Diagnosis:
 
 
 def save_json(result: Any, path: str | Path) -> Path:
-    """Writes a result as JSON, whole or not at all (temporary file, then rename)."""
+    """Writes a result as JSON, whole or not at all; raises `NotSaved`."""
     path = Path(path)
-    path.parent.mkdir(parents=True, exist_ok=True)
-    partial = path.with_suffix(path.suffix + ".partial")
-    partial.write_text(json.dumps(finite(result.to_dict()), indent=1, allow_nan=False) + "\n", encoding="utf-8")
-    partial.replace(path)
-    return path
+    return replace_files(path.parent, {path.name: json_bytes(result)}) / path.name
+
+
+def json_bytes(result: Any) -> bytes:
+    """A result as its JSON file holds it."""
+    return (json.dumps(finite(result.to_dict()), indent=1, allow_nan=False) + "\n").encode()
 
 
 def finite(value: Any) -> Any:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import sys
 import unicodedata
 from collections.abc import Callable
+from contextlib import suppress
 
 
 # Format characters that turn the direction of text around or hide it; control characters are category Cc.
@@ -26,7 +27,8 @@ def say(text: object) -> None:
 
 
 def complain(text: object) -> None:
-    print(f"jaxid: {clean(text)}", file=sys.stderr)
+    with suppress(OSError):  # the terminal is gone
+        print(f"jaxid: {clean(text)}", file=sys.stderr, flush=True)
 
 
 class Progress:
@@ -66,6 +68,11 @@ class Progress:
             self._bar.start()
         return self
 
-    def __exit__(self, *exception) -> None:
+    def stop(self) -> None:
+        """Takes the line away; what is written afterwards stands by itself."""
         if self._bar is not None:
             self._bar.stop()
+            self._bar = self.callback = None
+
+    def __exit__(self, *exception) -> None:
+        self.stop()

@@ -217,7 +217,8 @@ def test_interrupt_saves_what_was_finished(calls, monkeypatch, tmp_path, capsys)
 
     monkeypatch.setattr(jaxid, "diagnose", interrupted)
     assert run("diagnose", "data", "--out", tmp_path) == 130
-    assert json.loads((tmp_path / "fit.json").read_text())["kind"] == "fit"
+    assert json.loads((tmp_path / "partial" / "fit.json").read_text())["kind"] == "fit"
+    assert (tmp_path / "partial" / "report.html").is_file() and not (tmp_path / "fit.json").exists()
     assert "fit.json" in capsys.readouterr().err
 
 

@@ -14,11 +14,11 @@ from jaxid.binding import bind, Binding, JITTER, resolve_model
 from jaxid.diagnosis import how_far as shrinking, timing, where as location
 from jaxid.diagnosis.choice import ALIKE, WHITE
 from jaxid.diagnosis.evidence import held_out, inflation, knowledge, worth
-from jaxid.diagnosis.hypothesis import Candidate, candidates, Hypothesis, Search
+from jaxid.diagnosis.hypothesis import Candidate, candidates, check_asked, Hypothesis, possible, Search
 from jaxid.diagnosis.next_experiment import advice, rivals_of
 from jaxid.diagnosis.unseen import Look, Looker
 from jaxid.diagnosis.which import Searcher
-from jaxid.errors import nearest, UsageError
+from jaxid.errors import UsageError
 from jaxid.estimation import (
     assemble,
     Bench,
@@ -32,6 +32,7 @@ from jaxid.estimation import (
 from jaxid.experiment import Dataset
 from jaxid.fitter import Minimum, Progress
 from jaxid.fitters import descend, LevenbergMarquardt
+from jaxid.interim import Interim
 from jaxid.residual import InverseDynamics, MultipleShooting, OutputError, Residual
 from jaxid.results import Diagnosis, EffectEstimate, Fit, Ranked, Which
 from jaxid.runtime import Interrupted
@@ -63,6 +64,7 @@ class Question:
     max_effects: int
     seed: int
     progress: Progress | None
+    known: Interim  # is told what is known before the end
 
 
 def run_diagnosis(
@@ -75,18 +77,32 @@ def run_diagnosis(
     seed: int,
     progress: Progress | None,
 ) -> Diagnosis:
-    """See `jaxid.diagnose`."""
+    """See `jaxid.diagnose`. On Ctrl-C `Interrupted` carries what is known."""
+    known, asked = Interim(), None if effects is None else tuple(effects)
+    try:
+        return _run(model, dataset, max_effects, asked, tuple(without), residual, seed, progress, known)
+    except Interrupted:
+        raise
+    except KeyboardInterrupt as stop:  # what is finished is a result too
+        raise Interrupted(known.latest()) from stop
+
+
+def _run(
+    model: object,
+    dataset: Dataset,
+    max_effects: int,
+    asked: tuple[str, ...] | None,
+    without: tuple[str, ...],
+    residual: Residual | None,
+    seed: int,
+    progress: Progress | None,
+    known: Interim,
+) -> Diagnosis:
     began = time.perf_counter()
-    allowed = tuple(effects) if effects is not None else catalogue.effect_names()
-    for name in allowed:
-        catalogue.effect_class(name)
-    without = tuple(without)
+    allowed = catalogue.effect_names() if asked is None else asked
     nominal = resolve_model(model, dataset, without)
-    present = nominal.contents
-    known = [n for n in allowed if n in present]
-    if effects is not None and known:
-        raise UsageError(f"{known[0]} is part of the model already{nearest(known[0], set(allowed) - set(known))}")
-    library = [k for n in allowed if n not in present and nominal.offers(k := catalogue.effect_class(n))]
+    check_asked(nominal, asked or (), residual.name if residual else "")
+    library = possible(nominal, allowed)
     binding = bind(model, dataset, without=without, candidates=library)
     if not binding.dataset.experiments:
         raise UsageError("a diagnosis needs recorded runs; this dataset holds frequency responses alone: fit it")
@@ -98,18 +114,19 @@ def run_diagnosis(
     if stamps and not isinstance(own, InverseDynamics):
         scatter = timing.Scatter(stamps, binding)
         readings = with_scatter(dataset, stamps, binding.noise)
-        known = bind(model, readings, without=without, candidates=library).with_stamps(stamps)
+        stamped = bind(model, readings, without=without, candidates=library).with_stamps(stamps)
         others = tuple(n for n in allowed if n != JITTER)
-        found, _ = _diagnosed(Question(known, own, others, max_effects, seed, progress), scatter)
+        found, _ = _diagnosed(Question(stamped, own, others, max_effects, seed, progress, known), scatter)
         if found.which.verdict == "named":
             return dataclasses.replace(found, wall_time_s=time.perf_counter() - began)
-    question = Question(binding, own, allowed, max_effects, seed, progress)
+    question = Question(binding, own, allowed, max_effects, seed, progress, known)
     found, grown = _diagnosed(question)
     verdict = found.which.verdict
     doubtful = verdict in ("unknown", "partly") or (verdict == "named" and found.how_far.gap_after > REMAINDER)
     if residual is None and grown > SENSITIVE and doubtful:
+        known.tell(found)
         try:
-            again, _ = _diagnosed(dataclasses.replace(question, residual=MultipleShooting()))
+            again, _ = _diagnosed(dataclasses.replace(question, residual=MultipleShooting(), known=Interim(silent=True)))
         except Interrupted as stop:
             raise Interrupted(found) from stop
         if again.which.verdict in PREFERRED[verdict]:
@@ -254,19 +271,35 @@ def _search(question: Question) -> tuple[Bench, Fit, Search, float]:
     def minimum(z: np.ndarray, loss: float) -> Minimum:
         return Minimum(z, loss, converged, stopped, log.evaluations, log.history)
 
-    searcher = Searcher(bench, residual, nominal, progress)
-    try:
-        search = searcher.run(candidates(bench, question.allowed, searcher.by_torque), question.max_effects)
-    except KeyboardInterrupt as stop:  # what is finished is a result too
+    def first() -> Fit:
         spent = time.perf_counter() - began
-        found = minimum(nominal.z, nominal.loss)
-        raise Interrupted(assemble(bench, problem, found, residual, fitter.name, seed, 0.0, spent)) from stop
+        return assemble(bench, problem, minimum(nominal.z, nominal.loss), residual, fitter.name, seed, 0.0, spent)
+
+    searcher = Searcher(bench, residual, nominal, progress)
+    offer = lambda search: question.known.offer(lambda: _so_far(question, bench, first(), search, began))
+    offer(Search(searcher.nominal, searcher.nominal))
+    search = searcher.run(candidates(bench, question.allowed, searcher.by_torque), question.max_effects, offer)
     bench = searcher.bench
     compile_time = sum(b.compile_time() for b in (*searcher.benches, bench))
     path = search.nominal.path
     spent = time.perf_counter() - began
     found = minimum(path.z, search.nominal.fit_loss)
     return bench, assemble(bench, path.problem, found, residual, fitter.name, seed, compile_time, spent), search, compile_time
+
+
+def _so_far(question: Question, bench: Bench, nominal: Fit, search: Search, began: float) -> Diagnosis:
+    """What is known while effects are still compared: where the gap lies and how wide it is; nothing is claimed yet."""
+    binding, residual = question.binding, question.residual
+    before, note = _before(binding, search.nominal)
+    how_far = shrinking.measure(bench, residual, before, search.nominal.theta, search.nominal.theta, "unknown", note, bench)
+    findings, pictures, rows = _where(bench, search.nominal, search.nominal, "unknown", (), question.seed)
+    ranking = tuple(_ranked(search))
+    text = f"Stopped before the effects of the library were compared: {len(ranking) or 'none'} had been."
+    return Diagnosis(
+        binding.chain.mechanism.name, binding.dataset.name, binding.dataset.sha256, question.seed, residual.name, findings,
+        Which("unknown", (), (), ranking, text), how_far, "Let the diagnosis run to its end.", time.perf_counter() - began,
+        nominal, nominal, _traces(bench, residual, search.nominal, search.nominal, ()), pictures, rows, binding.dataset.notes,
+    )  # fmt: skip
 
 
 def judge(search: Search) -> tuple[str, str]:

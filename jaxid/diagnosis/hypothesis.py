@@ -2,18 +2,21 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
 
 import numpy as np
 
+from jaxid import catalogue
 from jaxid.added_effects import probes, read_off
-from jaxid.chain import Effect
+from jaxid.chain import Chain, Effect
 from jaxid.diagnosis.evidence import HeldOut, memory
+from jaxid.errors import UsageError
 from jaxid.estimation import Bench
 from jaxid.fitters import Path
 from jaxid.problem import Problem
+from jaxid.residual import InverseDynamics
 
 
 @dataclass(frozen=True)
@@ -98,6 +101,30 @@ def candidates(bench: Bench, allowed: Sequence[str], by_torque: bool = False) ->
                 present = any(i in b.nominal for i in b.layout.of_effect(effect.refines, place)) or effect.refines not in allowed
                 out.append(Candidate(effect.name, place, index, "" if present else effect.refines))
     return out
+
+
+def possible(nominal: Chain, names: Iterable[str], residual: str = "") -> list[type[Effect]]:
+    """Those effects that a model lacks and has a place for, and that a residual can see; raises `UsageError` for a name that does
+    not exist."""
+    kinds = [catalogue.effect_class(n) for n in names]
+    seen = [k for k in kinds if residual != InverseDynamics.name or k.location == "joint"]
+    return [k for k in seen if k.name not in nominal.contents and nominal.offers(k)]
+
+
+def check_asked(nominal: Chain, asked: Sequence[str], residual: str = "") -> None:
+    """Raises `UsageError` where an effect that was asked for cannot be a candidate."""
+    model, why = nominal.mechanism.name, []
+    for name in asked:
+        if name in nominal.contents:
+            (taken, *_) = [e.name for e in nominal.effects if name in (e.name, *e.contains)]
+            why.append(f"{name} is part of {model} already (left out with `without`, {taken} becomes a candidate)")
+        elif not possible(nominal, [name]):
+            why.append(f"{model} cannot take {name}")
+        elif not possible(nominal, [name], residual):
+            why.append(f"{residual} compares torques at joints and cannot see {name}")
+    if why:
+        able = [k.name for k in possible(nominal, catalogue.effect_names(), residual)]
+        raise UsageError(f"{'; '.join(why)}. Candidates are: {', '.join(able) or 'none'}")
 
 
 def sensible(effects: Sequence[Candidate]) -> bool:

@@ -7,7 +7,7 @@ of the true effect; runs that were not fitted do not.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 from functools import partial
 
@@ -184,8 +184,9 @@ class Searcher:
 
     # ---- search
 
-    def run(self, pool: Sequence[Candidate], max_effects: int) -> Search:
-        """Forward selection up to `max_effects`, then each accepted effect is questioned again."""
+    def run(self, pool: Sequence[Candidate], max_effects: int, known: Callable[[Search], None] = lambda search: None) -> Search:
+        """Forward selection up to `max_effects`, then each accepted effect is questioned again; `known` is told after each
+        round."""
         chosen = self._refined(self.nominal)
         while (room := max_effects - self._named(chosen)) > 0 and not finished(chosen, self.by_torque):
             found = self._beside(chosen, pool, room)
@@ -204,6 +205,7 @@ class Searcher:
                 step = self._plainer(chosen, step, pool)
             step = self._at_all_joints(chosen, step, found, pool) if self.by_torque else self._exchanged(chosen, step, found)
             chosen = self._refined(step)
+            known(Search(self.nominal, chosen, list(self.tried)))
         added = len(chosen.effects) > 1 and not self.by_torque
         chosen = self._questioned(chosen)
         if chosen.effects and not significant(self.nominal, chosen):  # a pair that came down to one

@@ -14,6 +14,7 @@ from dataclasses import dataclass, fields, replace
 from pathlib import Path
 
 from jaxid.errors import nearest, UsageError
+from jaxid.small_files import read_small
 
 
 @dataclass(frozen=True)
@@ -55,7 +56,7 @@ class Limits:
         """From a TOML file whose keys are the fields, as in `speed = [1.0, 1.0, 1.5]`; raises `UsageError`."""
         path = Path(path)
         try:
-            content = tomllib.loads(path.read_text(encoding="utf-8"))
+            content = tomllib.loads(read_small(path).decode())
         except OSError as error:
             raise UsageError(f"limits {path}: cannot be read ({error.strerror})") from error
         except ValueError as error:

@@ -281,7 +281,9 @@ class Driver:
 
 def in_driver(fd: int) -> Link:
     """The driver's end of the line; signals of the terminal are the recording process's business."""
-    signal.signal(signal.SIGINT, signal.SIG_IGN)
+    for name in ("SIGINT", "SIGHUP"):
+        if hasattr(signal, name):
+            signal.signal(getattr(signal, name), signal.SIG_IGN)
     return Link(socket.socket(fileno=fd))
 
 

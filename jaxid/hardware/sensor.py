@@ -18,6 +18,7 @@ from jaxid.hardware.device import Sample
 from jaxid.hardware.errors import HardwareError
 from jaxid.hardware.port import opened
 from jaxid.hardware.recorder import Column, Stream
+from jaxid.small_files import read_small
 from jaxid.units import Conversion, conversion, UnitError
 
 
@@ -91,7 +92,7 @@ class SensorSpec(_Strict):
         """Raises `UsageError` with what is wrong. A `file` is looked for beside the description."""
         path = Path(path)
         try:
-            spec = cls.model_validate(tomllib.loads(path.read_text(encoding="utf-8")))
+            spec = cls.model_validate(tomllib.loads(read_small(path).decode()))
         except OSError as error:
             raise UsageError(f"sensor {path}: cannot be read ({error.strerror})") from error
         except ValidationError as error:

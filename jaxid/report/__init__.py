@@ -5,6 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from jaxid.atomic_files import replace_files
 from jaxid.report import (
     answer,
     background,
@@ -21,6 +22,7 @@ from jaxid.report import (
     unseen,
 )
 from jaxid.report.page import render, render_fragment
+from jaxid.results import json_bytes
 from jaxid.terminal import one_line
 
 
@@ -32,8 +34,8 @@ if TYPE_CHECKING:
     from jaxid.study.run import StudyResult
 
 
-def write_diagnosis(diagnosis: Diagnosis, path: str | Path) -> Path:
-    """Writes the page of a diagnosis (whole or not at all) and returns its path."""
+def diagnosis_page(diagnosis: Diagnosis) -> str:
+    """The page of a diagnosis. Like every page it carries the name and the SHA-256 of its JSON file in `meta` tags."""
     sections = [
         answer.section(diagnosis),
         unseen.section(diagnosis.unseen),
@@ -44,39 +46,60 @@ def write_diagnosis(diagnosis: Diagnosis, path: str | Path) -> Path:
         parameters.section(diagnosis.final, diagnosis.nominal if diagnosis.which.effects else None),
         background.of_diagnosis(diagnosis),
     ]
-    return _write(render(f"{one_line(diagnosis.dataset)}: diagnosis", sections), path)
+    return render(f"{one_line(diagnosis.dataset)}: diagnosis", sections, "diagnosis.json", json_bytes(diagnosis))
 
 
-def write_fit(fit: Fit, path: str | Path) -> Path:
-    """Writes the page of a fit (whole or not at all) and returns its path."""
+def fit_page(fit: Fit) -> str:
+    """The page of a fit."""
     sections = [
         fitted.section(fit),
         parameters.section(fit),
         traces.section(fit.traces),
         background.of_fit(fit),
     ]
-    return _write(render(f"{one_line(fit.dataset)}: fit", sections), path)
+    return render(f"{one_line(fit.dataset)}: fit", sections, "fit.json", json_bytes(fit))
+
+
+def comparison_page(comparison: Comparison) -> str:
+    """The page of a comparison."""
+    sections = [compared.section(comparison), background.of_comparison(comparison)]
+    return render(f"{one_line(comparison.dataset)}: comparison", sections, "comparison.json", json_bytes(comparison))
+
+
+def identification_page(result: Identification) -> str:
+    """The page of an identification."""
+    sections = [identified.section(result)]
+    return render(f"{one_line(result.dataset)}: identification", sections, "identification.json", json_bytes(result))
+
+
+def study_page(result: StudyResult, table: bytes) -> str:
+    """The page of a study, whose results are the `table` runs.csv."""
+    return render(f"{one_line(result.study.name)}: study", [studied.section(result)], "runs.csv", table)
+
+
+def write_diagnosis(diagnosis: Diagnosis, path: str | Path) -> Path:
+    """Writes the page of a diagnosis (whole or not at all) and returns its path; raises `NotSaved`."""
+    return _write(diagnosis_page(diagnosis), path)
+
+
+def write_fit(fit: Fit, path: str | Path) -> Path:
+    """Writes the page of a fit (whole or not at all) and returns its path; raises `NotSaved`."""
+    return _write(fit_page(fit), path)
 
 
 def write_comparison(comparison: Comparison, path: str | Path) -> Path:
-    """Writes the page of a comparison (whole or not at all) and returns its path."""
-    sections = [compared.section(comparison), background.of_comparison(comparison)]
-    return _write(render(f"{one_line(comparison.dataset)}: comparison", sections), path)
+    """Writes the page of a comparison (whole or not at all) and returns its path; raises `NotSaved`."""
+    return _write(comparison_page(comparison), path)
+
+
+def write_identification(result: Identification, path: str | Path) -> Path:
+    """Writes the page of an identification (whole or not at all) and returns its path; raises `NotSaved`."""
+    return _write(identification_page(result), path)
 
 
 def comparison_fragment(comparison: Comparison) -> str:
     """Table and pictures as an HTML fragment, for a notebook."""
     return render_fragment([compared.section(comparison)])
-
-
-def write_identification(result: Identification, path: str | Path) -> Path:
-    """Writes the page of an identification (whole or not at all) and returns its path."""
-    return _write(render(f"{one_line(result.dataset)}: identification", [identified.section(result)]), path)
-
-
-def write_study(result: StudyResult, path: str | Path) -> Path:
-    """Writes the page of a study (whole or not at all) and returns its path."""
-    return _write(render(f"{one_line(result.study.name)}: study", [studied.section(result)]), path)
 
 
 def identification_fragment(result: Identification) -> str:
@@ -99,10 +122,13 @@ def dataset_fragment(data: Dataset) -> str:
     return render_fragment([recorded.section(data)])
 
 
+def write_study(result: StudyResult, path: str | Path) -> Path:
+    """Writes the page of a study (whole or not at all) and returns its path; raises `NotSaved`."""
+    from jaxid.study.tables import csv_text, table_rows
+
+    return _write(study_page(result, csv_text(*table_rows(result)).encode()), path)
+
+
 def _write(html: str, path: str | Path) -> Path:
     path = Path(path)
-    path.parent.mkdir(parents=True, exist_ok=True)
-    partial = path.with_suffix(path.suffix + ".partial")
-    partial.write_text(html, encoding="utf-8")
-    partial.replace(path)
-    return path
+    return replace_files(path.parent, {path.name: html.encode()}) / path.name

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import hashlib
+import re
 from collections.abc import Iterable
 from typing import Any, NamedTuple
 
@@ -31,9 +33,18 @@ _environment = Environment(
 _environment.filters.update(number=text.number, short=text.short, percent=text.percent, estimate=text.value_with_std)
 
 
-def render(title: str, sections: Iterable[Section | None]) -> str:
-    """The whole page; sections that are None are left out."""
-    return _environment.get_template("page.html").render(title=title, style=_style(), body=_body(sections))
+def render(title: str, sections: Iterable[Section | None], result: str, content: bytes) -> str:
+    """The whole page; sections that are None are left out. `result`: name of the file it belongs to, with its content."""
+    digest = hashlib.sha256(content).hexdigest()
+    return _environment.get_template("page.html").render(
+        title=title, style=_style(), body=_body(sections), result=result, digest=digest
+    )
+
+
+def result_of(page: bytes) -> tuple[str, str] | None:
+    """Name and SHA-256 of the file that belongs to a page; None for one that is not ours."""
+    found = re.search(rb'<meta name="jaxid-result" content="([^"/]+) sha256:([0-9a-f]{64})">', page[:4096])
+    return None if found is None else (found[1].decode(), found[2].decode())
 
 
 def render_fragment(sections: Iterable[Section | None]) -> str:

@@ -11,6 +11,7 @@ from jaxid import catalogue
 from jaxid.binding import parse_effect, resolve_model
 from jaxid.dataset_io import load_dataset
 from jaxid.dataset_schema import Places
+from jaxid.diagnosis.hypothesis import check_asked
 from jaxid.errors import UsageError
 from jaxid.experiment import Dataset, DatasetError, Problem
 from jaxid.study.plan import dataset_problems, parse_study, Runs, Study, StudyError
@@ -60,8 +61,11 @@ class _Check:
             if task.dataset in data and not unknown:
                 where = "datasets" if task.model is None else "models"
                 chain = self.ask(where, resolve_model, task.model, data[task.dataset], without, of=task.label)
-                for effect in effects if chain is not None and entry.command == "fit" else []:
-                    self.ask("effects", parse_effect, effect, chain, of=task.label)
+                for effect in effects if chain is not None else []:
+                    if entry.command == "fit":
+                        self.ask("effects", parse_effect, effect, chain, of=task.label)
+                    else:
+                        self.ask("effects", check_asked, chain, [effect], entry.residual or "", of=task.label)
         return self.found
 
     def ask(self, field: str, question: Callable[..., Any], *arguments: Any, of: str = "") -> Any:

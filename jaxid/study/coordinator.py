@@ -17,6 +17,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
+from jaxid.stopping import ending
 from jaxid.study import supervisor
 from jaxid.study.cluster import Cluster
 from jaxid.study.outcome import of_message, Outcome
@@ -66,8 +67,8 @@ class Batch:
 
 
 class Stop:
-    """Ctrl-C or SIGTERM: `count` of them, the first at `since`. Also where a shell had a background job ignore Ctrl-C: what is
-    sent to it is meant."""
+    """Ctrl-C, SIGTERM or SIGHUP: `count` of them, the first at `since`. Also where a shell had a background job ignore Ctrl-C:
+    what is sent to it is meant."""
 
     def __init__(self):
         self.count = 0
@@ -76,7 +77,7 @@ class Stop:
 
     def __enter__(self) -> Stop:
         if threading.current_thread() is threading.main_thread():
-            for number in (signal.SIGINT, signal.SIGTERM):
+            for number in {signal.SIGINT, *ending()}:
                 self._before[number] = signal.signal(number, self._heard)
         return self
 

@@ -4,10 +4,11 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
+from jaxid.errors import NotSaved
 from jaxid.study.cluster import cores, local_cluster, running_cluster
 from jaxid.study.coordinator import Coordinator, Stop
 from jaxid.study.outcome import FAILURES, of_row, Outcome
@@ -51,6 +52,7 @@ class StudyResult:
     new: int = 0
     seconds: float = 0.0
     notes: tuple[str, ...] = ()
+    unsaved: str = ""  # why the tables could not be written
 
     @property
     def status(self) -> Status:
@@ -95,7 +97,7 @@ def run_study(
 
     `workers` are processes on this computer (default: one a core); `scheduler` is the address of a dask cluster instead; `retry`
     runs failed tasks again; `heard` is called a few times a second; `solver` is what computes, behind the name of the Python, and
-    `check` whether models and data are looked at first. Ctrl-C and SIGTERM save what was finished: `interrupted`.
+    `check` whether models and data are looked at first. Ctrl-C, SIGTERM and SIGHUP save what was finished: `interrupted`.
 
     Raises `StudyError` for a study with mistakes, `StoreError` where the store cannot be used or another process runs it,
     `StudyFailed` where no task can be run at all.
@@ -137,7 +139,12 @@ def run_study(
         ordered = {k: outcomes[k] for k in study.tasks if k in outcomes}
         result = StudyResult(study, ordered, complete, not complete, new, time.monotonic() - began, tuple(notes))
         if complete:
-            write_tables(result, store)
+            try:
+                write_tables(result, store)
+            except NotSaved as error:
+                return replace(
+                    result, unsaved=f"{error}. All results are in study.sqlite: make room, start the same command again"
+                )
         return result
 
 

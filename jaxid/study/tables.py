@@ -4,17 +4,16 @@ from __future__ import annotations
 
 import csv
 import io
-import os
 from collections import Counter, defaultdict
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
-from pathlib import Path
 from typing import Any, TYPE_CHECKING
 
 import numpy as np
 
+from jaxid.atomic_files import replace_files
 from jaxid.study.plan import Task
-from jaxid.study.store import Store, StoreError
+from jaxid.study.store import Store
 from jaxid.terminal import one_line
 
 
@@ -200,35 +199,19 @@ def table_rows(result: StudyResult) -> tuple[list[dict[str, Any]], list[str]]:
 
 
 def write_tables(result: StudyResult, store: Store) -> None:
-    """Writes runs.parquet, runs.csv and report.html into the store's folder, each whole or not at all.
+    """Writes runs.parquet, runs.csv and report.html into the store's folder, all or none.
 
-    Raises `StoreError` where they cannot be written; the results themselves are in the store.
+    Raises `NotSaved` where they cannot be written; the results themselves are in the store.
     """
+    from jaxid.report import study_page
+
     rows, names = table_rows(result)
-    folder = store.folder
-    try:
-        _whole(folder / "runs.parquet", lambda path: _parquet(rows, names, path))
-        _whole(folder / "runs.csv", lambda path: path.write_text(csv_text(rows, names), encoding="utf-8", newline=""))
-        from jaxid.report import write_study
-
-        _whole(folder / "report.html", lambda path: write_study(result, path))
-    except OSError as error:
-        raise StoreError(
-            f"{folder}: the tables cannot be written ({error.strerror or error}); all results are in study.sqlite. "
-            "Make room and start the same command again"
-        ) from None
+    text = csv_text(rows, names).encode()
+    page = study_page(result, text).encode()
+    replace_files(store.folder, {"runs.parquet": _parquet(rows, names), "runs.csv": text, "report.html": page})
 
 
-def _whole(path: Path, write: Callable[[Path], Any]) -> None:
-    partial = path.with_name(f"{path.name}.{os.getpid()}.partial")
-    try:
-        write(partial)
-        partial.replace(path)
-    finally:
-        partial.unlink(missing_ok=True)
-
-
-def _parquet(rows: list[dict[str, Any]], names: Sequence[str], path: Path) -> None:
+def _parquet(rows: list[dict[str, Any]], names: Sequence[str]) -> bytes:
     import pyarrow
     import pyarrow.parquet
 
@@ -236,7 +219,9 @@ def _parquet(rows: list[dict[str, Any]], names: Sequence[str], path: Path) -> No
     kind = lambda name: pyarrow.string() if name in text else pyarrow.int64() if name in whole else pyarrow.float64()
     schema = pyarrow.schema([(name, kind(name)) for name in (*COLUMNS, *names)])
     plain = [{name: _encodable(value) for name, value in row.items()} for row in rows]
-    pyarrow.parquet.write_table(pyarrow.Table.from_pylist(plain, schema), path)
+    buffer = io.BytesIO()
+    pyarrow.parquet.write_table(pyarrow.Table.from_pylist(plain, schema), buffer)
+    return buffer.getvalue()
 
 
 def _encodable(value: Any) -> Any:
