@@ -23,6 +23,8 @@ from jaxid.arithmetic import dot, inverse
 #: Gauss-Seidel stops when no dry torque changes by more than what makes this fraction of the step's largest velocity change.
 TOLERANCE = 1e-12
 SWEEPS = 100
+#: Squares of velocities below it underflow, and with them the derivative of a quotient: 0 / 0 where a joint has come to rest.
+_SMALLEST = 2.0**-500
 
 Vector = Float[Array, " nq"]
 
@@ -39,7 +41,8 @@ def _slide_or_stick(v0: Array, free: Array, minus: Array, plus: Array) -> tuple[
     """
     direction = jnp.sign(v0)
     v1 = free - jnp.where(v0 > 0, plus, jnp.where(v0 < 0, -minus, 0.0))
-    f = v0 / jnp.where(v0 == v1, 1.0, v0 - v1)
+    change = v0 - v1
+    f = v0 / jnp.where(jnp.abs(change) < _SMALLEST, 1.0, change)
     slides = v1 * direction > 0
     w = jnp.where(slides, v1, (1 - f) * soft(free - v0, minus, plus))
     return w, jnp.where(slides, 0.0, -((1 - f) * v0 + f * w) / 2)
