@@ -90,6 +90,8 @@ def while_counts(eqn: JaxprEqn) -> tuple[int, int]:
     if p.keys() != {"cond_jaxpr", "cond_nconsts", "body_jaxpr", "body_nconsts"}:
         raise UnknownForm(f"while is told {', '.join(sorted(p))}")
     asked, done, state = p["cond_nconsts"], p["body_nconsts"], len(eqn.outvars)
+    if len(eqn.invars) != asked + done + state:
+        raise UnknownForm(f"while has {len(eqn.invars)} arguments, not {asked + done + state}")
     _program(eqn, "cond_jaxpr", asked + state, 1)
     body = _program(eqn, "body_jaxpr", done + state, state)
     _same_state(eqn, body.in_avals[done:], body.out_avals)
