@@ -21,7 +21,7 @@ test-all: test
 # What depends on Python and JAX: enough where all the rest was tested with another Python.
 CORE := tests/test_lanes.py tests/test_traced.py tests/test_step.py tests/test_versions.py
 test-core: $(VENV)/installed-test
-	$(PYTEST) $(CORE) $(ARGS) || test $$? -eq 5
+	$(PYTEST) -n auto --maxprocesses 2 --dist worksteal $(CORE) $(ARGS) || test $$? -eq 5
 
 # The demo and the core of tests with every Python found and the versions of JAX from the oldest on; writes docs/versions.md.
 test-versions: $(VENV)/installed

@@ -120,11 +120,12 @@ def test_every_model_takes_the_quick_path_with_this_jax(mechanism):
         where = np.tile(np.array([0, 0, n - 1, 0], np.int32), (2, 1))
 
         def run(theta, start, where, samples):
-            lane = lambda theta, start: simulate_lane(layout.model(theta), samples, where, start, n, 64, EVEN, False)
+            lane = lambda theta, start: simulate_lane(layout.model(theta), samples, where, start, steps, 64, EVEN, False)
             if nq > 2:  # the step of a whole arm is mapped anyway
                 return lane(theta, start), lane(theta, start + 0.1)
             return jax.jvp(lane, (theta, start), (0.1 * theta, start + 0.1))
 
+        steps = jnp.asarray(n)
         options: Any = {"xla_backend_optimization_level": 0}
         args = theta, np.zeros((2, 2 * nq)), where, samples
         (found, slope), (expected, expected_slope) = (
