@@ -4,25 +4,30 @@
 becomes scalar code. Measured on the two-link arm with dry friction, 32 lanes: 205 ns a lane-step, against 111 as it is done here;
 its Runge-Kutta step alone 170 against 46. `over_lanes` evaluates what is marked as a loop over time element by element:
 every element of a small array is a vector [lanes] of its own, and picking, stacking and summing happen while tracing. The
-arithmetic is the same, number by number.
+arithmetic is the same, number by number. A version of JAX that writes its programs in another form is served by `jax.vmap`.
 """
 
 from __future__ import annotations
 
 import functools
 import itertools
+import warnings
 from collections import Counter
 from collections.abc import Callable, Sequence
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, TYPE_CHECKING
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 from jax import lax
-from jax.extend.core import ClosedJaxpr, Jaxpr, JaxprEqn, Literal
 from jaxtyping import Array
 
 from jaxid.arithmetic import fence
+from jaxid.program_form import bound, called, is_literal, is_program, plain, rearranged, scan_counts, UnknownForm, while_counts
+
+
+if TYPE_CHECKING:
+    from jax.extend.core import ClosedJaxpr, Jaxpr, JaxprEqn
 
 
 #: Arrays of more elements (per lane) stay whole.
@@ -44,7 +49,23 @@ def loop_over_time(loop: Callable[[], Any]) -> Any:
 
 
 def over_lanes(function: Callable[..., Any], in_axes: Sequence[int | None] | int = 0) -> Callable[..., Any]:
-    """`jax.vmap(function, in_axes)` for axes that are 0 or None, each of a whole argument; every output has the lanes first."""
+    """`jax.vmap(function, in_axes)` for axes that are 0 or None, each of a whole argument; every output has the lanes first.
+
+    Where the program has a form that is not known here, it is `jax.vmap` itself, and a `RuntimeWarning` says so once."""
+
+    def mapped(*args: Any) -> Any:
+        try:
+            return laid_out(function, in_axes)(*args)
+        except Exception as error:  # whatever is wrong with the function itself, `jax.vmap` says better
+            out = jax.vmap(function, in_axes if isinstance(in_axes, int) else tuple(in_axes))(*args)
+            _note(f"{type(error).__name__}: {error}")
+            return out
+
+    return mapped
+
+
+def laid_out(function: Callable[..., Any], in_axes: Sequence[int | None] | int = 0) -> Callable[..., Any]:
+    """As `over_lanes`, but raises where the program has a form that is not known here."""
 
     def mapped(*args: Any) -> Any:
         axes = [in_axes] * len(args) if isinstance(in_axes, int) else in_axes
@@ -60,6 +81,17 @@ def over_lanes(function: Callable[..., Any], in_axes: Sequence[int | None] | int
     return mapped
 
 
+_noted: list[str] = []
+
+
+def _note(reason: str) -> None:
+    """Says once in a process that lanes are mapped by `jax.vmap`."""
+    if not _noted:
+        _noted.append(reason)
+        told = f"JAX {jax.__version__} writes programs in a form that jaxid does not know ({reason.splitlines()[0][:200]})"
+        warnings.warn(f"{told}; the numbers are the same, but it takes longer", RuntimeWarning, stacklevel=4)
+
+
 class Value(NamedTuple):
     """What a variable of one lane holds for all of them: an array, [lanes ...] if batched, or (object array) its elements, each a
     vector [lanes] or a number that all lanes share."""
@@ -71,6 +103,13 @@ class Value(NamedTuple):
     def parted(self) -> bool:
         """Whether it is taken apart into elements."""
         return self.batched and isinstance(self.content, np.ndarray) and self.content.dtype == object
+
+    def checked(self, eqn: JaxprEqn, stated: Any) -> None:
+        """Raises `UnknownForm` where a value is not of the shape and type that the program states."""
+        shape = np.shape(self.content)[self.batched and not self.parted :]
+        some = self.content.flat[0] if self.parted and self.content.size else self.content
+        if shape != stated.shape or (some.dtype not in (stated.dtype, object)):
+            raise UnknownForm(f"{eqn.primitive.name} gives {some.dtype}{shape} for {stated}")
 
 
 def _spread(v: Value, lanes: int) -> Array:
@@ -107,7 +146,7 @@ def _filled(shape: tuple[int, ...], elements: Sequence[Any]) -> np.ndarray:
 ELEMENTWISE = frozenset(
     "add sub mul div rem neg sign abs max min floor ceil round exp exp2 expm1 log log1p sqrt rsqrt cbrt square pow integer_pow "
     "tanh sin cos tan asin acos atan atan2 sinh cosh asinh acosh atanh logistic erf erfc erf_inv is_finite nextafter not and or "
-    "xor eq ne lt le gt ge select_n clamp convert_element_type add_any copy".split()
+    "xor eq ne lt le gt ge select_n clamp convert_element_type add_any copy stop_gradient".split()
 )
 #: What XLA does not work out once more for each reader.
 EXPENSIVE = frozenset("div rem sqrt rsqrt cbrt pow exp exp2 expm1 log log1p tanh sin cos tan atan2 logistic erf erfc".split())
@@ -117,48 +156,10 @@ REDUCTIONS: dict[str, Callable[[Any, Any], Any]] = {
 }  # fmt: skip
 
 
-def _rearranged(name: str, params: dict[str, Any], arrays: list[np.ndarray]) -> list[np.ndarray] | None:
-    """Results of a primitive that only moves elements; None: it is none of them."""
-    x = arrays[0]
-    if name == "broadcast_in_dim":
-        shape = params["shape"]
-        wide = [1] * len(shape)
-        for place, size in zip(params["broadcast_dimensions"], x.shape, strict=True):
-            wide[place] = size
-        return [np.broadcast_to(x.reshape(wide), shape)]
-    if name == "reshape" and params.get("dimensions") is None:
-        return [x.reshape(params["new_sizes"])]
-    if name == "squeeze":
-        return [x.squeeze(tuple(int(d) for d in params["dimensions"]))]
-    if name == "transpose":
-        return [x.transpose(params["permutation"])]
-    if name == "slice":
-        strides = params["strides"] or (1,) * x.ndim
-        return [x[tuple(slice(*s) for s in zip(params["start_indices"], params["limit_indices"], strides, strict=True))]]
-    if name == "stack":
-        return [np.stack(arrays, params["axis"])]
-    if name == "concatenate":
-        return [np.concatenate(arrays, params["dimension"])]
-    if name == "rev":
-        return [np.flip(x, params["dimensions"])]
-    if name == "split":
-        return np.split(x, np.cumsum(params["sizes"])[:-1], params["axis"])
-    return None
-
-
-def _inner(eqn: JaxprEqn) -> ClosedJaxpr | None:
-    """The program that an equation only calls."""
-    if eqn.primitive.name in ("jit", "pjit"):
-        return eqn.params["jaxpr"]
-    if eqn.primitive.name in ("custom_jvp_call", "closed_call", "core_call"):
-        return eqn.params["call_jaxpr"]
-    return None
-
-
 def _work(jaxpr: Jaxpr) -> int:
     """Operations on elements, were all small arrays taken apart."""
     sizes = [_size(v) for eqn in jaxpr.eqns for v in eqn.outvars]
-    inner = [p for eqn in jaxpr.eqns for p in eqn.params.values() if isinstance(p, ClosedJaxpr)]
+    inner = [p for eqn in jaxpr.eqns for p in eqn.params.values() if is_program(p)]
     return sum(s for s in sizes if s <= SMALL) + sum(_work(p.jaxpr) for p in inner)
 
 
@@ -169,9 +170,9 @@ def _size(v: Any) -> int:
 def _dependent(jaxpr: Jaxpr, batched: Sequence[bool]) -> list[bool]:
     """Which results depend on the lane, given which arguments do."""
     env = dict(zip(jaxpr.invars, batched, strict=True))
-    read = lambda v: not isinstance(v, Literal) and env.get(v, False)
+    read = lambda v: not is_literal(v) and env.get(v, False)
     for eqn in jaxpr.eqns:
-        inner, flags = _inner(eqn), [read(v) for v in eqn.invars]
+        inner, flags = called(eqn), [read(v) for v in eqn.invars]
         out = _dependent(inner.jaxpr, flags) if inner is not None else [any(flags)] * len(eqn.outvars)
         env.update(zip(eqn.outvars, out, strict=True))
     return [read(v) for v in jaxpr.outvars]
@@ -228,10 +229,11 @@ class _Lanes:
         env: dict[Any, Value] = dict(zip(closed.jaxpr.constvars, (Value(c, False) for c in closed.consts), strict=True))
         env.update(zip(closed.jaxpr.invars, args, strict=True))
         constant: Any = lambda v: Value(jnp.asarray(v.val, v.aval.dtype), False)
-        read = lambda v: constant(v) if isinstance(v, Literal) else env[v]
-        readers = Counter(v for eqn in closed.jaxpr.eqns for v in eqn.invars if not isinstance(v, Literal))
+        read = lambda v: constant(v) if is_literal(v) else env[v]
+        readers = Counter(v for eqn in closed.jaxpr.eqns for v in eqn.invars if not is_literal(v))
         for eqn in closed.jaxpr.eqns:
             for v, value in zip(eqn.outvars, self._equation(eqn, [read(v) for v in eqn.invars]), strict=True):
+                value.checked(eqn, v.aval)
                 env[v] = self._stored(value) if readers[v] > 1 and value.parted else value
         return [read(v) for v in closed.jaxpr.outvars]
 
@@ -246,9 +248,9 @@ class _Lanes:
         return self._costs.get(id(element), (None, 0))[1]
 
     def _equation(self, eqn: JaxprEqn, args: list[Value]) -> list[Value]:
-        name, inner = eqn.primitive.name, _inner(eqn)
+        name, inner = eqn.primitive.name, called(eqn)
         if not any(a.batched for a in args):
-            return [Value(x, False) for x in _bound(eqn, [a.content for a in args])]
+            return [Value(x, False) for x in bound(eqn, [a.content for a in args])]
         if inner is not None:
             if self.level == 0 and eqn.params.get("name") == _NAME and _work(inner.jaxpr) <= LARGEST_STEP:
                 inside = _Lanes(self.lanes, 1)
@@ -274,7 +276,7 @@ class _Lanes:
 
     def _mapped(self, eqn: JaxprEqn, args: list[Value]) -> list[Value]:
         """As `jax.vmap` does it."""
-        run = jax.vmap(lambda *x: _bound(eqn, x), tuple(0 if a.batched else None for a in args))
+        run = jax.vmap(lambda *x: bound(eqn, x), tuple(0 if a.batched else None for a in args))
         return [Value(x, True) for x in run(*(_whole(a, self.lanes) for a in args))]
 
     def _together(self, operation: Callable[..., Any], *elements: Any) -> Any:
@@ -289,6 +291,8 @@ class _Lanes:
     def _by_elements(self, eqn: JaxprEqn, args: list[Value]) -> list[np.ndarray] | None:
         """Results taken apart; None where this primitive is not done that way."""
         name, params = eqn.primitive.name, eqn.params
+        if name not in ELEMENTWISE and not plain(eqn):
+            return None
         arrays = [_parts(a) for a in args]
         if name in ELEMENTWISE:
             done: dict[tuple[int, ...], Any] = {}
@@ -319,10 +323,10 @@ class _Lanes:
             rows = itertools.product(a.reshape(-1, a.shape[-1]), b.reshape(-1, b.shape[-1]))
             sums = [functools.reduce(add, [mul(p, q) for p, q in zip(x, y, strict=True)]) for x, y in rows]
             return [_filled((*a.shape[:-1], *b.shape[:-1]), sums)]
-        return _rearranged(name, params, arrays)
+        return rearranged(name, params, arrays)
 
     def _while(self, eqn: JaxprEqn, args: list[Value]) -> list[Value]:
-        p, nc, nb = eqn.params, eqn.params["cond_nconsts"], eqn.params["body_nconsts"]
+        p, (nc, nb) = eqn.params, while_counts(eqn)
         asked, done, init = args[:nc], args[nc : nc + nb], args[nc + nb :]
         flags = _settled(p["body_jaxpr"].jaxpr, [a.batched for a in done], [a.batched for a in init])
         each = _dependent(p["cond_jaxpr"].jaxpr, [*(a.batched for a in asked), *flags])[0]  # lanes end one by one
@@ -344,7 +348,7 @@ class _Lanes:
         return state.values(lax.while_loop(lambda c: jnp.any(c[0]), body, (goes_on(state.values(first)), first))[1])
 
     def _scan(self, eqn: JaxprEqn, args: list[Value]) -> list[Value]:
-        p, nc, n = eqn.params, eqn.params["num_consts"], eqn.params["num_carry"]
+        p, (nc, n) = eqn.params, scan_counts(eqn)
         consts, init, xs = args[:nc], args[nc : nc + n], args[nc + n :]
         inside = _Lanes(self.lanes, 2)
         flags = [[a.batched for a in part] for part in (consts, init, xs)]
@@ -372,10 +376,3 @@ class _Lanes:
             else:
                 found.append(Value(jnp.moveaxis(y[0], 1, 0) if batched else y[0], batched))
         return [*state.values(last), *found]
-
-
-def _bound(eqn: JaxprEqn, args: Sequence[Any]) -> list[Any]:
-    given: Any = eqn.primitive.get_bind_params(eqn.params)
-    functions, params = given if isinstance(given, tuple) else ((), given)  # a pair before JAX 0.10
-    out = eqn.primitive.bind(*functions, *args, **params)
-    return list(out) if eqn.primitive.multiple_results else [out]

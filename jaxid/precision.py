@@ -4,9 +4,14 @@ from __future__ import annotations
 
 from contextlib import AbstractContextManager
 
+from jaxid.versions import check_jax
+
 
 def float64() -> AbstractContextManager:
-    """Context in which JAX computes in float64; outside, the user's precision stands."""
+    """Context in which JAX computes in float64; outside, the user's precision stands.
+
+    Raises `UsageError` for a JAX that is too old."""
+    check_jax()
     import jax
 
     switch = getattr(jax, "enable_x64", None)

@@ -8,6 +8,8 @@ import sys
 from pathlib import Path
 from typing import Any
 
+from jaxid.versions import check_jax
+
 
 # XLA on the CPU runs small while loops op by op on one thread; with this limit the loop over samples counts as small.
 LOOP_FLAG = "--xla_backend_extra_options=xla_cpu_small_while_loop_byte_threshold=100000000"
@@ -26,11 +28,12 @@ def prepare(streaming: bool = False) -> None:
     Python's garbage collector runs more rarely.
 
     Call it before JAX is imported. `JAXID_XLA=0` leaves XLA's flags alone; `JAXID_CACHE_DIR` moves the cache; a
-    cache folder that cannot be written is left out silently.
+    cache folder that cannot be written is left out silently. Raises `UsageError` for a JAX that is too old.
 
     `streaming` is for a program that answers one sample at a time: JAX then dispatches in the thread that calls it and keeps one
     worker besides. Handing a small program from thread to thread takes as long as the program; fits, which are large, gain by it.
     """
+    check_jax()
     flags = os.environ.get("XLA_FLAGS", "")
     if os.environ.get("JAXID_XLA") != "0" and "xla_backend_extra_options" not in flags:
         os.environ["XLA_FLAGS"] = f"{flags} {LOOP_FLAG}".strip()

@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+from types import SimpleNamespace
+from typing import Any
+
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -10,11 +13,12 @@ import pytest
 from jaxid import lanes
 from jaxid.chain import Chain
 from jaxid.lane import EVEN, simulate_lane
-from jaxid.lanes import loop_over_time, over_lanes
+from jaxid.lanes import laid_out, loop_over_time, over_lanes
 from jaxid.layout import Layout
-from jaxid.models import Joint, PlanarArm
+from jaxid.models import Joint, MODELS, PlanarArm
 from jaxid.models.effects import Backlash, DeadZone, StribeckFriction
 from jaxid.precision import float64
+from jaxid.program_form import scan_counts, UnknownForm, while_counts
 from jaxid.samples import Samples
 
 
@@ -100,3 +104,77 @@ def test_models_move_alike(mechanism, effects):
         found, expected = (jax.jit(f(run, (0, 0, 0, None, None)))(*args) for f in (over_lanes, jax.vmap))
     assert np.ptp(np.asarray(expected)) > 0.1
     np.testing.assert_allclose(found, expected, rtol=0, atol=1e-9)
+
+
+@pytest.mark.parametrize("mechanism", MODELS, ids=lambda m: m.name)
+def test_every_model_takes_the_quick_path_with_this_jax(mechanism):
+    """Values and tangents as `jax.vmap` gives them; `laid_out` raises where it does not know the form of a program."""
+    chain = Chain(mechanism())
+    layout, n, rng = Layout(chain), 24, np.random.default_rng(1)
+    nu, ny, nq = len(chain.signature.inputs), len(chain.signature.outputs), chain.nq
+    theta = np.array([e.spec.value for e in layout.entries]) * rng.uniform(0.9, 1.1, (2, len(layout)))
+    with float64():
+        u = jnp.asarray(3 * np.sin(np.arange(n)[:, None] / 5 + np.arange(nu)))
+        samples = Samples(t=jnp.arange(n) * 5e-3, h=jnp.full(n, 5e-3), u=u, total=jnp.cumsum(u, 0), x=jnp.zeros((n, 3 * nq)),
+                          other=jnp.zeros((n, 0)), y=jnp.zeros((n, ny)), w=jnp.ones((n, ny)))  # fmt: skip
+        where = np.tile(np.array([0, 0, n - 1, 0], np.int32), (2, 1))
+
+        def run(theta, start, where, samples):
+            lane = lambda theta, start: simulate_lane(layout.model(theta), samples, where, start, steps, 64, EVEN, False)
+            if nq > 2:  # the step of a whole arm is mapped anyway
+                return lane(theta, start), lane(theta, start + 0.1)
+            return jax.jvp(lane, (theta, start), (0.1 * theta, start + 0.1))
+
+        steps = jnp.asarray(n)
+        options: Any = {"xla_backend_optimization_level": 0}
+        args = theta, np.zeros((2, 2 * nq)), where, samples
+        (found, slope), (expected, expected_slope) = (
+            jax.jit(f(run, (0, 0, 0, None))).lower(*args).compile(options)(*args) for f in (laid_out, jax.vmap)
+        )
+    assert np.ptp(np.asarray(expected)) > 0 and np.ptp(np.asarray(expected_slope)) > 0
+    np.testing.assert_allclose(found, expected, rtol=1e-9, atol=1e-9)
+    np.testing.assert_allclose(slope, expected_slope, rtol=1e-9, atol=1e-9)
+
+
+def test_an_unknown_form_is_left_to_vmap_and_told_once(monkeypatch):
+    A, x, table, steps = numbers()
+
+    def of_tomorrow(eqn):
+        raise KeyError("num_consts")
+
+    monkeypatch.setattr(lanes, "scan_counts", of_tomorrow)
+    monkeypatch.setattr(lanes, "_noted", [])
+    with float64():
+        expected = jax.jit(jax.vmap(looped, AXES))(A, x, table, steps)
+        with pytest.warns(RuntimeWarning, match=r"JAX .* writes programs in a form .*num_consts") as said:
+            for _ in range(2):
+                np.testing.assert_allclose(jax.jit(over_lanes(looped, AXES))(A, x, table, steps), expected, rtol=1e-9, atol=1e-9)
+    assert len([w for w in said if "form" in str(w.message)]) == 1
+
+
+def test_errors_of_the_function_itself_are_those_of_vmap(monkeypatch):
+    monkeypatch.setattr(lanes, "_noted", [])
+    for f in (over_lanes, jax.vmap):
+        with pytest.raises(TypeError, match="contracting"):
+            f(lambda x: x @ jnp.ones((3, 3)))(jnp.ones((4, 2)))
+    assert lanes._noted == []
+
+
+def test_an_equation_that_says_something_else_is_refused():
+    def loops(x):
+        x, _ = jax.lax.scan(lambda s, k: (s * x, k), x, jnp.arange(3))
+        return jax.lax.while_loop(lambda s: jnp.sum(s) < x[0], lambda s: s + x, x)
+
+    def like(e: Any, params: dict, invars: Any = None) -> Any:
+        return SimpleNamespace(primitive=e.primitive, invars=invars or e.invars, outvars=e.outvars, params=params)
+
+    found = {e.primitive.name: e for e in jax.make_jaxpr(loops)(jnp.ones(2)).eqns}
+    for name, counts in (("scan", scan_counts), ("while", while_counts)):
+        eqn = found[name]
+        assert counts(eqn) == counts(like(eqn, dict(eqn.params))) == (1, 1)
+        for key in eqn.params.keys() - {"length", "reverse", "unroll", "linear", "_split_transpose"}:
+            renamed = {k if k != key else f"{k}_of_tomorrow": v for k, v in eqn.params.items()}
+            with pytest.raises(UnknownForm, match=name):
+                counts(like(eqn, renamed))
+        with pytest.raises(UnknownForm):
+            counts(like(eqn, eqn.params, eqn.invars[1:]))
