@@ -4,11 +4,19 @@ from __future__ import annotations
 
 from contextlib import AbstractContextManager
 
+from jaxid import forked
+from jaxid.program_cache import keep_compiled
+
 
 def float64() -> AbstractContextManager:
-    """Context in which JAX computes in float64; outside, the user's precision stands."""
+    """Context in which JAX computes in float64; outside, the user's precision stands.
+
+    Every computation passes here, so it is also where one that would never end, in a forked process, is refused.
+    """
+    forked.begin_to_compute()
     import jax
 
+    keep_compiled()
     switch = getattr(jax, "enable_x64", None)
     if switch is None:  # JAX before 0.8
         import jax.experimental
