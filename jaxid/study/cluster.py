@@ -105,8 +105,9 @@ def running_cluster(address: str) -> Iterator[Cluster]:
     distributed = distributed_()
     try:
         kind = asyncio.run(asyncio.wait_for(_kind(address), CONNECT_S))
-    except (TimeoutError, OSError, ValueError, TypeError, RuntimeError, ImportError) as error:
-        why = str(error) or f"nothing within {CONNECT_S:g} s"
+    except Exception as error:  # what is no scheduler answers anything
+        silent = isinstance(error, TimeoutError | asyncio.TimeoutError)
+        why = f"nothing within {CONNECT_S:g} s" if silent else str(error) if isinstance(error, OSError) else "it speaks otherwise"
         raise UsageError(f"--scheduler {address}: no scheduler answers there ({why}); start one with `dask scheduler`") from None
     if kind != "Scheduler":
         raise UsageError(f"--scheduler {address}: that is a {kind.lower()}, no scheduler; `dask scheduler` tells its address")

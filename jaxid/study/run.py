@@ -13,7 +13,7 @@ from jaxid.errors import UsageError
 from jaxid.study.cluster import Cluster, cores, local_cluster, running_cluster
 from jaxid.study.coordinator import Coordinator, Stop
 from jaxid.study.outcome import FAILURES, of_row, Outcome
-from jaxid.study.plan import read_study, Study
+from jaxid.study.plan import read_study, Study, StudyError
 from jaxid.study.store import NotBegun, Store
 from jaxid.study.supervisor import SOLVER
 
@@ -108,7 +108,7 @@ def run_study(
     from jaxid.study.tables import write_tables
 
     _check_places(scheduler, cluster, interface)
-    study = read_study(path)
+    study = _read(path, check)
     began, notes = time.monotonic(), []
     with Store(study.store) as store:
         damaged = store.acquire()
@@ -144,6 +144,18 @@ def run_study(
         if complete:
             write_tables(result, store)
         return result
+
+
+def _read(path: str | Path, check: bool) -> Study:
+    """The study; where it has faults, `check` adds those of the names in it, so that they are told all at once."""
+    try:
+        return read_study(path)
+    except StudyError:
+        if check:
+            from jaxid.study.check import check_study
+
+            check_study(path)
+        raise
 
 
 def _place(

@@ -104,7 +104,7 @@ def _certificate(folder: Path) -> tuple[Any, dict[str, Path]]:
 
 
 def _worker(scheduler: str, interface: str, files: dict[str, Path]) -> list[str]:
-    """How a worker is started: its message port on the interface alone and by TLS, its HTTP port on loopback and without pages."""
+    """How a worker is started: its message port on the interface alone and by TLS, its HTTP port on loopback, without pages."""
     options: dict[str, Any] = {
         "--nthreads": 1,
         "--nworkers": 1,
