@@ -29,9 +29,9 @@ SHARE = float(os.environ.get("JAXID_RELIABILITY", "1"))
 COMMANDS, CALLS, CALLS_A_PROCESS = 60, 940, 94
 TOLERANCE = 1e-9
 TEXT = (
-    "One bit is flipped at a random place of the whole cache (traced and compiled programs, each bit as likely as any other), then "
-    "the programs are used. Right is an answer within 1e-9, relatively, of that with an untouched cache. Each damaged program was "
-    "removed and made anew; the others are files that this answer does not need."
+    "One bit is flipped at a random place of the whole cache (traced and compiled programs, each bit as likely as any other), "
+    "then the programs are used. Right is an answer within 1e-9, relatively, of that with an untouched cache. Each damaged "
+    "program was removed and made anew; the others are files that this answer does not need."
 )
 
 
