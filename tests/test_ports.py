@@ -11,7 +11,6 @@ import stat
 import subprocess
 import sys
 import time
-from collections.abc import Callable
 from pathlib import Path
 
 import psutil
@@ -70,11 +69,8 @@ def fake_slurm(tmp_path, monkeypatch):
 def workers_of(folder: Path) -> list[psutil.Process]:
     """The dask workers that a fake `sbatch` started."""
     key = str(folder.parent)
-    return [
-        p
-        for p in psutil.process_iter(["cmdline"])
-        if any(key in a for a in p.info["cmdline"] or ()) and "--tls-key" in p.info["cmdline"]
-    ]
+    lines = {p: p.info["cmdline"] or [] for p in psutil.process_iter(["cmdline"])}
+    return [p for p, line in lines.items() if "--tls-key" in line and any(key in part for part in line)]
 
 
 def test_a_local_cluster_listens_nowhere(home):
@@ -186,7 +182,8 @@ def test_what_answers_otherwise(home, monkeypatch):
 def test_a_scheduler_that_dies(home, running_scheduler):
     """What was finished is kept, and the sentence is no fault of a file."""
     address, _ = running_scheduler
-    (scheduler,) = [p for p in psutil.Process().children() if "distributed.cli.dask_scheduler" in p.cmdline()]
+    port = int(address.rpartition(":")[2])
+    (scheduler,) = [p for p in psutil.Process().children() if port in {at for _, at in listening(p)}]
     study = write_study(home, "seeds = 200")
     code = (
         "import sys; from jaxid.study import run_study; from jaxid.study.coordinator import StudyFailed\n"
@@ -195,9 +192,8 @@ def test_a_scheduler_that_dies(home, running_scheduler):
         "try: run_study(sys.argv[1], scheduler=sys.argv[2], solver=solver, check=False, heard=heard)\n"
         "except StudyFailed as error: print('StudyFailed', error)"
     )
-    process = subprocess.Popen(
-        [sys.executable, "-c", code, str(study), address], stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True
-    )
+    command = [sys.executable, "-c", code, str(study), address]
+    process = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
     try:
         assert process.stdout is not None
         done = 0
@@ -214,25 +210,28 @@ def test_a_scheduler_that_dies(home, running_scheduler):
     assert study_status(study)[2].done >= done
 
 
-COMMANDS: dict[str, Callable[[Path], list[str]]] = {
-    "emulate ur10": lambda out: ["emulate", "ur10"],
-    "emulate dynamixel": lambda out: ["emulate", "dynamixel", "--port", str(out / "servo")],
-}
-
-
-@pytest.mark.parametrize("command", COMMANDS)
-def test_commands_listen_on_loopback_alone(tmp_path, command):
+@pytest.mark.parametrize("command", [["emulate", "ur10"], ["emulate", "dynamixel"], ["fit", "small", "--out", "out", "--quiet"]])
+def test_commands_listen_on_loopback_alone(home, command):
+    emulates = command[0] == "emulate"
     process = subprocess.Popen(
-        [sys.executable, "-m", "jaxid.cli", *COMMANDS[command](tmp_path)], stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL
+        [sys.executable, "-m", "jaxid.cli", *command],
+        cwd=home,
+        stdin=subprocess.PIPE,
+        stdout=subprocess.PIPE,
+        stderr=subprocess.DEVNULL,
+        env=os.environ | {"PYTHONPATH": str(Path(__file__).resolve().parents[1])},
     )
     try:
-        seen, until = set(), time.monotonic() + (40 if command == "emulate ur10" else 6)
-        while time.monotonic() < until and process.poll() is None and len(seen) < 3:
-            time.sleep(0.2)
+        assert process.stdout is not None
+        if emulates:
+            process.stdout.readline()  # it tells its address when it listens
+        seen, until = set(), time.monotonic() + (1 if emulates else 100)
+        while time.monotonic() < until and process.poll() is None:
             seen |= listening(psutil.Process(process.pid))
-        assert process.poll() is None
+            time.sleep(0.1)
+        assert process.poll() is None if emulates else process.returncode == 0
         assert not beyond_loopback(seen)
-        assert bool(seen) == (command == "emulate ur10")  # a servo is a serial port
+        assert bool(seen) == (command[1] == "ur10")  # a servo is a serial line
     finally:
         process.kill()
-        process.wait()
+        process.communicate()

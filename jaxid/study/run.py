@@ -166,7 +166,7 @@ def _place(
         from jaxid.study.slurm import slurm_cluster
 
         return slurm_cluster(store, workers and min(workers, tasks), interface)
-    return running_cluster(scheduler) if scheduler else local_cluster(min(workers or cores(), tasks))
+    return running_cluster(scheduler) if scheduler is not None else local_cluster(min(workers or cores(), tasks))
 
 
 def _check_places(scheduler: str | None, cluster: str | None, interface: str | None) -> None:
