@@ -137,7 +137,7 @@ def worker(cache: Path, expected: Path, seed: int, flips: int) -> None:
         """What four programs say that were just read from the cache, as the programs of a fit are."""
         jax.clear_caches()
         with float64():
-            told = [Traced(f, f"{f.__name__} of this benchmark")(X) for f in (swing, solved, spectrum, steepest)]
+            told = [Traced(f, f"{f.__name__} of this benchmark")(X) for f in (squares, spread, bent, mixed)]
         return np.concatenate([np.ravel(t) for t in told])
 
     if not flips:
@@ -157,36 +157,20 @@ def worker(cache: Path, expected: Path, seed: int, flips: int) -> None:
 X = np.linspace(0.1, 1.3, 40)
 
 
-def swing(x):
-    """A pendulum over time, for each start."""
-    import jax
-    import jax.numpy as jnp
-
-    def step(state, _):
-        q, v = state
-        v = v - 0.01 * (9.81 * jnp.sin(q) + 0.2 * v + 0.1 * jnp.tanh(v / 0.01))
-        return (q + 0.01 * v, v), q
-
-    return jax.lax.scan(step, (x, 0 * x), length=200)[1][::20]
+def squares(x):
+    return (x**2).sum() * x
 
 
-def solved(x):
-    import jax.numpy as jnp
-
-    a = jnp.exp(-((x[:, None] - x) ** 2)) + 0.1 * jnp.eye(x.size)
-    return jnp.linalg.solve(a, jnp.sin(x))
+def spread(x):
+    return x[:, None] * x - x.mean()
 
 
-def spectrum(x):
-    import jax.numpy as jnp
-
-    return jnp.abs(jnp.fft.rfft(jnp.cos(7 * x)))
+def bent(x):
+    return (x**3 - 0.3 * x) @ x
 
 
-def steepest(x):
-    import jax
-
-    return jax.grad(lambda x: (swing(x) ** 2).sum())(x)
+def mixed(x):
+    return x.reshape(8, 5) @ x.reshape(5, 8)
 
 
 if __name__ == "__main__":
