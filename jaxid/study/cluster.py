@@ -37,10 +37,10 @@ class Cluster:
 
 
 def distributed_() -> Any:
-    """dask.distributed. Where this is its first import it keeps to itself in which order its parts closed."""
+    """dask.distributed. Where this is its first import it keeps to itself in which order its parts closed, or failed to."""
     from dask import config
 
-    with config.set({"logging.distributed": "critical"}):
+    with config.set({"logging": {"distributed": "critical", "distributed.client": "critical"}}):
         import distributed
     return distributed
 
