@@ -12,6 +12,7 @@ import subprocess
 import sys
 import time
 from pathlib import Path
+from typing import Any
 
 import psutil
 import pytest
@@ -149,7 +150,12 @@ def test_jobs_that_slurm_ended(home, fake_slurm, monkeypatch):
 
 
 def test_places_that_exclude_each_other(home):
-    for more in ({"scheduler": "tcp://10.0.0.1:1", "cluster": "local"}, {"interface": "lo"}, {"cluster": "slum"}):
+    excluding: list[dict[str, Any]] = [
+        {"scheduler": "tcp://10.0.0.1:1", "cluster": "local"},
+        {"interface": "lo"},
+        {"cluster": "slum"},
+    ]
+    for more in excluding:
         with pytest.raises(jaxid.UsageError, match="--cluster|--interface"):
             run_study(write_study(home), solver=SOLVE, check=False, **more)
 
