@@ -90,7 +90,7 @@ def commands(home: Path) -> dict:
         done = fit()
         right = done.returncode == 0 and np.allclose(answer(), expected, rtol=TOLERANCE, atol=0)
         kind = "right" if right else "crashes" if done.returncode < 0 else "errors" if done.returncode else "wrong"
-        count.update({"flips": 1, kind: 1, "made anew": mended(file, flipped)})
+        count.update({"flips": 1, kind: 1, "made anew": int(mended(file, flipped))})
         print(dict(count), flush=True)
     return row(count, cache)
 
