@@ -8,6 +8,8 @@ from importlib import import_module as _import_module
 from pathlib import Path as _Path
 from typing import TYPE_CHECKING as _TYPE_CHECKING
 
+from jaxid import forked as _forked  # noqa: F401  it has to be there when a process is forked
+
 
 if _TYPE_CHECKING:
     from jaxid import fitters as fitters, models as models

@@ -344,7 +344,8 @@ def explain(error: Exception) -> tuple[int, str]:
     if isinstance(error, NotSaved):
         return FAILED, f"{error}. Make room, or name another folder with --out"
     if isinstance(error, OSError):
-        return BAD_INPUT, f"{error.filename or 'file'}: {error.strerror or error}"
+        why = error.strerror or str(error) or type(error).__name__
+        return (BAD_INPUT, f"{error.filename}: {why}") if error.filename else (FAILED, why)
     if isinstance(error, MemoryError):
         return FAILED, "not enough memory"
     return FAILED, f"internal error, {type(error).__name__}: {error} (JAXID_TRACEBACK=1 shows where; please report it)"

@@ -14,12 +14,16 @@ from jaxid.cli import FAILED, INTERRUPTED, output_options, SUCCESS
 
 @click.command()
 @click.argument("study", type=click.Path())
-@click.option("--workers", type=click.IntRange(1, 4096), metavar="N", help="Processes on this computer; default: one a core.")
+@click.option(
+    "--workers", type=click.IntRange(1, 4096), metavar="N", help="Processes on this computer; default: one a core. slurm: jobs."
+)
 @click.option("--scheduler", metavar="ADDRESS", help="Run on the dask cluster of this scheduler, as in tcp://10.0.0.1:8786.")
+@click.option("--cluster", type=click.Choice(["local", "slurm"]), help="Start workers: here (the default), or by SLURM's sbatch.")
+@click.option("--interface", metavar="NAME", help="slurm: the network between the nodes, as in ib0; all goes by TLS.")
 @click.option("--status", is_flag=True, help="Only say how far the study is, also while it runs elsewhere.")
 @click.option("--retry", is_flag=True, help="Run tasks again that failed, crashed or took too long.")
 @output_options
-def batch(study, workers, scheduler, status, retry, as_json, quiet) -> int:
+def batch(study, workers, scheduler, cluster, interface, status, retry, as_json, quiet) -> int:
     """Run many fits or diagnoses: every combination that STUDY.toml lists.
 
     Writes study.sqlite, and at the end runs.parquet, runs.csv and report.html, into the study's `store`. Started again, it goes
@@ -35,7 +39,8 @@ def batch(study, workers, scheduler, status, retry, as_json, quiet) -> int:
 
     with Table(quiet) as table:
         try:
-            result = run_study(study, workers=workers, scheduler=scheduler, retry=retry, heard=table.show)
+            place = {"workers": workers, "scheduler": scheduler, "cluster": cluster, "interface": interface}
+            result = run_study(study, **place, retry=retry, heard=table.show)
         except StudyFailed as error:
             terminal.complain(str(error))
             return FAILED

@@ -4,16 +4,22 @@ from __future__ import annotations
 
 from contextlib import AbstractContextManager
 
+from jaxid import forked
+from jaxid.program_cache import keep_compiled
 from jaxid.versions import check_jax
 
 
 def float64() -> AbstractContextManager:
     """Context in which JAX computes in float64; outside, the user's precision stands.
 
-    Raises `UsageError` for a JAX that is too old."""
+    Every computation passes here, so it is also where one that would never end, in a forked process, is refused. Raises
+    `UsageError` for a JAX that is too old.
+    """
     check_jax()
+    forked.begin_to_compute()
     import jax
 
+    keep_compiled()
     switch = getattr(jax, "enable_x64", None)
     if switch is None:  # JAX before 0.8
         import jax.experimental

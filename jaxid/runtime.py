@@ -8,6 +8,7 @@ import sys
 from pathlib import Path
 from typing import Any
 
+from jaxid.program_cache import own_folder, want
 from jaxid.versions import check_jax
 
 
@@ -24,11 +25,12 @@ class Interrupted(KeyboardInterrupt):
 
 
 def prepare(streaming: bool = False) -> None:
-    """Sets XLA's flags, the platform, NumPy's threads and the compilation cache by environment variables; values already set win.
-    Python's garbage collector runs more rarely.
+    """Sets XLA's flags, the platform and NumPy's threads by environment variables (values already set win), and the cache of
+    programs. Python's garbage collector runs more rarely.
 
-    Call it before JAX is imported. `JAXID_XLA=0` leaves XLA's flags alone; `JAXID_CACHE_DIR` moves the cache; a
-    cache folder that cannot be written is left out silently. Raises `UsageError` for a JAX that is too old.
+    Call it before JAX is imported. `JAXID_XLA=0` leaves XLA's flags alone; `JAXID_CACHE_DIR` moves the cache, as does JAX's own
+    `JAX_COMPILATION_CACHE_DIR`; a cache folder that cannot be written is left out silently, one of another user with a line. Raises
+    `UsageError` for a JAX that is too old.
 
     `streaming` is for a program that answers one sample at a time: JAX then dispatches in the thread that calls it and keeps one
     worker besides. Handing a small program from thread to thread takes as long as the program; fits, which are large, gain by it.
@@ -40,11 +42,13 @@ def prepare(streaming: bool = False) -> None:
     os.environ.setdefault("JAX_PLATFORMS", "cpu")
     # NumPy's matrices are small here; more threads only wait for each other (measured: 3 to 5 times the CPU time).
     os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
-    folder = cache_folder()
+    chosen = os.environ.get("JAX_COMPILATION_CACHE_DIR")
+    folder = cache_folder() if not chosen else own_folder(Path(chosen)) if "://" not in chosen else None
     if folder is not None:
-        os.environ.setdefault("JAX_COMPILATION_CACHE_DIR", str(folder))
+        want(folder)
         os.environ.setdefault("JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS", "0")
         os.environ.setdefault("JAX_PERSISTENT_CACHE_MIN_ENTRY_SIZE_BYTES", "-1")
+        os.environ.setdefault("JAX_PERSISTENT_CACHE_ENABLE_XLA_CACHES", "none")  # XLA reads those itself, unchecked
     # Tracing a program makes hundreds of thousands of objects that live on; going through them again and again takes a tenth.
     gc.set_threshold(100_000, 50, 50)
     if streaming:
@@ -55,13 +59,11 @@ def prepare(streaming: bool = False) -> None:
 
 
 def cache_folder() -> Path | None:
-    """The folder of the compilation cache, made if missing; None where it cannot be written."""
+    """The folder of the cache of programs, made if missing; None where it cannot be written or is another user's."""
     try:
-        folder = Path(os.environ.get("JAXID_CACHE_DIR") or _user_cache() / "jaxid")
-        folder.mkdir(parents=True, exist_ok=True)
-    except (OSError, RuntimeError):  # RuntimeError: no home folder
+        return own_folder(Path(os.environ.get("JAXID_CACHE_DIR") or _user_cache() / "jaxid"))
+    except RuntimeError:  # no home folder
         return None
-    return folder if os.access(folder, os.W_OK) else None
 
 
 def _user_cache() -> Path:

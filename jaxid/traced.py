@@ -9,10 +9,7 @@ model of the user's own, the program is traced as ever.
 from __future__ import annotations
 
 import hashlib
-import os
 import sys
-import tempfile
-import time
 from collections.abc import Callable, Iterator, Sequence
 from functools import cache
 from pathlib import Path
@@ -22,9 +19,7 @@ import equinox as eqx
 import jax
 import numpy as np
 
-
-#: A kept program that was not read for so long (s) is removed when another one is written.
-UNUSED_S = 60 * 24 * 3600.0
+from jaxid.program_cache import CacheFolder, TRACED
 
 
 class Traced:
@@ -38,37 +33,55 @@ class Traced:
         leaves, tree = jax.tree.flatten(args)
         call = self._calls.get(kind := (tree, _shapes(leaves)))
         if call is None:
-            file = self._file(kind)
-            if file is None:
+            name = self._name(kind)
+            if name is None:
                 return self._plain(*args)
-            call = self._calls[kind] = self._read_or_trace(file, leaves, tree)
+            call = self._calls[kind] = self._read_or_trace(name, leaves, tree, kind)
         return call(*leaves)
 
     def kept(self, *args: Any) -> bool:
         """Whether the trace for such arguments lies on disk."""
         leaves, tree = jax.tree.flatten(args)
-        file = self._file((tree, _shapes(leaves)))
-        return file is not None and file.exists()
+        name = self._name((tree, _shapes(leaves)))
+        return name is not None and _folder().has(name)
 
-    def _file(self, kind: Any) -> Path | None:
-        folder = self._key and jax.config.values["jax_compilation_cache_dir"]
-        if not folder:
+    def _name(self, kind: Any) -> str | None:
+        """What the trace for a kind of arguments is called; None where it is not kept."""
+        place = jax.config.values["jax_compilation_cache_dir"]
+        if not self._key or not place or "://" in place:
             return None
-        name = hashlib.sha256(f"{self._key}{kind[0]}{kind[1]}{jax.default_backend()}".encode()).hexdigest()
-        return Path(folder) / "traced" / f"{name}.stablehlo"
+        return hashlib.sha256(f"{self._key}{kind[0]}{kind[1]}{jax.default_backend()}".encode()).hexdigest() + ".stablehlo"
 
-    def _read_or_trace(self, file: Path, leaves: list[Any], tree: Any) -> Callable[..., Any]:
+    def _read_or_trace(self, name: str, leaves: list[Any], tree: Any, kind: Any) -> Callable[..., Any]:
         plain = lambda *leaves: self._plain(*jax.tree.unflatten(tree, leaves))
+        folder = _folder()
         try:
             from jax import export
 
-            kept = _read(file)
+            kept = folder.read(name)
             if kept is None:
                 kept = bytes(export.export(jax.jit(plain))(*leaves).serialize())
-                _write(file, kept)
-            return jax.jit(export.deserialize(bytearray(kept)).call)
-        except Exception:  # no writable folder, no flatbuffers, an operation or a file that cannot be read back: nothing is lost
+                folder.write(name, kept)
+            read = jax.jit(export.deserialize(bytearray(kept)).call)
+        except Exception:  # no flatbuffers, an operation or a file that cannot be read back: nothing is lost
             return plain
+
+        def first(*leaves: Any) -> Any:
+            """Only the first call shows whether this JAX can compile what it read."""
+            try:
+                out = read(*leaves)
+                self._calls[kind] = read
+            except Exception:
+                out = plain(*leaves)
+                self._calls[kind] = plain
+                folder.remove(name)
+            return out
+
+        return first
+
+
+def _folder() -> CacheFolder:
+    return CacheFolder(Path(jax.config.values["jax_compilation_cache_dir"]) / TRACED)
 
 
 def _shapes(leaves: Sequence[Any]) -> tuple:
@@ -115,23 +128,3 @@ def _own_sources() -> str:
             status = file.stat()
             found.append(f"{file.name} {status.st_size} {status.st_mtime_ns}")
     return hashlib.sha256("\n".join(found).encode()).hexdigest()
-
-
-def _read(file: Path) -> bytes | None:
-    try:
-        content = file.read_bytes()
-        os.utime(file)
-    except OSError:
-        return None
-    return content or None
-
-
-def _write(file: Path, content: bytes) -> None:
-    """All of it or nothing, also where several processes write it at once; makes room where old ones lie."""
-    file.parent.mkdir(parents=True, exist_ok=True)
-    with tempfile.NamedTemporaryFile(dir=file.parent, delete=False) as part:
-        part.write(content)
-    os.replace(part.name, file)
-    for old in file.parent.glob("*"):
-        if time.time() - old.stat().st_mtime > UNUSED_S:
-            old.unlink(missing_ok=True)

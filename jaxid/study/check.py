@@ -20,8 +20,6 @@ from jaxid.study.plan import dataset_problems, parse_study, Runs, Study, StudyEr
 def check_study(path: str | Path) -> Study:
     """Reads a study and everything it names. Raises `StudyError` with every mistake at once."""
     study, problems = parse_study(path)
-    if study is None:
-        raise StudyError(problems)
     data: dict[str, Dataset] = {}
     for folder, label in {t.dataset: t.label for t in study.tasks.values()}.items():
         try:
@@ -34,7 +32,8 @@ def check_study(path: str | Path) -> Study:
     for runs in study.runs:
         problems += _Check(runs, places).problems(data)
     if problems:
-        raise StudyError(list(dict.fromkeys(problems)))
+        own = lambda p: (p.file != study.path.name, p.row or 0 if p.file == study.path.name else 0)
+        raise StudyError(sorted(dict.fromkeys(problems), key=own))
     return study
 
 

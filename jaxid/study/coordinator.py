@@ -6,7 +6,9 @@ that run in the same compiled programs stay on the same worker and form batches 
 
 from __future__ import annotations
 
+import asyncio
 import collections
+import concurrent.futures
 import contextlib
 import json
 import queue
@@ -40,6 +42,8 @@ RENEW_S, WORKERS_S = 5.0, 1.0
 GRACE_S, ARRIVE_S = 0.7, 0.35
 #: How long the parts of a cluster may take to close after Ctrl-C, when everything is saved.
 HURRY_S = 0.3
+
+GONE = "the scheduler has gone; what was finished is saved, start the same command again"
 
 Heard = Callable[["Coordinator"], None]
 
@@ -151,8 +155,19 @@ class Coordinator:
         """Which workers there are; they may come and go."""
         if time.monotonic() - self._looked < WORKERS_S:
             return
-        self.workers = dict(self.client.nthreads())
+        self.workers = dict(self._asked(self.client.nthreads))
         self._looked = time.monotonic()
+        if not self.workers and (why := self.cluster.hopeless()):
+            raise StudyFailed(f"{why}; what was finished is saved, start the same command again")
+
+    def _asked(self, question: Callable[..., Any], *arguments: Any, **more: Any) -> Any:
+        """The cluster's answer; a scheduler that is gone is no fault of a file or a task."""
+        try:
+            return question(*arguments, **more)
+        except (OSError, RuntimeError, concurrent.futures.CancelledError, asyncio.CancelledError) as error:
+            if isinstance(error, StudyFailed):
+                raise
+            raise StudyFailed(f"{GONE} ({error or type(error).__name__})") from error
 
     def _hand_out(self) -> None:
         busy = collections.Counter(b.worker for b in self.batches.values())
@@ -204,7 +219,8 @@ class Coordinator:
     def _submit(self, batch: Batch) -> None:
         tasks = list(batch.tasks.values())
         content = json.dumps([t.settings | {"key": t.key, "group": t.group} for t in tasks])
-        future = self.client.submit(
+        future = self._asked(
+            self.client.submit,
             supervisor.run_batch,
             self.cluster.session,
             self.command,
@@ -227,7 +243,7 @@ class Coordinator:
                 keys.append(self.arrived.get_nowait())
         back = [(self.batches.pop(k), self.futures.pop(k)) for k in keys if k in self.batches]
         good = [f for _, f in back if f.status == "finished"]
-        answers = dict(zip([f.key for f in good], self.client.gather(good), strict=True)) if good else {}
+        answers = dict(zip([f.key for f in good], self._asked(self.client.gather, good), strict=True)) if good else {}
         for batch, future in back:
             if future.key in answers:
                 self._take(batch, json.loads(answers[future.key]))
@@ -280,7 +296,7 @@ class Coordinator:
     def _lost(self, batch: Batch, future: Any) -> None:
         """The cluster lost the batch: its worker died more often than the scheduler allows, or the scheduler is gone."""
         if self.client.status not in ("running", "newly-created") or future.status == "cancelled":
-            raise StudyFailed("the scheduler has gone; what was finished is saved, start the same command again")
+            raise StudyFailed(GONE)
         error = future.exception()
         if type(error).__name__ != "KilledWorker":
             raise StudyFailed(f"the cluster cannot run a batch: {type(error).__name__}: {error}")

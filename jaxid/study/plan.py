@@ -197,13 +197,13 @@ def read_study(path: str | Path) -> Study:
     and fit the data is asked by `jaxid.study.check.check_study`.
     """
     study, problems = parse_study(path)
-    if problems or study is None:
+    if problems:
         raise StudyError(problems)
     return study
 
 
-def parse_study(path: str | Path) -> tuple[Study | None, list[Problem]]:
-    """The study as far as it could be read, and its faults."""
+def parse_study(path: str | Path) -> tuple[Study, list[Problem]]:
+    """The study as far as it could be read, so that all it names can be looked at, and its faults."""
     path = Path(path)
     text, raw = _toml(path)
     places = Places(path.name, text)
@@ -218,20 +218,23 @@ def parse_study(path: str | Path) -> tuple[Study | None, list[Problem]]:
         if entry is not None:
             entries[index] = entry
             document.problems += _meaningless(entry, ("runs", index), places)
+        elif isinstance(value, dict):
+            sound = {k: v for k, v in value.items() if k not in document.faulty.get(("runs", index), ())}
+            entries[index] = RunsEntry.model_construct(**{"command": "fit", "datasets": []} | sound)
     total = sum(entry.count for entry in entries.values())
     if total > MOST:
         document.problems.append(
             places.problem(("runs",), f"{total} tasks are more than a study can hold ({MOST})", "Divide it into several studies")
         )
-        return None, document.problems
     folders = _Folders(path.parent, places, document)
-    parts = tuple(Runs(k, e, tuple(_tasks(e, ("runs", k), folders))) for k, e in entries.items())
+    tasks_of = lambda k, e: tuple(_tasks(e, ("runs", k), folders)) if total <= MOST else ()
+    parts = tuple(Runs(k, e, tasks_of(k, e)) for k, e in entries.items())
     tasks: dict[str, Task] = {}
     for part in parts:
         for task in part.tasks:
             tasks.setdefault(task.key, task)
     if head is None:
-        return None, document.problems
+        return Study(path, "", "", path.parent, tasks, parts), document.problems
     store = path.parent / head.store
     try:
         if store.is_file():

@@ -4,15 +4,16 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable, Sequence
+from contextlib import AbstractContextManager
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
-from jaxid.errors import NotSaved
-from jaxid.study.cluster import cores, local_cluster, running_cluster
+from jaxid.errors import NotSaved, UsageError
+from jaxid.study.cluster import Cluster, cores, local_cluster, running_cluster
 from jaxid.study.coordinator import Coordinator, Stop
 from jaxid.study.outcome import FAILURES, of_row, Outcome
-from jaxid.study.plan import read_study, Study
+from jaxid.study.plan import read_study, Study, StudyError
 from jaxid.study.store import NotBegun, Store
 from jaxid.study.supervisor import SOLVER
 
@@ -88,6 +89,8 @@ def run_study(
     *,
     workers: int | None = None,
     scheduler: str | None = None,
+    cluster: str | None = None,
+    interface: str | None = None,
     retry: bool = False,
     heard: Callable[[Progress], None] = lambda progress: None,
     solver: Sequence[str] = SOLVER,
@@ -95,8 +98,9 @@ def run_study(
 ) -> StudyResult:
     """Runs what of a study has no result yet, and writes its tables and report when all is there.
 
-    `workers` are processes on this computer (default: one a core); `scheduler` is the address of a dask cluster instead; `retry`
-    runs failed tasks again; `heard` is called a few times a second; `solver` is what computes, behind the name of the Python, and
+    `workers` are processes on this computer (default: one a core); `scheduler` is the address of a dask cluster instead;
+    `cluster` is "local" (this computer) or "slurm": `workers` jobs of one core, on the network `interface`; `retry` runs failed
+    tasks again; `heard` is called a few times a second; `solver` is what computes, behind the name of the Python, and
     `check` whether models and data are looked at first. Ctrl-C, SIGTERM and SIGHUP save what was finished: `interrupted`.
 
     Raises `StudyError` for a study with mistakes, `StoreError` where the store cannot be used or another process runs it,
@@ -104,7 +108,8 @@ def run_study(
     """
     from jaxid.study.tables import write_tables
 
-    study = read_study(path)
+    _check_places(scheduler, cluster, interface)
+    study = _read(path, check)
     began, notes = time.monotonic(), []
     with Store(study.store) as store:
         damaged = store.acquire()
@@ -125,10 +130,9 @@ def run_study(
             store.remember("checked", study.digest)
         new, complete = 0, not left
         if left:
-            threads = workers or cores()
-            place = running_cluster(scheduler) if scheduler else local_cluster(min(threads, len(left)))
-            with Stop() as stop, place as cluster:
-                coordinator = Coordinator(store, left, cluster, solver)
+            place = _place(study.store, len(left), workers, scheduler, cluster, interface)
+            with Stop() as stop, place as found:
+                coordinator = Coordinator(store, left, found, solver)
 
                 def tell(c: Coordinator) -> None:
                     now = time.monotonic() - began
@@ -146,6 +150,39 @@ def run_study(
                     result, unsaved=f"{error}. All results are in study.sqlite: make room, start the same command again"
                 )
         return result
+
+
+def _read(path: str | Path, check: bool) -> Study:
+    """The study; where it has faults, `check` adds those of the names in it, so that they are told all at once."""
+    try:
+        return read_study(path)
+    except StudyError:
+        if check:
+            from jaxid.study.check import check_study
+
+            check_study(path)
+        raise
+
+
+def _place(
+    store: Path, tasks: int, workers: int | None, scheduler: str | None, cluster: str | None, interface: str | None
+) -> AbstractContextManager[Cluster]:
+    """Where the tasks run."""
+    if cluster == "slurm":
+        from jaxid.study.slurm import slurm_cluster
+
+        return slurm_cluster(store, workers and min(workers, tasks), interface)
+    return running_cluster(scheduler) if scheduler is not None else local_cluster(min(workers or cores(), tasks))
+
+
+def _check_places(scheduler: str | None, cluster: str | None, interface: str | None) -> None:
+    """Settings that would be ignored are refused."""
+    if cluster not in (None, "local", "slurm"):
+        raise UsageError(f"--cluster {cluster}: there is local and slurm")
+    if scheduler is not None and cluster is not None:
+        raise UsageError("--cluster starts workers, --scheduler uses those that run: leave one of them out")
+    if interface is not None and cluster != "slurm":
+        raise UsageError("--interface is for --cluster slurm: on one computer nothing listens on any network")
 
 
 def summary(result: StudyResult) -> dict[str, Any]:
