@@ -29,8 +29,8 @@ def prepare(streaming: bool = False) -> None:
     programs. Python's garbage collector runs more rarely.
 
     Call it before JAX is imported. `JAXID_XLA=0` leaves XLA's flags alone; `JAXID_CACHE_DIR` moves the cache, as does JAX's own
-    `JAX_COMPILATION_CACHE_DIR`; a cache folder that cannot be written is left out silently, one of another user with a line. Raises
-    `UsageError` for a JAX that is too old.
+    `JAX_COMPILATION_CACHE_DIR`; a cache folder that cannot be written is left out silently, one of another user with a line.
+    Raises `UsageError` for a JAX that is too old.
 
     `streaming` is for a program that answers one sample at a time: JAX then dispatches in the thread that calls it and keeps one
     worker besides. Handing a small program from thread to thread takes as long as the program; fits, which are large, gain by it.
