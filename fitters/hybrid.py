@@ -18,8 +18,8 @@ class Hybrid(AbstractFitter):
     """A population, then bounded Levenberg-Marquardt on its `descents` best distinct points and on the start values, all as one
     batch; recommended where nothing is known of the start. Works on every loss.
 
-    The population takes at most `share` of what is left of budget and time; the rest is for the descents. Every round starts anew, until one ends in the lowest
-    minimum so far once more, or after `rounds`.
+    The population takes at most `share` of what is left of budget and time; the rest is for the descents. Every round starts
+    anew, until one ends in the lowest minimum so far once more, or after `rounds`.
     """
 
     name: ClassVar[str] = "hybrid"

@@ -140,7 +140,8 @@ class Log:
         """The result; its loss is computed by the one program that all fitters share."""
         loss = self.problem.loss(z)
         if loss >= PENALTY:
-            converged, stalled, stopped = False, False, "the simulation diverges at every candidate; give other start values or narrower bounds"
+            converged = stalled = False
+            stopped = "the simulation diverges at every candidate; give other start values or narrower bounds"
         return Minimum(z, loss, converged, stopped, self.evaluations, self.history, self.seconds, stalled)
 
 
@@ -163,7 +164,8 @@ def sampling_box(problem: AbstractProblem, guess: np.ndarray) -> tuple[np.ndarra
 class Course(NamedTuple):
     """A population search between generations: the method's own state, the best candidate that each slot has had, the loss of the
     best start (infinite without one), and the lowest loss that the search found itself at its last gain, with the generations
-    since. Starts do not count as a gain: next to a good one a population is worse for a long time, and on its way all the same."""
+    since. A start is no gain: beside a good one all that a population finds is worse for long, and it is on its way all the same.
+    """
 
     state: Any
     points: Any  # [pop dim]
@@ -311,8 +313,8 @@ class AbstractPopulation(AbstractFitter):
         course: Course | None = None,
         most: int | None = None,
     ) -> Searching[Ended]:
-        """One run of the method until a stopping rule holds. With a `course` it goes on from there; `most` generations, if that is less than the method's own. Every evaluation is counted in the log. `answered`
-        takes it to its end."""
+        """One run of the method until a stopping rule holds. With a `course` it goes on from there; `most` generations, if that
+        is less than the method's own. Every evaluation is counted in the log. `answered` takes it to its end."""
         now = (yield from self._begin(problem, starts, key, log)) if course is None else course
         wanted = self.generations if most is None else min(self.generations, most)
         generations = int(min(wanted, log.left // self.cost(problem)))
