@@ -139,6 +139,7 @@ def _diagnosed(question: Question, scatter: timing.Scatter | None = None) -> tup
     if progress:
         progress("how far", 0, 1, "report data")
 
+    repeated = any(n.source == "repeatability" for n in binding.noise.values())
     before, note = _before(binding, search.nominal)
     alike = scatter.bench(bench) if scatter else bench
 
@@ -179,9 +180,11 @@ def _diagnosed(question: Question, scatter: timing.Scatter | None = None) -> tup
         how_far = how_far if verdict == judged else measure(verdict, final.theta)
     if verdict == "none" and binding.experiments("report") and "report" not in question.still:
         if astray(how_far.per_run, how_far.per_regime, how_far.gap_retuned):
-            told, follow = [knowledge(final.path)], [final.path]
-            within = held_out(bench, "report", [final.theta], residual, told, follow)[0]
-            if places := astray(*shrinking.parts(bench, residual, "report", within), within.gap_settled):
+            # Scatter between repeated runs is taken up whole by a refit to report runs: that would show nothing.
+            follow = [None if repeated else final.path]
+            within = held_out(bench, "report", [final.theta], residual, [knowledge(final.path)], follow)[0]
+            places = astray(*shrinking.parts(bench, residual, "report", within), within.gap_settled)
+            if places or within.gap_settled > SEEN:
                 verdict, text = "unknown", not_reached(places, how_far.gap_retuned)
                 how_far = measure(verdict, final.theta)
     estimates = _effect_estimates(binding, final, named)
@@ -202,7 +205,6 @@ def _diagnosed(question: Question, scatter: timing.Scatter | None = None) -> tup
         pair = (search.nominal, looked.rival) if looked.rival else None
     rivals = None if by_torque or pair is None else rivals_of(bench, pair)
     which = Which(verdict, estimates if named else (), tuple(EffectEstimate(c.effect, c.location) for c in mates), ranking, text)
-    repeated = any(n.source == "repeatability" for n in binding.noise.values())
     advised = advice(
         verdict, [c.effect for c in named], [c.effect for c in mates], rivals, looked.unseen, repeated, question.still
     )
