@@ -70,7 +70,8 @@ def torque(path: tuple[np.ndarray, ...], load: np.ndarray | None = None) -> np.n
     if load is not None:
         bodies[-1] += load
     _, q, qd, qdd = path
-    return torques(*table, bodies, drives, (q, qd, qdd)) + (LEVEL + VISCOUS * np.abs(qd) ** EXPONENT) * np.sign(qd)
+    rigid = torques(table[0], table[1], table[2], bodies, drives, (q, qd, qdd))
+    return rigid + (LEVEL + VISCOUS * np.abs(qd) ** EXPONENT) * np.sign(qd)
 
 
 PATHS = [motion(3), motion(8)]
