@@ -90,6 +90,11 @@ def step_count(e: Experiment, step: float) -> int:
     return int(pieces(e, step).sum()) + 1
 
 
+def divided_alike(experiments: Sequence[Experiment], step: float, other: float) -> bool:
+    """Whether two steps divide every sampling interval into the same number: the simulations are then the same."""
+    return all(np.array_equal(pieces(e, step), pieces(e, other)) for e in experiments)
+
+
 def build(
     dataset: Dataset,
     experiments: Sequence[Experiment],
