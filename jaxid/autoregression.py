@@ -12,12 +12,12 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from jaxid.samples import LONG
+
 
 #: The longest autoregression tried.
 ORDER = 8
 ROUNDS = 40
-#: Series of more samples are transformed one by one, for memory's sake.
-LONG = 1 << 17
 
 
 @dataclass(frozen=True)
@@ -156,7 +156,7 @@ def transform_length(n: int) -> int:
 
 
 def _correlated(covariance: np.ndarray, x: np.ndarray) -> np.ndarray:
-    """The Toeplitz matrix of an autocovariance times x [samples columns]; of a long series column by column."""
+    """The Toeplitz matrix of an autocovariance times x [samples columns]; for memory's sake column by column if long."""
     n = len(x)
     if n > LONG and x.shape[1] > 1:
         out = np.empty_like(x)

@@ -20,6 +20,9 @@ SUCCESS, FAILED, BAD_INPUT, INTERRUPTED = 0, 1, 2, 130
 RESIDUALS = ("output_error", "multiple_shooting", "inverse_dynamics", "frequency_response", "closed_loop")
 LOSSES = ("sum_of_squares", "sum_of_norms", "sum_of_abs")
 
+#: Bytes of the largest file that `--parameters` reads.
+LARGEST_JSON = 64_000_000
+
 T = TypeVar("T")
 
 
@@ -105,6 +108,7 @@ def fit(dataset, out, model, fitter, effects, without, residual, loss, seed, bud
     Writes fit.json and report.html into DIR.
     """
     jaxid, data = start(dataset, out)
+    foretell("fit", model, data, quiet)
     with terminal.Progress(quiet) as progress:
         result = keeping_partial(
             out,
@@ -311,6 +315,14 @@ def start(dataset: str, out: Path) -> tuple[Any, Any]:
     return jaxid, data
 
 
+def foretell(work: str, model: str | None, data: Any, quiet: bool) -> None:
+    """Says on standard error what long work will take."""
+    from jaxid.capacity import foreseen
+
+    if not quiet and (wanted := foreseen(work, model, data)).large:
+        terminal.complain(wanted)
+
+
 def writable_folder(out: Path) -> None:
     """Makes the folder, or says why nothing could be written there."""
     from jaxid.errors import UsageError
@@ -330,13 +342,21 @@ def read_parameters(path: Path) -> dict[str, Any]:
 
     wanted = 'it needs {"parameters": {"inertia": {"value": 0.08}}, "effects": []}'
     try:
-        content = json.loads(path.read_text(encoding="utf-8"))
+        with path.open("rb") as file:
+            text = file.read(LARGEST_JSON + 1)
+        if len(text) > LARGEST_JSON:
+            raise UsageError(
+                f"--parameters {path}: larger than {LARGEST_JSON / 1e6:.0f} MB; a fit.json takes some kB. Name that file"
+            )
+        content = json.loads(text.decode("utf-8"))
     except OSError as error:
         raise UsageError(f"--parameters {path}: cannot be read ({error.strerror})") from error
     except json.JSONDecodeError as error:
         raise UsageError(
             f"--parameters {path}: not JSON, line {error.lineno} column {error.colno}: {error.msg}; {wanted}"
         ) from error
+    except UsageError:
+        raise
     except (ValueError, RecursionError) as error:
         raise UsageError(f"--parameters {path}: not JSON text; {wanted}") from error
     if not isinstance(content, dict) or not isinstance(content.get("parameters"), dict):

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 import click
 
 from jaxid import terminal
-from jaxid.cli import DATASET, MODEL, OUT, output_options, start, SUCCESS
+from jaxid.cli import DATASET, foretell, MODEL, OUT, output_options, start, SUCCESS
 
 
 if TYPE_CHECKING:
@@ -52,6 +52,7 @@ def identify(dataset, out, model, method, friction, cutoff, motion_cutoff, refer
     jaxid, data = start(dataset, out)
     from jaxid.results import finite, save_json
 
+    foretell("identify", model, data, quiet)
     with terminal.Progress(quiet):
         result = jaxid.identify(
             model, data, method=method, friction=friction, cutoff_hz=cutoff, motion_hz=motion_cutoff, reference=reference,

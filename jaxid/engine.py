@@ -27,9 +27,9 @@ from jaxid.lane import Lane, reach_of, WINDOWED
 from jaxid.lanes import over_lanes
 from jaxid.layout import Layout
 from jaxid.precision import float64
-from jaxid.samples import BLOCK, bucket, Record, Samples
+from jaxid.samples import BLOCK, bucket, LONG, Record, Samples
 from jaxid.traced import key_of, Traced
-from jaxid.windows import LONG, windowed, Windows
+from jaxid.windows import windowed, Windows
 
 
 #: Lanes of one block: enough for vector code, few enough to stay in the cache; and of each block of a call that has few of them.
@@ -216,8 +216,10 @@ class Engine:
         share: float = 1.0,
         along: tuple[np.ndarray, np.ndarray] | None = None,
     ) -> Windows | None:
-        """The lanes of `outputs`, or with `along` (dtheta, dstart) of `tangents`, window by window, all in one program; None where
-        records are short, or where their series is made of the whole."""
+        """The lanes of `outputs`, or with `along` (dtheta, dstart) of `tangents`, window by window, all in one program.
+
+        None where records are short, or where their series is made of the whole.
+        """
         if not self.long:
             return None
         numbers, states = [self.theta_of(theta, record)], [start]

@@ -45,10 +45,13 @@ class Bench:
         self._runs: dict[tuple[str, str], Runs] = {}
         self._begun: dict[tuple[str, bytes], Begun] = {}
         self._forgotten = 0.0  # seconds of compiling for runs that were let go
+        samples.refuse_endless(self.binding.dataset.experiments, self.step)
         # One shape for all splits, and for the half step that a search may go over to: one program.
         room = min(self.step, samples.STEP / 2)
         self._shape = self._largest({e.name: samples.step_count(e.whole, room) for e in self.binding.dataset.experiments})
         self._rows = self._largest({e.name: len(e.t) for e in self.binding.dataset.experiments})
+        if self._shape[1] > samples.LONG:  # compiling once more costs less than the memory of buffers that are mostly empty
+            self._shape = self._rows = 0, 0
 
     def _largest(self, steps: dict[str, int]) -> tuple[int, int]:
         """Steps of the fit runs and a split beside them, and of the longest experiment."""

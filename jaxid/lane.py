@@ -115,16 +115,34 @@ def _stepping(chain, samples, where, start, reach, burn, body=None, wanted=None)
 
 
 def simulate_window(
-    chain: Chain, samples: Samples, where: Array, start: Array, at: Array, carry: Any, steps: Array, size: int, reach: int, burn: bool
+    chain: Chain,
+    samples: Samples,
+    where: Array,
+    start: Array,
+    at: Array,
+    carry: Any,
+    steps: Array,
+    size: int,
+    reach: int,
+    burn: bool,
 ) -> tuple[Any, Float[Array, "size ny"]]:
-    """The steps `at` ... `at + size` of what `simulate_lane` does (those of the lead count), from the state that the window before
-    them left, and the state that they leave; `steps` of them are wanted. No record effects."""
+    """The steps `at` ... `at + size` of what `simulate_lane` does (those of the lead count), and the state that they leave, from
+    the state that the window before them left; `steps` of them are wanted. No record effects."""
     _, initial, step = _stepping(chain, samples, where, start, reach, burn)
     return _window(step, initial, at, carry, steps, size, len(chain.signature.outputs))
 
 
 def torque_window(
-    chain: Chain, samples: Samples, where: Array, start: Array, at: Array, carry: Any, steps: Array, size: int, reach: int, burn: bool
+    chain: Chain,
+    samples: Samples,
+    where: Array,
+    start: Array,
+    at: Array,
+    carry: Any,
+    steps: Array,
+    size: int,
+    reach: int,
+    burn: bool,
 ) -> tuple[Any, Float[Array, "size nq"]]:
     """The same of `torque_lane`."""
     initial, step = _torques(chain, samples, where, reach)

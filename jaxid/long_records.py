@@ -16,9 +16,13 @@ from jaxid.windows import TOGETHER, WINDOW
 Key = tuple[int, int]
 
 
-def rows_by_windows(jobs: Sequence[tuple[Any, np.ndarray]], lanes: Any, share: float, pieces: bool, whole: Callable) -> Iterator[Rows]:
-    """`Problem.rows` of long records: the lanes of some records side by side, window by window. `whole(jobs, lanes)` does it where
-    windows cannot be taken; without `pieces` the rows of a record are put together again."""
+def rows_by_windows(
+    jobs: Sequence[tuple[Any, np.ndarray]], lanes: Any, share: float, pieces: bool, whole: Callable
+) -> Iterator[Rows]:
+    """`Problem.rows` of long records: the lanes of some records side by side, window by window.
+
+    `whole(jobs, lanes)` does it where windows cannot be taken; without `pieces` the rows of a record are put together again.
+    """
     engine, differences = jobs[0][0].runs.engine, jobs[0][0].differences
     for keys in _batches(lanes, TOGETHER):
         own = lanes.only([k for part in keys.values() for k in part])
@@ -47,7 +51,9 @@ def _batches(lanes: Any, most: int) -> Iterator[dict[Key, list[int]]]:
         yield batch
 
 
-def _pieces(jobs: Sequence[tuple[Any, np.ndarray]], lanes: Any, keys: dict[Key, list[int]], windows: Any, share: float) -> Iterator[Rows]:
+def _pieces(
+    jobs: Sequence[tuple[Any, np.ndarray]], lanes: Any, keys: dict[Key, list[int]], windows: Any, share: float
+) -> Iterator[Rows]:
     """Rows of each window of each record."""
     begin, members = 0, []
     for job, row in keys:
@@ -75,7 +81,14 @@ def _run(index: np.ndarray) -> slice | np.ndarray:
 
 
 def _linear(
-    out: Sequence[np.ndarray], lanes: Any, own: range, places: Any, w: np.ndarray, steps: Any, columns: list[int], differences: int
+    out: Sequence[np.ndarray],
+    lanes: Any,
+    own: range,
+    places: Any,
+    w: np.ndarray,
+    steps: Any,
+    columns: list[int],
+    differences: int,
 ) -> tuple[np.ndarray, np.ndarray]:
     """Prediction of a record in one window, and its derivative along each of its columns, weighted [columns samples outputs]."""
     J = np.zeros((len(columns), *w.shape))

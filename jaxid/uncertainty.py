@@ -13,8 +13,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from jaxid.autoregression import Autoregression, autoregressions, LONG, Part, score_covariance, student, transform_length
+from jaxid.autoregression import Autoregression, autoregressions, Part, score_covariance, student, transform_length
 from jaxid.problem import Problem, rows
+from jaxid.samples import LONG
 
 
 #: A direction of the scaled Gauss-Newton matrix with an eigenvalue below this share of the largest is not determined.

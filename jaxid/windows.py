@@ -24,8 +24,8 @@ from jaxid.precision import float64
 if TYPE_CHECKING:
     from jaxid.engine import Engine, Programs
 
-#: Records of more steps than LONG are taken in windows of WINDOW steps.
-LONG, WINDOW = 1 << 17, 1 << 15
+#: Records of more steps than LONG are taken in windows of so many.
+WINDOW = 1 << 15
 #: Lanes of one program; at most so many lanes go side by side.
 WIDTH, TOGETHER = 16, 64
 

@@ -11,6 +11,7 @@ import numpy as np
 
 from jaxid import catalogue
 from jaxid.binding import bind, Binding, JITTER, resolve_model
+from jaxid.capacity import need, shortened
 from jaxid.diagnosis import how_far as shrinking, timing, where as location
 from jaxid.diagnosis.choice import ALIKE, WHITE
 from jaxid.diagnosis.evidence import held_out, inflation, knowledge, worth
@@ -87,6 +88,8 @@ def run_diagnosis(
     if effects is not None and known:
         raise UsageError(f"{known[0]} is part of the model already{nearest(known[0], set(allowed) - set(known))}")
     library = [k for n in allowed if n not in present and nominal.offers(k := catalogue.effect_class(n))]
+    places = sum(len(nominal.offers(k)) for k in library)
+    dataset = shortened(dataset, need("diagnose", dataset, nominal.nq, places)) if dataset.experiments else dataset
     binding = bind(model, dataset, without=without, candidates=library)
     if not binding.dataset.experiments:
         raise UsageError("a diagnosis needs recorded runs; this dataset holds frequency responses alone: fit it")
