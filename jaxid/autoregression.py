@@ -152,7 +152,7 @@ def transform_length(n: int) -> int:
     """A length of Fourier transforms that holds a series of n samples and all its lags: short where a series is long."""
     from scipy.fft import next_fast_len
 
-    return 1 << int(np.ceil(np.log2(2 * n + 1))) if n <= LONG else next_fast_len(2 * n + 1, real=True)
+    return 1 << int(np.ceil(np.log2(2 * n + 1))) if n <= LONG else int(next_fast_len(2 * n + 1, real=True) or 0)
 
 
 def _correlated(covariance: np.ndarray, x: np.ndarray) -> np.ndarray:

@@ -80,16 +80,16 @@ def simulate_lane(
     """
     nq = chain.nq
     offset, _, last, lead = where
-    body, initial, step = _stepping(chain, samples, where, start, reach, burn, body, wanted)
+    prepared, initial, step = _stepping(chain, samples, where, start, reach, burn, body, wanted)
     y = over_time(step, initial, steps, length, len(chain.signature.outputs))
     k = jnp.arange(length)
     beyond = jnp.maximum(offset + k - last, 0) * samples.h[last]  # the loop goes on to the end of its block, and so does time
     times, even = samples.t[jnp.minimum(offset + k, last)] + beyond, samples.h[offset] if reach == EVEN else None
     y = y[jnp.minimum(lead + k, length - 1)] if burn else y
-    return chain.recorded(times, y, even, chain.begins(body, start[:nq], start[nq:])[1])
+    return chain.recorded(times, y, even, chain.begins(prepared, start[:nq], start[nq:])[1])
 
 
-def _stepping(chain, samples, where, start, reach, burn, body=None, wanted=None) -> tuple[Any, Carry, Callable]:
+def _stepping(chain, samples, where, start, reach, burn, body=None, wanted=None) -> tuple[Mechanism, Carry, Callable]:
     """(mechanism with its effects, how a record begins, one step of it) of `simulate_lane`."""
     nq = chain.nq
     offset, first, last, lead = where

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator, Sequence
 from typing import Any
 
+import jax.numpy as jnp
 import numpy as np
 
 from jaxid.objective import LOSSES, penalised, Rows
@@ -124,6 +125,7 @@ def losses_by_windows(problem: Any, z: np.ndarray, whole: Callable[[np.ndarray],
     """Loss of each row of z [pop size]; `whole(z)()` gives it where windows cannot be taken."""
     engine, runs, records = problem.runs.engine, problem.runs, np.array(problem.records)
     loss, data, out = LOSSES[problem.loss_name], problem.data, np.empty(len(z))
+    summed: Any = loss.summed
     each = max(1, TOGETHER // records.size)
     for begin in range(0, len(z), each):
         some = z[begin : begin + each]
@@ -144,6 +146,6 @@ def losses_by_windows(problem: Any, z: np.ndarray, whole: Callable[[np.ndarray],
                     at = r.samples[low:high]
                     w = problem.weights[at]
                     e = np.where(w > 0, y[lane][at - r.offset - first[lane]] - runs.targets[at], 0.0)
-                    total[lane // records.size] += np.asarray(loss.summed(e, w * e)).sum(0)
-            out[begin : begin + each] = np.asarray(penalised(loss.total(total, data.count, data.norm)))
+                    total[lane // records.size] += np.asarray(summed(e, w * e)).sum(0)
+            out[begin : begin + each] = np.asarray(penalised(loss.total(jnp.asarray(total), data.count, data.norm)))
     return out

@@ -325,7 +325,8 @@ class Lanes(NamedTuple):
     def only(self, some: Sequence[int]) -> Lanes:
         """Some of the lanes."""
         at = np.asarray(some, int)
-        return Lanes([self.of[k] for k in some], *(a[at] for a in self[1:6]), self.steps)
+        theta, start, dtheta, dstart, record = (a[at] for a in self[1:6])
+        return Lanes([self.of[k] for k in some], theta, start, dtheta, dstart, record, self.steps)
 
 
 def lanes_of(jobs: Sequence[tuple[Problem, np.ndarray]]) -> Lanes:
@@ -360,10 +361,10 @@ def lanes_of(jobs: Sequence[tuple[Problem, np.ndarray]]) -> Lanes:
     return Lanes(lanes, theta, start, dtheta, dstart, record, steps)
 
 
-def _rows(jobs: Sequence[tuple[Problem, np.ndarray]], lanes: Lanes, share: float) -> Iterator[Rows]:
+def _rows(jobs: Sequence[tuple[Problem, np.ndarray]], given: Lanes, share: float) -> Iterator[Rows]:
     """Rows of each job and record, from whole records."""
     runs, differences = jobs[0][0].runs, jobs[0][0].differences
-    lanes, theta, start, dtheta, dstart, record, steps = lanes
+    lanes, theta, start, dtheta, dstart, record, steps = given
     seen = {r: _seen(runs, r, share) for r in {r for p, _ in jobs for r in p.records}}
     rest = Counter((j, row) for j, row, *_ in lanes)
     order = list(rest)  # the rows of a job come in the order of its records

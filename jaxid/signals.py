@@ -41,7 +41,7 @@ def zero_phase_stretches(
 
     n = len(t)
     grid, uniform = _grid(t)
-    slowest = float(np.max(np.abs(sos2zpk(_sections(grid, cutoff_hz, order))[1])))
+    slowest = float(np.max(np.abs(np.asarray(sos2zpk(_sections(grid, cutoff_hz, order))[1]))))
     margin = int(1.3 * np.log(1e-15) / np.log(slowest)) + _padding(grid, cutoff_hz, order)
     stretch = max(stretch, 4 * margin)
     for a in range(0, n, stretch) if n > stretch + 2 * margin else [0]:
