@@ -38,7 +38,9 @@ def pendulum(rows: int) -> dict[str, np.ndarray]:
     """One run from rest with dry friction, by semi-implicit steps."""
     rng = np.random.default_rng(0)
     t = np.arange(rows) / RATE
-    u = 0.25 * sum(np.sin(2 * np.pi * f * t + p) for f, p in zip(rng.uniform(0.1, 2.5, 6), rng.uniform(0, 6.28, 6), strict=True))
+    u = np.zeros(rows)
+    for f, p in zip(rng.uniform(0.1, 2.5, 6), rng.uniform(0, 6.28, 6), strict=True):
+        u += 0.25 * np.sin(2 * np.pi * f * t + p)
     angle = speed = 0.0
     q = np.empty(rows)
     for k, torque in enumerate(u.tolist()):
@@ -55,8 +57,10 @@ def arm(rows: int, seed: int) -> dict[str, np.ndarray]:
     out = {"t": t}
     for j in range(7):
         a, p, w = rng.uniform(0.02, 0.15, 5), rng.uniform(0, 6.28, 5), 2 * np.pi * 0.1 * np.arange(1, 6)
-        q = sum(a[h] * np.sin(w[h] * t + p[h]) for h in range(5))
-        v = sum(a[h] * w[h] * np.cos(w[h] * t + p[h]) for h in range(5))
+        q, v = np.zeros(rows), np.zeros(rows)
+        for size, speed, phase in zip(a, w, p, strict=True):
+            q += size * np.sin(speed * t + phase)
+            v += size * speed * np.cos(speed * t + phase)
         out[f"q{j + 1}"] = q - 1.5 * (j == 3) + 1e-5 * rng.standard_normal(rows)
         out[f"tau{j + 1}"] = 5 * np.sin(q) + 2 * np.tanh(v / 0.01) + v + 0.05 * rng.standard_normal(rows)
     return out

@@ -103,8 +103,7 @@ def test_identification_by_stretches(monkeypatch, method):
     for stretch in (1 << 15, 1000):
         monkeypatch.setattr(signals, "STRETCH", stretch)
         monkeypatch.setattr(identification_rows, "STRETCH", stretch)
-        defaults = signals.zero_phase_stretches.__defaults__
-        monkeypatch.setattr(signals.zero_phase_stretches, "__defaults__", (stretch, *defaults[1:]))
+        monkeypatch.setattr(signals.zero_phase_stretches, "__defaults__", (stretch, signals.ORDER))
         found.append(jaxid.identify(None, data, method=method, friction="linear", cutoff_hz=20.0))
     a, b = found
     assert np.allclose(a.theta, b.theta, rtol=1e-6, atol=1e-6 * np.abs(a.theta).max())
