@@ -7,6 +7,7 @@ from typing import Any
 
 from jaxid import catalogue, closed_loop as closed_loop, frequency as frequency  # register their residuals
 from jaxid.binding import bind, Binding
+from jaxid.capacity import foreseen, refuse_too_large
 from jaxid.comparison import Comparison
 from jaxid.errors import nearest, UsageError
 from jaxid.experiment import Dataset
@@ -34,8 +35,10 @@ def fit(
 
     `model` is an id, a mechanism, a chain, or None for the one that the dataset names; `effects` (`dead_zone@tau`) are added
     and fitted, `without` takes built-in ones out. Raises `UsageError` for arguments that do not fit; a fit that fails is a
-    `Fit` with `failed` set and a sentence in `stopped_because`.
+    `Fit` with `failed` set and a sentence in `stopped_because`. More rows than there is memory for are refused before anything
+    is computed.
     """
+    refuse_too_large(foreseen("fit", model, dataset))
     binding = bind(model, dataset, effects=effects, without=without)
     return _fit(binding, fitter, residual, loss, seed, budget, progress)
 
@@ -66,7 +69,8 @@ def diagnose(
 ) -> Diagnosis:
     """Says where the model is wrong, which effect is missing, and how far the gap shrinks once it is added.
 
-    `effects` limits the candidates (ids; default: all that the model lacks), `max_effects` how many may be named.
+    `effects` limits the candidates (ids; default: all that the model lacks), `max_effects` how many may be named. Of recordings
+    that would need more memory than there is, or more than about an hour, the first part is looked at, and a note says so.
     """
     from jaxid.diagnosis import run_diagnosis
 

@@ -12,6 +12,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from jaxid.samples import LONG
+
 
 #: The longest autoregression tried.
 ORDER = 8
@@ -81,13 +83,17 @@ def autoregressions(parts: Sequence[Part], inverse: np.ndarray) -> list[Autoregr
     before = np.array([f.covariance(order + 1) for f in found])
     for _ in range(ROUNDS):
         noise = [f.covariance(max(len(p.r) for p in parts)) for f in found]
-        RQ = [[_correlated(noise[c], q[c]) for c in range(columns)] for q in Q]
-        G = sum(q[c].T @ rq[c] for q, rq in zip(Q, RQ, strict=True) for c in range(columns))
-        taken = np.zeros_like(raw)
-        for q, rq in zip(Q, RQ, strict=True):
+        G, crosses = np.zeros(inverse.shape), []
+        for q in Q:
             for c in range(columns):
-                cross = _products(q[c], rq[c], order)
-                taken[c] += cross + cross.T - _products(q[c], q[c] @ G, order)
+                rq = _correlated(noise[c], q[c])
+                G = G + q[c].T @ rq
+                crosses.append(_products(q[c], rq, order))
+        taken, cross = np.zeros_like(raw), iter(crosses)
+        for q in Q:
+            for c in range(columns):
+                both = next(cross)
+                taken[c] += both + both.T - _products(q[c], q[c] @ G, order)
         found = [_fitted(m + t / n, k, n) for m, t, k, n in zip(raw, taken, orders, count, strict=True)]
         now = np.array([f.covariance(order + 1) for f in found])
         if np.all(np.abs(now - before) <= 1e-3 * now[:, :1]):
@@ -142,10 +148,22 @@ def _products(a: np.ndarray, b: np.ndarray, order: int) -> np.ndarray:
     return np.array([[float(lag(a, i) @ lag(b, j)) for j in range(order + 1)] for i in range(order + 1)])
 
 
+def transform_length(n: int) -> int:
+    """A length of Fourier transforms that holds a series of n samples and all its lags: short where a series is long."""
+    from scipy.fft import next_fast_len
+
+    return 1 << int(np.ceil(np.log2(2 * n + 1))) if n <= LONG else int(next_fast_len(2 * n + 1, real=True) or 0)
+
+
 def _correlated(covariance: np.ndarray, x: np.ndarray) -> np.ndarray:
-    """The Toeplitz matrix of an autocovariance times x [samples columns]."""
+    """The Toeplitz matrix of an autocovariance times x [samples columns]; for memory's sake column by column if long."""
     n = len(x)
-    length = 1 << int(np.ceil(np.log2(2 * n)))
+    if n > LONG and x.shape[1] > 1:
+        out = np.empty_like(x)
+        for k in range(x.shape[1]):
+            out[:, k : k + 1] = _correlated(covariance, x[:, k : k + 1])
+        return out
+    length = 1 << int(np.ceil(np.log2(2 * n))) if n <= LONG else transform_length(n)
     circle = np.zeros(length)
     circle[:n] = covariance[:n]
     circle[length - n + 1 :] = covariance[1:n][::-1]

@@ -104,6 +104,7 @@ def fit(dataset, out, model, fitter, effects, without, residual, loss, seed, bud
     Writes fit.json and report.html into DIR.
     """
     jaxid, data = start(dataset, out)
+    foretell("fit", model, data, quiet)
     from jaxid.text import fit_text
 
     with Output(out, as_json, quiet) as output:
@@ -297,6 +298,14 @@ def start(dataset: str, out: Path) -> tuple[Any, Any]:
     return jaxid, data
 
 
+def foretell(work: str, model: str | None, data: Any, quiet: bool) -> None:
+    """Says on standard error what long work will take."""
+    from jaxid.capacity import foreseen
+
+    if not quiet and (wanted := foreseen(work, model, data)).large:
+        terminal.complain(wanted)
+
+
 def read_parameters(path: Path) -> dict[str, Any]:
     """The content of a FIT.json; only `parameters` is needed."""
     from jaxid.errors import UsageError
@@ -313,6 +322,8 @@ def read_parameters(path: Path) -> dict[str, Any]:
         raise UsageError(
             f"--parameters {path}: not JSON, line {error.lineno} column {error.colno}: {error.msg}; {wanted}"
         ) from error
+    except UsageError:
+        raise
     except (ValueError, RecursionError) as error:
         raise UsageError(f"--parameters {path}: not JSON text; {wanted}") from error
     if not isinstance(content, dict) or not isinstance(content.get("parameters"), dict):

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 
 import click
 
-from jaxid.cli import DATASET, MODEL, OUT, output_options, start
+from jaxid.cli import DATASET, foretell, MODEL, OUT, output_options, start
 from jaxid.cli_output import Output
 
 
@@ -50,6 +50,7 @@ def identify(dataset, out, model, method, friction, cutoff, motion_cutoff, refer
     """
     jaxid, data = start(dataset, out)
 
+    foretell("identify", model, data, quiet)
     with Output(out, as_json, quiet) as output:
         result = jaxid.identify(
             model, data, method=method, friction=friction, cutoff_hz=cutoff, motion_hz=motion_cutoff, reference=reference,

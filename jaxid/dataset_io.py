@@ -11,6 +11,7 @@ import tomllib
 from pathlib import Path
 from typing import Any
 
+from jaxid.capacity import too_large_to_read
 from jaxid.dataset_checks import assemble
 from jaxid.dataset_schema import ExperimentEntry, Places, read_document
 from jaxid.dataset_table import read_table, Table
@@ -120,6 +121,8 @@ class _Folder:
                 there = [p.name for p in sorted(self.folder.iterdir()) if p.suffix.lower() in suffixes][:12]
                 hint = f" (there is: {', '.join(there)})" if there else ""
                 return self.places.problem(key, f"there is no file {file!r}{hint}", "Add the file or correct its name")
+            if suffixes is SUFFIXES and (found := too_large_to_read(path)):
+                return self.places.problem(key, f"{file!r}: {found[0]}", found[1])
             content = path.read_bytes()
         except (OSError, ValueError, RuntimeError) as error:  # RuntimeError: a circle of links
             reason = error.strerror if isinstance(error, OSError) and error.strerror else str(error)

@@ -22,12 +22,14 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array
 
-from jaxid.lane import Lane, reach_of
+from jaxid.chain import RecordEffect
+from jaxid.lane import Lane, reach_of, WINDOWED
 from jaxid.lanes import over_lanes
 from jaxid.layout import Layout
 from jaxid.precision import float64
-from jaxid.samples import BLOCK, bucket, Record, Samples
+from jaxid.samples import BLOCK, bucket, LONG, Record, Samples
 from jaxid.traced import key_of, Traced
+from jaxid.windows import windowed, Windows
 
 
 #: Lanes of one block: enough for vector code, few enough to stay in the cache; and of each block of a call that has few of them.
@@ -54,6 +56,9 @@ class Programs(NamedTuple):
     predict: Callable[..., Array]
     outputs: Traced
     tangents: Traced
+    output_windows: Traced  # the same of a window of steps: see `jaxid.windows`
+    tangent_windows: Traced
+    begins: Callable[..., Any]
     losses: dict[Any, Any]
     ready: dict[tuple[str, int], Future | None]  # which are there, by width; what another thread makes ready, as its task
 
@@ -89,7 +94,10 @@ def _programs(layout: Layout, lane: Lane, length: int, reach: int, burn: bool) -
     tangents = over_lanes(tangent, (0, 0, 0, 0, 0, None, None))
     about = key_of(lane, layout.model(np.zeros(len(layout))), layout.names, length, reach, burn)
     traced = lambda f, name: Traced(f, about and f"{name}\n{about}")
-    return Programs(predict, traced(batch, "outputs"), traced(tangents, "tangents"), {}, {})
+    whole = traced(batch, "outputs"), traced(tangents, "tangents")
+    parts = windowed(layout, lane, reach, burn)
+    part = traced(parts.outputs, "output windows"), traced(parts.tangents, "tangent windows")
+    return Programs(predict, *whole, *part, parts.begins, {}, {})
 
 
 def families(layout: Layout) -> dict[str, np.ndarray]:
@@ -136,6 +144,7 @@ class Engine:
         self.layout, self.records, self.overrides, self.lane = layout, list(records), overrides, lane
         self.length = bucket(max(length, *(r.count + r.lead for r in records)), BLOCK)
         self.compile_time_s = 0.0
+        self.long = self.length > LONG and lane in WINDOWED
         with float64():
             self.samples = Samples(*(jnp.asarray(a) for a in samples))
         reach = max(reach_of(samples, r) for r in self.records)
@@ -158,6 +167,8 @@ class Engine:
 
     def outputs(self, theta: np.ndarray, start: np.ndarray, record: np.ndarray, share: float = 1.0) -> np.ndarray:
         """Predictions [lanes length ny]; theta [lanes size], start [lanes 2 nq], record [lanes]; only the first `share`."""
+        if self.long and (own := self.windows(theta, start, record, share)):
+            return own.together(self.length)
         return self._call("outputs", (self.theta_of(theta, record),), (start,), record, share)[0]
 
     def output_blocks(
@@ -196,6 +207,33 @@ class Engine:
         numbers = self.theta_of(theta, record), dtheta
         for lanes, (y, dy) in self._blocks("tangents", numbers, (start, dstart), record, share):
             yield lanes, y, dy
+
+    def windows(
+        self,
+        theta: np.ndarray,
+        start: np.ndarray,
+        record: np.ndarray,
+        share: float = 1.0,
+        along: tuple[np.ndarray, np.ndarray] | None = None,
+    ) -> Windows | None:
+        """The lanes of `outputs`, or with `along` (dtheta, dstart) of `tangents`, window by window, all in one program.
+
+        None where records are short, or where their series is made of the whole.
+        """
+        if not self.long:
+            return None
+        numbers, states = [self.theta_of(theta, record)], [start]
+        if along is not None:
+            numbers, states = [*numbers, np.where(np.isnan(self.overrides[record]), along[0], 0.0)], [*states, along[1]]
+        busy = np.any([numbers[0] != self._neutral, *(d != 0 for d in numbers[1:])], 0)
+        kept = self._families_of(np.any(busy, 0))
+        programs, index = self._programs_of(kept)
+        chain = self._restricted[kept][0].chain
+        if any(True for _ in chain.at(RecordEffect)):
+            return None
+        where = self._where(np.broadcast_to(np.any(busy, 0), busy.shape), record)
+        steps = np.ceil(self.steps[record] * share).astype(np.int32) + where[:, 3]
+        return Windows(self, programs, index, numbers, states, where, steps)
 
     def _at_work(self, busy: np.ndarray) -> dict[frozenset[str], np.ndarray]:
         """Families at work -> lanes, of which numbers at work [lanes size]. An effect at its neutral value is the identity: what
@@ -268,7 +306,9 @@ class Engine:
 
     def _begin(self, name: str, kept: frozenset[str], also_compile: bool, width: int = LANES) -> None:
         """Has a program made ready by another thread, which runs it for no step; one that does not lie on disk only where
-        `also_compile`."""
+        `also_compile`. Long records have programs of their own."""
+        if self.long:
+            return
         programs, index = self._programs_of(kept)
         if (name, width) in programs.ready:
             return

@@ -44,10 +44,14 @@ class Bench:
     def __post_init__(self):
         self._runs: dict[tuple[str, str], Runs] = {}
         self._begun: dict[tuple[str, bytes], Begun] = {}
+        self._forgotten = 0.0  # seconds of compiling for runs that were let go
+        samples.refuse_endless(self.binding.dataset.experiments, self.step)
         # One shape for all splits, and for the half step that a search may go over to: one program.
         room = min(self.step, samples.STEP / 2)
         self._shape = self._largest({e.name: samples.step_count(e.whole, room) for e in self.binding.dataset.experiments})
         self._rows = self._largest({e.name: len(e.t) for e in self.binding.dataset.experiments})
+        if self._shape[1] > samples.LONG:  # compiling once more costs less than the memory of buffers that are mostly empty
+            self._shape = self._rows = 0, 0
 
     def _largest(self, steps: dict[str, int]) -> tuple[int, int]:
         """Steps of the fit runs and a split beside them, and of the longest experiment."""
@@ -69,6 +73,12 @@ class Bench:
                 self._shape_of(residual),
             )
         return self._runs[key]
+
+    def forget_long(self, kept: Residual) -> None:
+        """Lets go of the torques of long runs, which only start values were made of, where another residual is fitted."""
+        if not isinstance(kept, InverseDynamics):
+            gone = [key for key, runs in self._runs.items() if runs.setting is not None and runs.engine.long]
+            self._forgotten += sum(self._runs.pop(key).engine.compile_time_s for key in gone)
 
     def compile_ahead(self, residual: Residual, theta: np.ndarray, free: Sequence[int]) -> None:
         """Begins to compile what a descent of one or two fits needs whose numbers equal theta but in `free`."""
@@ -121,7 +131,7 @@ class Bench:
         return [self._begun[split, theta.tobytes()] for theta in thetas]
 
     def compile_time(self) -> float:
-        return sum(r.engine.compile_time_s for r in self._runs.values())
+        return self._forgotten + sum(r.engine.compile_time_s for r in self._runs.values())
 
 
 def default_residual(binding: Binding) -> Residual:

@@ -87,6 +87,8 @@ def fit_seeds(
             ended[seed] = bench, problem, result
             if result.failed or not simulated or step <= samples.STEP / 8:
                 continue
+            if benches.of(step / 2) is bench:
+                continue  # samples are closer than either step
             moved = step_error(problem, result.z, benches.of(step / 2).runs(residual, "fit"))
             if moved > STEP_SHARE:
                 finer[seed] = problem.theta(result.z)
@@ -115,8 +117,11 @@ class Benches:
         self._starts: dict[tuple[str, str], list[np.ndarray]] = {}
 
     def of(self, step: float) -> Bench:
+        """The bench of a step; one for all steps that make no difference."""
         if step not in self._benches:
-            self._benches[step] = Bench(self.binding, step)
+            every = [e.whole for e in self.binding.dataset.experiments]
+            same = (bench for made, bench in self._benches.items() if samples.divided_alike(every, made, step))
+            self._benches[step] = next(same, None) or Bench(self.binding, step)
         return self._benches[step]
 
     def starts(self, bench: Bench, residual: Residual, loss: str, seed: int) -> list[np.ndarray]:
@@ -126,7 +131,8 @@ class Benches:
             guesses = start_values(bench, self.binding.free, seed)
             problem = bench.problem(residual, "fit", self.binding.free, guesses[0], loss=loss)
             self._starts[key] = [*guesses, *probe_starts(bench, problem, guesses[0])]
+            bench.forget_long(residual)
         return self._starts[key]
 
     def compile_time(self) -> float:
-        return sum(b.compile_time() for b in self._benches.values())
+        return sum(b.compile_time() for b in {id(b): b for b in self._benches.values()}.values())

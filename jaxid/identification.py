@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
@@ -13,10 +13,12 @@ import numpy as np
 from jaxid import identification_solve as solve
 from jaxid.base_parameters import BaseParameters
 from jaxid.binding import resolve_model
+from jaxid.capacity import need, refuse_too_large
 from jaxid.chain import Chain
 from jaxid.errors import nearest, UsageError
 from jaxid.experiment import Dataset
 from jaxid.identification_rows import (
+    every_row,
     exponent_slopes,
     friction_columns,
     full_rows,
@@ -27,6 +29,7 @@ from jaxid.identification_rows import (
     read_run,
     Run,
     spacing,
+    torques,
 )
 from jaxid.identification_solve import Estimate
 from jaxid.layout import Layout
@@ -224,6 +227,7 @@ def identify(
     arm: Any = chain.mechanism
     if not hasattr(arm, "base"):
         raise UsageError(f"identify needs a serial arm (ur10, ur10e, panda, serial_arm); {arm.name} is none. Use jaxid fit")
+    refuse_too_large(need("identify", data, chain.nq))
     base, gains = arm.base(), drive_gains(chain)
     motion_hz = motion_hz or 2 * cutoff_hz
     runs = [read_run(data, e, chain, base, cutoff_hz, motion_hz, gains) for e in data.experiments]
@@ -234,8 +238,10 @@ def identify(
     before = None if reference is None else read_reference(reference)
     tried = [friction] if friction != "auto" else list(LAWS)
     solved = {name: _solve(LAWS[name], runs, by, method, chain, base) for name in tried}
-    trials = [_trial(LAWS[name], runs, *solved[name][:2]) for name in tried]
-    law = LAWS[tried[_choose(trials)]]
+    scores, predicted = _scored(runs, [(LAWS[name], *solved[name][:2]) for name in tried])
+    trials = [_trial(LAWS[name], own) for name, own in zip(tried, scores, strict=True)]
+    chosen = _choose(trials)
+    law = LAWS[tried[chosen]]
     theta, exponent, weights, phi, found = solved[law.name]
     names = names_of(base, law, len(arm.prismatic))
     symbols = {f"{k}{j + 1}": float(v) for k in ("a", "d", "b") for j, v in enumerate(np.asarray(getattr(arm, k)))}
@@ -247,12 +253,12 @@ def identify(
         condition_number_scaled=found.condition_scaled,
         filter=f"positions: zero-phase Butterworth of order 4, {motion_hz:g} Hz, central differences; torque and columns alike: "
         f"the same at {cutoff_hz:g} Hz; sign(qd) as tanh(qd / 0.01)",
-        weights=np.mean(weights, 0), experiments=tuple(_score(r, law, theta, exponent) for r in runs),
+        weights=np.mean(weights, 0), experiments=tuple(scores[chosen]),
         laws=tuple(LawTrial(t.law, t.fit, t.held_out, t.law == law.name) for t in trials),
         standard=None if phi is None else dict(zip(base.standard, phi.ravel().tolist(), strict=True)),
         dataset=dataset.name, dataset_sha256=dataset.sha256,
         notes=tuple([*data.notes, *_notes(found, names, method, law)]), wall_time_s=time.perf_counter() - began,
-        traces=tuple((r.name, r.split, r.t, r.tau, full_rows(r, law, exponent) @ theta) for r in runs),
+        traces=tuple((r.name, r.split, r.t, r.tau, own[chosen]) for r, own in zip(runs, predicted, strict=True)),
     )  # fmt: skip
     if before is None:
         return result
@@ -285,7 +291,7 @@ def _solve(law: Law, runs: Sequence[Run], by: Sequence[Run] | None, method: str,
     prior = np.concatenate([base.values(phi0), np.zeros(len(law.parameters) * n)])
 
     def blocks_of(which: Sequence[Run], exponent: np.ndarray) -> list[tuple[np.ndarray, np.ndarray]]:
-        return [(full_rows(r, law, exponent)[:: spacing(r)], r.tau[:: spacing(r)]) for r in which]
+        return [(full_rows(r, law, exponent), r.tau[:: spacing(r)]) for r in which]
 
     blocks = blocks_of(fit, exponent)
     theta, weights = solve.weighted(blocks, prior)
@@ -314,21 +320,29 @@ def _solve(law: Law, runs: Sequence[Run], by: Sequence[Run] | None, method: str,
         theta, phi = solve.constrained(W, b, base, phi0.reshape(n, 11), levels, arm.motor_side)
     slopes = None
     if law.nonlinear:
-        slopes = [exponent_slopes(r, law, theta, exponent)[:: spacing(r)] for r in fit]
+        slopes = [exponent_slopes(r, law, theta, exponent) for r in fit]
     return theta, exponent, weights, phi, solve.estimate(blocks, weights, theta, instrument, slopes)
 
 
 def recursive(fit: Sequence[Run], law: Law, exponent: np.ndarray, weights: Sequence[np.ndarray], prior: np.ndarray) -> np.ndarray:
     """Weighted least squares sample by sample: the recursion over all rows of the fit runs, one run after the other, from the
     model's own values, of which next to nothing is trusted."""
-    from jaxid.online import replay
+    from jaxid.online import replay_stretches
 
-    Y = np.concatenate([full_rows(r, law, exponent) * w[:, None] for r, w in zip(fit, weights, strict=True)])
-    tau = np.concatenate([r.tau * w for r, w in zip(fit, weights, strict=True)])
-    size = np.linalg.norm(Y.reshape(-1, Y.shape[2]), axis=0)
+    size = np.zeros(len(prior))
+    for r, w in zip(fit, weights, strict=True):
+        for _, W, _ in every_row(r, law, exponent):
+            size = np.hypot(size, np.linalg.norm((W * w[:, None]).reshape(-1, len(prior)), axis=0))
     seen = size > solve.SEEN * size.max()
     scale = np.where(seen, size, np.inf)  # a column that shows nothing leaves its parameter where it is
-    found = replay(Y / scale, tau - Y @ prior, np.zeros_like(prior), noise_var=1.0, prior_var=UNKNOWN)[0]
+
+    def stretches() -> Iterator[tuple[np.ndarray, np.ndarray]]:
+        for r, w in zip(fit, weights, strict=True):
+            for at, W, _ in every_row(r, law, exponent):
+                Y = W * w[:, None]
+                yield Y / scale, r.tau[at] * w - Y @ prior
+
+    found = replay_stretches(stretches(), np.zeros_like(prior), noise_var=1.0, prior_var=UNKNOWN)[0]
     return prior + found / scale
 
 
@@ -343,7 +357,7 @@ def converged_after(
 ) -> float | None:
     """Seconds of the first fit run after which the paper's stopping rule holds for the last link's parameters, from the unloaded
     arm's parameters with the paper's P0 = 10; None: never within the run."""
-    from jaxid.online import replay, Rule, watched_of
+    from jaxid.online import replay_stretches, Rule, watched_of
 
     first = next(r for r in runs if r.split == "fit")
     friction = {f"{k}{entry['joint'][1:]}": v["value"] for entry in before["friction"] for k, v in entry.items() if k != "joint"}
@@ -353,8 +367,8 @@ def converged_after(
     # Rows between those that say something new hold the same noise: each counts with that much more variance.
     noise = np.asarray(weights[0]) ** -2.0 * spacing(first)
     rule = Rule(samples=round(Rule().samples / PAPER_HZ / step))
-    _, _, met = replay(
-        full_rows(first, law, exponent), first.tau, prior, noise_var=noise, prior_var=10.0,
+    _, _, met = replay_stretches(
+        ((W, first.tau[at]) for at, W, _ in every_row(first, law, exponent)), prior, noise_var=noise, prior_var=10.0,
         watched=watched_of(base, loaded.joints), rule=rule,
     )  # fmt: skip
     return None if met is None else met * step
@@ -383,27 +397,33 @@ def _column_noise(fit: Sequence[Run], weights: Sequence[np.ndarray], size: int) 
     p = fit[0].Y.shape[2]
     square, count = np.zeros(size + 1), 0
     for r, w in zip(fit, weights, strict=True):
-        square[:p] += np.sum(((r.Y_raw - r.Y) * w[:, None]) ** 2, (0, 1))
+        for _, Y, Y_raw in r.stretches(r.inertia):
+            square[:p] += np.sum(((Y_raw - Y) * w[:, None]) ** 2, (0, 1))
         square[-1] += np.sum(((r.tau_raw - r.tau) * w) ** 2)
         count += r.tau.size
     return np.sqrt(square / count)
 
 
-def _score(run: Run, law: Law, theta: np.ndarray, exponent: np.ndarray) -> RunScore:
-    def errors(W: np.ndarray, tau: np.ndarray) -> tuple[float, tuple[float, ...], tuple[float, ...]]:
-        e = tau - W @ theta
-        each = np.linalg.norm(e, axis=0) / np.maximum(np.linalg.norm(tau, axis=0), 1e-300)
-        return (
-            float(np.linalg.norm(e) / np.linalg.norm(tau)), tuple(each.tolist()), tuple(np.sqrt(np.mean(e**2, 0)).tolist())
-        )  # fmt: skip
+def _scored(runs: Sequence[Run], laws: Sequence[tuple[Law, np.ndarray, np.ndarray]]) -> tuple[list[list[RunScore]], list]:
+    """Scores of each law on each run, and of each run the filtered torque of each law [samples n]."""
+    scores: list[list[RunScore]] = [[] for _ in laws]
+    predicted = []
+    for run in runs:
+        found = torques(run, laws)
+        for own, (smooth, raw) in zip(scores, found, strict=True):
+            filtered, unfiltered = _errors(run.tau, smooth), _errors(run.tau_raw, raw)
+            own.append(RunScore(run.name, run.split, *filtered, unfiltered[0], unfiltered[2]))
+        predicted.append([smooth for smooth, _ in found])
+    return scores, predicted
 
-    filtered = errors(full_rows(run, law, exponent), run.tau)
-    raw = errors(full_rows(run, law, exponent, raw=True), run.tau_raw)
-    return RunScore(run.name, run.split, *filtered, raw[0], raw[2])
+
+def _errors(tau: np.ndarray, modelled: np.ndarray) -> tuple[float, tuple[float, ...], tuple[float, ...]]:
+    e = tau - modelled
+    each = np.linalg.norm(e, axis=0) / np.maximum(np.linalg.norm(tau, axis=0), 1e-300)
+    return float(np.linalg.norm(e) / np.linalg.norm(tau)), tuple(each.tolist()), tuple(np.sqrt(np.mean(e**2, 0)).tolist())
 
 
-def _trial(law: Law, runs: Sequence[Run], theta: np.ndarray, exponent: np.ndarray) -> LawTrial:
-    scores = [_score(r, law, theta, exponent) for r in runs]
+def _trial(law: Law, scores: Sequence[RunScore]) -> LawTrial:
     fit = [s.relative_error for s in scores if s.split == "fit"]
     return LawTrial(law.name, float(np.mean(fit)), tuple(s.relative_error for s in scores if s.split != "fit"), False)
 

@@ -6,8 +6,8 @@ built from that motion and pass the same low-pass as the torque (both sides alik
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass, replace
 from typing import Any, NamedTuple
 
 import jax.numpy as jnp
@@ -18,11 +18,13 @@ from jaxid.chain import Chain
 from jaxid.errors import UsageError
 from jaxid.experiment import Dataset, Experiment
 from jaxid.samples import columns
-from jaxid.signals import differentiate, filter_ends, zero_phase
+from jaxid.signals import differentiate, filter_ends, STRETCH, zero_phase, zero_phase_stretches
 
 
 #: sign(qd) is tanh(qd / REST) here: at rest, measured velocity is noise and friction may take any value.
 REST = 0.01
+#: So many rows of the torque equation are made at once: on the way to one there are five times its numbers.
+MADE = 1 << 11
 
 
 class Law(NamedTuple):
@@ -61,26 +63,40 @@ def friction_columns(law: Law, qd: Any, exponent: np.ndarray) -> Any:
 
 @dataclass(frozen=True)
 class Run:
-    """One experiment: its motion, the columns of inertia and its torque, filtered and not, in the samples that count."""
+    """One experiment: its motion and its torque, filtered and not, in the samples that count.
+
+    Of the columns of inertia, hundreds of numbers a sample, only the rows that are solved (`Y`) are kept; whatever needs others
+    makes them again, a stretch of samples at a time.
+    """
 
     name: str
     split: str
     t: np.ndarray
-    q: np.ndarray
+    q: np.ndarray  # the motion of all samples [all samples n]
     qd: np.ndarray
     qdd: np.ndarray
-    Y: np.ndarray  # [samples n base]
+    Y: np.ndarray  # [rows n base], filtered: every `spacing`-th of the samples that count
     tau: np.ndarray  # [samples n]
-    Y_raw: np.ndarray
     tau_raw: np.ndarray
-    every: slice  # the samples whose velocities the filter may use
     kept: slice  # the samples whose rows count
     cutoff_hz: float
-    times: np.ndarray  # of `every`
+    times: np.ndarray  # of all samples
+    inertia: Callable[[slice], np.ndarray]  # columns of inertia, unfiltered, of some of all samples
 
     def filtered(self, x: np.ndarray) -> np.ndarray:
         """Columns [all samples ...] through the low-pass, at the rows that count."""
         return zero_phase(self.times, x.reshape(len(x), -1), self.cutoff_hz).reshape(x.shape)[self.kept]
+
+    def stretches(self, rows: Callable[[slice], np.ndarray], every: int = 1) -> Iterator[tuple[slice, np.ndarray, np.ndarray]]:
+        """Rows [samples ...] stretch by stretch: (which of the samples that count, filtered, unfiltered), `every`-th of them."""
+        ends = self.kept.start
+        for samples, smooth, raw in zero_phase_stretches(self.times, rows, self.cutoff_hz):
+            first, last = max(samples.start, ends), min(samples.stop, self.kept.stop)
+            first += -(first - ends) % every
+            if first < last:
+                at = slice(first - samples.start, last - samples.start, every)
+                own = (smooth[at], raw[at]) if every == 1 else (smooth[at].copy(), raw[at].copy())  # no view of the whole
+                yield slice(first - ends, last - ends, every), *own
 
 
 def read_run(
@@ -95,24 +111,54 @@ def read_run(
             f"{rate / 4:.3g}"
         )
     q, qd, qdd, _ = differentiate(e.t, e.y[:, iy], min(motion_hz, rate / 2.5))
-    arm: Any = chain.mechanism
-    Y = torque_columns(arm, q, qd, qdd)[:, :, list(base.kept)]
     tau = e.u[:, iu] * gains
     ends = filter_ends(e.t, cutoff_hz)
     kept = slice(ends, len(e.t) - ends)
     if len(e.t) - 2 * ends < 20:
         raise UsageError(f"experiment {e.name!r} has {len(e.t)} samples, too few for a filter of {cutoff_hz:g} Hz")
-    smooth = lambda x: zero_phase(e.t, x.reshape(len(x), -1), cutoff_hz).reshape(x.shape)[kept]
-    return Run(
-        e.name, e.split, e.t[kept], q, qd, qdd, smooth(Y), smooth(tau), Y[kept], tau[kept], slice(None), kept, cutoff_hz, e.t
+    smooth = zero_phase(e.t, tau, cutoff_hz)[kept]
+    run = Run(
+        e.name, e.split, e.t[kept], q, qd, qdd, np.zeros((0, 0, 0)), smooth, tau[kept], kept, cutoff_hz, e.t, lambda _: tau
     )  # fmt: skip
+    return _with_inertia(run, chain, base, q, qd, qdd)
 
 
-def full_rows(run: Run, law: Law, exponent: np.ndarray, raw: bool = False) -> np.ndarray:
-    """W [samples n base + k n] of a run: inertia, then the law's columns, parameter by parameter over the joints."""
-    F = friction_columns(law, run.qd, exponent)
-    F = F[run.kept] if raw else run.filtered(F)
-    Y = run.Y_raw if raw else run.Y
+def _with_inertia(run: Run, chain: Chain, base: BaseParameters, q: np.ndarray, qd: np.ndarray, qdd: np.ndarray) -> Run:
+    """The run along a motion [all samples n]."""
+    index = list(base.kept)
+
+    def made(at: slice) -> np.ndarray:
+        first, last, _ = at.indices(len(q))
+        out = np.empty((last - first, q.shape[1], len(index)))
+        for a in range(first, last, MADE):
+            some = slice(a, min(last, a + MADE))
+            out[a - first : some.stop - first] = torque_columns(chain.mechanism, q[some], qd[some], qdd[some])[:, :, index]
+        return out
+
+    if len(q) <= STRETCH:
+        every = made(slice(None))
+        run = replace(run, q=q, qd=qd, qdd=qdd, inertia=every.__getitem__)
+    else:
+        run = replace(run, q=q, qd=qd, qdd=qdd, inertia=made)
+    return replace(run, Y=np.concatenate([smooth for _, smooth, _ in run.stretches(run.inertia, spacing(run))]))
+
+
+def full_rows(run: Run, law: Law, exponent: np.ndarray) -> np.ndarray:
+    """W [rows n base + k n] of the rows of a run that are solved: inertia, then the law's columns, parameter by parameter over
+    the joints."""
+    F = lambda at: friction_columns(law, run.qd[at], exponent)
+    return _joined(run.Y, np.concatenate([smooth for _, smooth, _ in run.stretches(F, spacing(run))]))
+
+
+def every_row(run: Run, law: Law, exponent: np.ndarray) -> Iterator[tuple[slice, np.ndarray, np.ndarray]]:
+    """W of all samples that count, stretch by stretch: (which samples, filtered, unfiltered)."""
+    F = lambda at: friction_columns(law, run.qd[at], exponent)
+    pairs = zip(run.stretches(run.inertia), run.stretches(F), strict=True)
+    for (at, Y, Y_raw), (_, smooth, raw) in pairs:
+        yield at, _joined(Y, smooth), _joined(Y_raw, raw)
+
+
+def _joined(Y: np.ndarray, F: np.ndarray) -> np.ndarray:
     count, k, n = F.shape
     W = np.zeros((count, n, Y.shape[2] + k * n))
     W[:, :, : Y.shape[2]] = Y
@@ -122,12 +168,29 @@ def full_rows(run: Run, law: Law, exponent: np.ndarray, raw: bool = False) -> np
     return W
 
 
+def torques(run: Run, laws: Sequence[tuple[Law, np.ndarray, np.ndarray]]) -> list[tuple[np.ndarray, np.ndarray]]:
+    """Torque of each (law, theta, exponent) at the samples that count, filtered and not, each [samples n].
+
+    It is linear in the columns, so it is filtered in their place.
+    """
+    count, n = run.q.shape
+    p = run.Y.shape[2]
+    whole = [np.empty((count, n)) for _ in laws]
+    for a in range(0, count, STRETCH):
+        at = slice(a, min(count, a + STRETCH))
+        Y = run.inertia(at)
+        for out, (law, theta, exponent) in zip(whole, laws, strict=True):
+            F = friction_columns(law, run.qd[at], exponent)
+            out[at] = Y @ theta[:p] + np.einsum("skn,kn->sn", F, theta[p:].reshape(-1, n))
+    return [(run.filtered(tau), tau[run.kept]) for tau in whole]
+
+
 def exponent_slopes(run: Run, law: Law, theta: np.ndarray, exponent: np.ndarray) -> np.ndarray:
-    """Derivative of the torque by each joint's exponent, [samples n n], filtered."""
+    """Derivative of the torque by each joint's exponent at the rows that are solved, [rows n n], filtered."""
     n = run.qd.shape[1]
     p = len(theta) - len(law.parameters) * n
     slope = theta[p + n : p + 2 * n] * power(run.qd, exponent) * np.log(run.qd**2 + 1e-6) / 2
-    return run.filtered(slope)[:, :, None] * np.eye(n)
+    return run.filtered(slope)[:: spacing(run), :, None] * np.eye(n)
 
 
 def spacing(run: Run) -> int:
@@ -154,11 +217,4 @@ def instruments(dataset: Dataset, e: Experiment, chain: Chain, base: BaseParamet
     q = np.stack([e.auxiliary[c] for c in commands], 1)
     qd = np.gradient(q, e.t, axis=0)
     qdd = np.gradient(qd, e.t, axis=0)
-    Y = torque_columns(chain.mechanism, q, qd, qdd)[:, :, list(base.kept)]
-    smooth = zero_phase(e.t, Y.reshape(len(Y), -1), run.cutoff_hz).reshape(Y.shape)[run.kept]
-    return Run(**{**run.__dict__, "q": q, "qd": qd, "qdd": qdd, "Y": smooth, "Y_raw": Y[run.kept]})
-
-
-def concatenated(parts: Sequence[np.ndarray]) -> np.ndarray:
-    """Rows of several runs, [rows columns] or [rows]."""
-    return np.concatenate([p.reshape(-1, p.shape[2]) if p.ndim == 3 else p.ravel() for p in parts])
+    return _with_inertia(run, chain, base, q, qd, qdd)

@@ -79,6 +79,19 @@ def simulate_lane(
     the mechanism with its effects, prepared, where that has been done; of outputs that are not `wanted` zeros are returned.
     """
     nq = chain.nq
+    offset, _, last, lead = where
+    prepared, initial, step = _stepping(chain, samples, where, start, reach, burn, body, wanted)
+    y = over_time(step, initial, steps, length, len(chain.signature.outputs))
+    k = jnp.arange(length)
+    beyond = jnp.maximum(offset + k - last, 0) * samples.h[last]  # the loop goes on to the end of its block, and so does time
+    times, even = samples.t[jnp.minimum(offset + k, last)] + beyond, samples.h[offset] if reach == EVEN else None
+    y = y[jnp.minimum(lead + k, length - 1)] if burn else y
+    return chain.recorded(times, y, even, chain.begins(prepared, start[:nq], start[nq:])[1])
+
+
+def _stepping(chain, samples, where, start, reach, burn, body=None, wanted=None) -> tuple[Mechanism, Carry, Callable]:
+    """(mechanism with its effects, how a record begins, one step of it) of `simulate_lane`."""
+    nq = chain.nq
     offset, first, last, lead = where
     begin = offset - lead if burn else offset
     if body is None:
@@ -98,12 +111,58 @@ def simulate_lane(
         carry, y = chain.step(body, carry, command)
         return carry, y if wanted is None else jnp.stack([y[i] if i in wanted else jnp.zeros(()) for i in range(len(y))])
 
-    y = over_time(step, initial, steps, length, len(chain.signature.outputs))
-    k = jnp.arange(length)
-    beyond = jnp.maximum(offset + k - last, 0) * samples.h[last]  # the loop goes on to the end of its block, and so does time
-    times, even = samples.t[jnp.minimum(offset + k, last)] + beyond, samples.h[offset] if reach == EVEN else None
-    y = y[jnp.minimum(lead + k, length - 1)] if burn else y
-    return chain.recorded(times, y, even, chain.begins(body, start[:nq], start[nq:])[1])
+    return body, initial, step
+
+
+def simulate_window(
+    chain: Chain,
+    samples: Samples,
+    where: Array,
+    start: Array,
+    at: Array,
+    carry: Any,
+    steps: Array,
+    size: int,
+    reach: int,
+    burn: bool,
+) -> tuple[Any, Float[Array, "size ny"]]:
+    """The steps `at` ... `at + size` of what `simulate_lane` does (those of the lead count), and the state that they leave, from
+    the state that the window before them left; `steps` of them are wanted. No record effects."""
+    _, initial, step = _stepping(chain, samples, where, start, reach, burn)
+    return _window(step, initial, at, carry, steps, size, len(chain.signature.outputs))
+
+
+def torque_window(
+    chain: Chain,
+    samples: Samples,
+    where: Array,
+    start: Array,
+    at: Array,
+    carry: Any,
+    steps: Array,
+    size: int,
+    reach: int,
+    burn: bool,
+) -> tuple[Any, Float[Array, "size nq"]]:
+    """The same of `torque_lane`."""
+    initial, step = _torques(chain, samples, where, reach)
+    return _window(step, initial, at, carry, steps, size, chain.nq)
+
+
+def simulate_begin(chain: Chain, samples: Samples, where: Array, start: Array, reach: int, burn: bool) -> Any:
+    """The state with which `simulate_window` begins."""
+    return _stepping(chain, samples, where, start, reach, burn)[1]
+
+
+def torque_begin(chain: Chain, samples: Samples, where: Array, start: Array, reach: int, burn: bool) -> Any:
+    """The same of `torque_window`."""
+    return _torques(chain, samples, where, reach)[0]
+
+
+def _window(step: Callable, initial: Any, at: Array, carry: Any, steps: Array, size: int, width: int) -> tuple[Any, Array]:
+    carry = jax.tree.map(lambda a, b: jnp.where(at == 0, a, b), initial, carry)
+    state = _blocks(lambda c, k: step(c, k + at), carry, steps, size, width)
+    return loop_over_time(lambda: state()[1:])
 
 
 def torque_lane(
@@ -117,6 +176,12 @@ def torque_lane(
     burn: bool,
 ) -> Float[Array, "length nq"]:
     """Minus the missing torque of the measured motion, M qdd + bias + friction - drive(u), at every sample of one run."""
+    z, step = _torques(chain, samples, where, reach)
+    return over_time(step, z, steps, length, chain.nq)
+
+
+def _torques(chain: Chain, samples: Samples, where: Array, reach: int) -> tuple[tuple, Callable]:
+    """(how a run begins, one step of it) of `torque_lane`."""
     nq = chain.nq
     begin, first, last, _ = where
 
@@ -128,17 +193,31 @@ def torque_lane(
         return z, -missing
 
     z = chain.start(samples.x[begin, :nq], samples.x[begin, nq : 2 * nq], samples.u[begin]).z
-    return over_time(step, z, steps, length, nq)
+    return z, step
 
 
 def over_time(step: Callable, carry: Any, steps: Array, length: int, width: int) -> Array:
+    loop = _blocks(step, carry, steps, length, width)
+    return loop_over_time(lambda: loop()[2])
+
+
+def _blocks(step: Callable, carry: Any, steps: Array, length: int, width: int) -> Callable[[], tuple[Array, Any, Array]]:
+    """The loop over blocks of steps: (steps done, state, what each step gave [length width])."""
+
     def block(state):
         k, carry, out = state
         carry, y = jax.lax.scan(step, carry, k + jnp.arange(BLOCK, dtype=k.dtype))
         return k + BLOCK, carry, jax.lax.dynamic_update_slice_in_dim(out, y, k, 0)
 
     state = (jnp.zeros((), jnp.asarray(steps).dtype), carry, jnp.zeros((length, width)))
-    return loop_over_time(lambda: jax.lax.while_loop(lambda s: s[0] < steps, block, state)[2])
+    return lambda: jax.lax.while_loop(lambda s: s[0] < steps, block, state)
+
+
+#: Lanes that can be taken window by window: (their windows, how the first one begins).
+WINDOWED: dict[Lane, tuple[Callable, Callable]] = {
+    simulate_lane: (simulate_window, simulate_begin),
+    torque_lane: (torque_window, torque_begin),
+}
 
 
 def reach_of(samples: Samples, record: Record) -> int:

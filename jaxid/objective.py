@@ -74,9 +74,10 @@ class Rows(NamedTuple):
     w: np.ndarray
 
 
-def rows(jobs: Sequence[tuple[AbstractProblem, np.ndarray]], share: float = 1.0) -> Iterator[Rows]:
-    """Residuals and Jacobians of many (problem, z) in one batch; `share` < 1: of the first part of each record only."""
-    return type(jobs[0][0]).rows(jobs, share)
+def rows(jobs: Sequence[tuple[AbstractProblem, np.ndarray]], share: float = 1.0, pieces: bool = False) -> Iterator[Rows]:
+    """Residuals and Jacobians of many (problem, z) in one batch; `share` < 1: of the first part of each record only. `pieces`: a
+    long record may come in several, one after the other, so that its Jacobian is never in memory as a whole."""
+    return type(jobs[0][0]).rows(jobs, share, pieces)
 
 
 @dataclass(frozen=True)
@@ -148,8 +149,9 @@ class AbstractProblem(abc.ABC):
 
     @classmethod
     @abc.abstractmethod
-    def rows(cls, jobs: Sequence[tuple[Any, np.ndarray]], share: float = 1.0) -> Iterator[Rows]:
-        """Residuals and Jacobians of many (problem, z) in one batch; `share` < 1: of the first part of each record only."""
+    def rows(cls, jobs: Sequence[tuple[Any, np.ndarray]], share: float = 1.0, pieces: bool = False) -> Iterator[Rows]:
+        """Residuals and Jacobians of many (problem, z) in one batch; `share` < 1: of the first part of each record only;
+        `pieces`: records may come in several."""
 
     def pure_losses(self, z: Float[Array, "pop size"], data: Any) -> Float[Array, " pop"]:
         """Loss of each candidate, traceable; a candidate that diverges gets PENALTY."""
@@ -301,7 +303,7 @@ class FunctionProblem(AbstractProblem):
         return twin
 
     @classmethod
-    def rows(cls, jobs: Sequence[tuple[FunctionProblem, np.ndarray]], share: float = 1.0) -> Iterator[Rows]:
+    def rows(cls, jobs: Sequence[tuple[FunctionProblem, np.ndarray]], share: float = 1.0, pieces: bool = False):
         for j, (p, z) in enumerate(jobs):
             both = lambda z, residual=p._residual: (residual(z), jax.jacfwd(residual)(z))
             with float64():
@@ -327,7 +329,7 @@ def linearise(jobs: Sequence[tuple[AbstractProblem, np.ndarray]], share: float =
     """Sum of squares, gradient and Gauss-Newton matrix of many (problem, z), in one batch of lanes."""
     out = [[0.0, np.zeros(p.size), np.zeros((p.size, p.size)), 0] for p, _ in jobs]
     with np.errstate(all="ignore"):
-        for part in rows(jobs, share):
+        for part in rows(jobs, share, pieces=True):
             # A row for each column of z, as the lanes gave them.
             job, r, J = out[part.job], part.r.ravel(), np.moveaxis(part.J, -1, 0).reshape(len(part.z_columns), part.r.size)
             job[0] += float(r @ r)
@@ -349,7 +351,7 @@ def expand(jobs: Sequence[tuple[AbstractProblem, np.ndarray]], share: float = 1.
     hessian = [np.zeros((c, p.size, p.size)) for c, (p, _) in zip(columns, jobs, strict=True)]
     count = [0] * len(jobs)
     with np.errstate(all="ignore"):
-        for part in rows(jobs, share):
+        for part in rows(jobs, share, pieces=True):
             absolute = jobs[part.job][0].loss_name == "sum_of_abs"
             for c in range(part.r.shape[1]):
                 seen = part.w[:, c] > 0

@@ -8,7 +8,7 @@ sum |tau - Y theta|^2 / X + |theta - prior|^2 / P0. A true forgetting factor is 
 from __future__ import annotations
 
 import functools
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from typing import Any, NamedTuple
 
 import jax
@@ -85,9 +85,13 @@ def _replayed(state, Y, tau, noise_var, forgetting, change, watched):
     return jax.lax.scan(step, state, (Y, tau))
 
 
-def replay(
-    Y: np.ndarray,
-    tau: np.ndarray,
+def replay(Y: np.ndarray, tau: np.ndarray, prior: np.ndarray, **settings: Any) -> tuple[np.ndarray, np.ndarray, int | None]:
+    """The recursion over recorded rows Y [time n p] and torque [time n]: see `replay_stretches`."""
+    return replay_stretches([(Y, tau)], prior, **settings)
+
+
+def replay_stretches(
+    rows: Iterable[tuple[np.ndarray, np.ndarray]],
     prior: np.ndarray,
     *,
     noise_var: np.ndarray | float = 100.0,
@@ -96,18 +100,22 @@ def replay(
     watched: tuple[int, ...] = (),
     rule: Rule = Rule(),
 ) -> tuple[np.ndarray, np.ndarray, int | None]:
-    """The recursion over recorded rows Y [time n p] and torque [time n], in their order: estimate [p], P [p p], and the number of
-    samples after which the rule was first met for the `watched` parameters (None: never, or none watched)."""
+    """The recursion over recorded rows, stretches of Y [time n p] and torque [time n] in their order: estimate [p], P [p p], and
+    the number of samples after which the rule was first met for the `watched` parameters (None: never, or none watched)."""
     _refuse_forgetting(forgetting)
     full = lambda v, k: jnp.asarray(np.broadcast_to(np.asarray(v, np.float64), k))
     with float64():
         zero = jnp.zeros((), jnp.int32)
         state = Recursion(jnp.asarray(prior, float), jnp.diag(full(prior_var, prior.size)), zero, zero)
-        numbers = full(noise_var, tau.shape[1]), np.float64(forgetting), np.float64(rule.change)
         run: Any = _replayed
-        state, still = run(state, jnp.asarray(Y), jnp.asarray(tau), *numbers, watched or (0,))
-        met = np.flatnonzero(np.asarray(still) > rule.samples)
-        return np.asarray(state.theta), np.asarray(state.P), int(met[0]) + 1 if watched and met.size else None
+        count, met = 0, None
+        for Y, tau in rows:
+            numbers = full(noise_var, tau.shape[1]), np.float64(forgetting), np.float64(rule.change)
+            state, still = run(state, jnp.asarray(Y), jnp.asarray(tau), *numbers, watched or (0,))
+            found = np.flatnonzero(np.asarray(still) > rule.samples)
+            met = count + int(found[0]) + 1 if met is None and watched and found.size else met
+            count += len(tau)
+        return np.asarray(state.theta), np.asarray(state.P), met
 
 
 def _refuse_forgetting(forgetting: float) -> None:

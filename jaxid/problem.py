@@ -7,6 +7,7 @@ least-squares method needs for many (problem, z) at once, all in the same batch 
 from __future__ import annotations
 
 import copy
+import functools
 from collections import Counter
 from collections.abc import Callable, Iterator, Sequence
 from typing import Any, NamedTuple
@@ -189,6 +190,16 @@ class Problem(AbstractProblem):
         predict, length, loss = self.predict, self.runs.engine.length, LOSSES[self.loss_name]
         return lambda z, data: penalised(loss.total(sums(predict, length, loss, z, data), data.count, data.norm))
 
+    def begun(self, z):
+        if not self.runs.engine.long:
+            return super().begun(z)
+        from jaxid.long_records import losses_by_windows
+
+        return lambda: losses_by_windows(self, np.atleast_2d(np.asarray(z, np.float64)), super(Problem, self).begun)
+
+    def compile_losses(self):
+        return (lambda: None) if self.runs.engine.long else super().compile_losses()
+
     @property
     def compile_time_s(self) -> float:
         return self.runs.engine.compile_time_s
@@ -197,10 +208,15 @@ class Problem(AbstractProblem):
         self.runs.engine.compile_time_s += seconds
 
     @classmethod
-    def rows(cls, jobs: Sequence[tuple[Problem, np.ndarray]], share: float = 1.0) -> Iterator[Rows]:
+    def rows(cls, jobs: Sequence[tuple[Problem, np.ndarray]], share: float = 1.0, pieces: bool = False) -> Iterator[Rows]:
         """A record's residual depends on the parameters and on its own start only, so the lanes of a record carry just those
         tangents. All jobs are on the same runs."""
-        return _lanes(jobs, share)
+        lanes = lanes_of(jobs)
+        if not jobs[0][0].runs.engine.long:
+            return _rows(jobs, lanes, share)
+        from jaxid.long_records import rows_by_windows
+
+        return rows_by_windows(jobs, lanes, share, pieces, functools.partial(_rows, share=share))
 
     @property
     def pieces(self) -> int:
@@ -295,12 +311,30 @@ class _Part(NamedTuple):
     inside: slice | np.ndarray
 
 
-def _lanes(jobs: Sequence[tuple[Problem, np.ndarray]], share: float) -> Iterator[Rows]:
-    """Rows of each job and record; the lanes of a record: with tangents one for each column of z, else the point itself and one
-    or two beside it for each column."""
+class Lanes(NamedTuple):
+    """The lanes of some jobs: whose each is, and what it starts from and along."""
+
+    of: list[tuple[int, int, int, int, int]]  # job, row of its record, column of z and its place (-1: none), side of z
+    theta: np.ndarray
+    start: np.ndarray
+    dtheta: np.ndarray
+    dstart: np.ndarray
+    record: np.ndarray
+    steps: list[dict[int, np.ndarray]]  # of each job, by side
+
+    def only(self, some: Sequence[int]) -> Lanes:
+        """Some of the lanes."""
+        at = np.asarray(some, int)
+        theta, start, dtheta, dstart, record = (a[at] for a in self[1:6])
+        return Lanes([self.of[k] for k in some], theta, start, dtheta, dstart, record, self.steps)
+
+
+def lanes_of(jobs: Sequence[tuple[Problem, np.ndarray]]) -> Lanes:
+    """The lanes of a record: with tangents one for each column of z, else the point itself and one or two beside it for each
+    column."""
     runs, differences = jobs[0][0].runs, jobs[0][0].differences
     size, nx = len(runs.layout), 2 * runs.layout.chain.nq
-    lanes: list[tuple[int, int, int, int, int]] = []  # job, row of its record, column of z and its place (-1: none), side of z
+    lanes: list[tuple[int, int, int, int, int]] = []
     for j, (p, _) in enumerate(jobs):
         for row in range(len(p.records)):
             own = [(c, k, side) for k, c in enumerate(p.columns(row)) for side in SIDES[differences]]
@@ -324,6 +358,13 @@ def _lanes(jobs: Sequence[tuple[Problem, np.ndarray]], share: float) -> Iterator
             i = p.start_columns[c - p.free.size]
             dstart[n, i] = 1.0
             start[n, i] += steps[j][side][c] if side else 0.0
+    return Lanes(lanes, theta, start, dtheta, dstart, record, steps)
+
+
+def _rows(jobs: Sequence[tuple[Problem, np.ndarray]], given: Lanes, share: float) -> Iterator[Rows]:
+    """Rows of each job and record, from whole records."""
+    runs, differences = jobs[0][0].runs, jobs[0][0].differences
+    lanes, theta, start, dtheta, dstart, record, steps = given
     seen = {r: _seen(runs, r, share) for r in {r for p, _ in jobs for r in p.records}}
     rest = Counter((j, row) for j, row, *_ in lanes)
     order = list(rest)  # the rows of a job come in the order of its records

@@ -14,6 +14,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from jaxid.chain import Chain
+from jaxid.errors import UsageError
 from jaxid.experiment import Dataset, Experiment
 from jaxid.parameter import Reference
 
@@ -22,6 +23,10 @@ from jaxid.parameter import Reference
 STEP = 2.5e-3
 #: Steps of the inner loop over time: a lane runs to the end of its last one.
 BLOCK = 64
+#: A run of more steps is long: see `jaxid.windows`.
+LONG = 1 << 17
+#: More steps than that of a run, and so many from each sample to the next, are refused.
+ENDLESS, APART = 1e6, 100
 
 
 class Samples(NamedTuple):
@@ -64,8 +69,22 @@ class Motion:
 
 
 def bucket(n: int, smallest: int = 1024) -> int:
-    """n rounded up to a power of two, so that runs of other lengths meet the same compiled program."""
-    return max(smallest, 1 << (int(n) - 1).bit_length())
+    """n rounded up to a power of two, so that runs of other lengths meet the same compiled program; of long ones, whose padding
+    would take much memory, to a multiple of LONG."""
+    return max(smallest, 1 << (int(n) - 1).bit_length()) if n <= LONG else -(-int(n) // LONG) * LONG
+
+
+def refuse_endless(experiments: Sequence[Experiment], step: float) -> None:
+    """Raises `UsageError` where samples lie so far apart that a simulation would hardly end."""
+    for e in experiments:
+        between = np.diff(e.t) / step
+        if between.sum() > ENDLESS and between.sum() > APART * len(e.t):
+            median = float(np.median(np.diff(e.t)))
+            raise UsageError(
+                f"experiment {e.name!r}, step {median:.4g} s: is t in ms? A simulation takes steps of {1e3 * step:.3g} ms, "
+                f"here {between.sum():.3g}. Give t in seconds; samples that are so far apart indeed do not show how a "
+                "mechanism moves"
+            )
 
 
 def columns(dataset: Dataset, chain: Chain) -> tuple[list[int], list[int]]:
@@ -88,6 +107,11 @@ def pieces(e: Experiment, step: float) -> np.ndarray:
 def step_count(e: Experiment, step: float) -> int:
     """Buffer positions that a run takes."""
     return int(pieces(e, step).sum()) + 1
+
+
+def divided_alike(experiments: Sequence[Experiment], step: float, other: float) -> bool:
+    """Whether two steps divide every sampling interval into the same number: the simulations are then the same."""
+    return all(np.array_equal(pieces(e, step), pieces(e, other)) for e in experiments)
 
 
 def build(

@@ -4,6 +4,8 @@ that says what was done, for the report. Signals are `[time]` or `[time n]`, tim
 
 from __future__ import annotations
 
+from collections.abc import Callable, Iterator
+
 import numpy as np
 
 
@@ -20,6 +22,42 @@ def zero_phase(t: np.ndarray, x: np.ndarray, cutoff_hz: float, order: int = ORDE
     grid, values, uniform = _on_grid(t, x)
     filtered = _filtered(grid, values, cutoff_hz, order)
     return filtered if uniform else _spline(grid, filtered, t)
+
+
+#: A longer series is filtered in stretches of so many samples.
+STRETCH = 1 << 15
+
+
+def zero_phase_stretches(
+    t: np.ndarray, rows: Callable[[slice], np.ndarray], cutoff_hz: float, stretch: int = STRETCH, order: int = ORDER
+) -> Iterator[tuple[slice, np.ndarray, np.ndarray]]:
+    """`zero_phase` of a series that is made as it is needed: `rows(samples)` gives a part of it, [samples n ...].
+
+    Gives (samples, filtered, unfiltered) of one stretch after the other; a short series is one.
+
+    Each stretch is filtered with so much of its neighbourhood that the filter has forgotten what lies beyond to rounding.
+    """
+    from scipy.signal import sos2zpk
+
+    n = len(t)
+    grid, uniform = _grid(t)
+    slowest = float(np.max(np.abs(np.asarray(sos2zpk(_sections(grid, cutoff_hz, order))[1]))))
+    margin = int(1.3 * np.log(1e-15) / np.log(slowest)) + _padding(grid, cutoff_hz, order)
+    stretch = max(stretch, 4 * margin)
+    for a in range(0, n, stretch) if n > stretch + 2 * margin else [0]:
+        b = min(n, a + stretch) if n > stretch + 2 * margin else n
+        low, high = max(0, a - margin), min(n, b + margin)
+        x = rows(slice(low, high))
+        flat = x.reshape(len(x), x.shape[1], -1)
+        smooth = np.empty((b - a, *flat.shape[1:]))
+        first, last = np.searchsorted(grid, t[low]), np.searchsorted(grid, t[high - 1], side="right")
+        for k in range(flat.shape[1]):  # one after the other, for memory's sake
+            if uniform:
+                smooth[:, k] = _filtered(grid, flat[:, k], cutoff_hz, order)[a - low : b - low]
+            else:
+                own = grid[first:last]
+                smooth[:, k] = _spline(own, _filtered(grid, _spline(t[low:high], flat[:, k], own), cutoff_hz, order), t[a:b])
+        yield slice(a, b), smooth.reshape(b - a, *x.shape[1:]), x[a - low : b - low]
 
 
 def differentiate(
@@ -98,14 +136,19 @@ def _on_grid(t: np.ndarray, x: np.ndarray) -> tuple[np.ndarray, np.ndarray, bool
     t, x = np.asarray(t, dtype=float), np.asarray(x, dtype=float)
     if t.ndim != 1 or len(t) != len(x) or len(t) < 4:
         raise ValueError(f"t {t.shape} and a signal {x.shape}; expected [time] and [time] or [time n], at least 4 samples")
+    grid, uniform = _grid(t)
+    return grid, x if uniform else _spline(t, x, grid), uniform
+
+
+def _grid(t: np.ndarray) -> tuple[np.ndarray, bool]:
+    """The times of a uniform grid over t, and whether samples are taken to lie on it as they are."""
     step = np.diff(t)
     median = float(np.median(step))
     if np.min(step) <= 0:
         raise ValueError("time does not increase")
     if np.max(np.abs(step - median)) <= UNIFORM * median:
-        return t[0] + (t[-1] - t[0]) / (len(t) - 1) * np.arange(len(t)), x, True
-    grid = np.linspace(t[0], t[-1], max(len(t), round((t[-1] - t[0]) / median) + 1))
-    return grid, _spline(t, x, grid), False
+        return t[0] + (t[-1] - t[0]) / (len(t) - 1) * np.arange(len(t)), True
+    return np.linspace(t[0], t[-1], max(len(t), round((t[-1] - t[0]) / median) + 1)), False
 
 
 def _spline(t: np.ndarray, x: np.ndarray, at: np.ndarray) -> np.ndarray:
@@ -114,16 +157,26 @@ def _spline(t: np.ndarray, x: np.ndarray, at: np.ndarray) -> np.ndarray:
     return CubicSpline(t, x, axis=0)(at)
 
 
-def _filtered(grid: np.ndarray, x: np.ndarray, cutoff_hz: float, order: int) -> np.ndarray:
-    from scipy.signal import butter, sosfiltfilt
+def _sections(grid: np.ndarray, cutoff_hz: float, order: int) -> np.ndarray:
+    from scipy.signal import butter
 
     rate = 1 / float(grid[1] - grid[0])
     if not 0 < cutoff_hz < rate / 2:
         raise ValueError(f"cutoff {cutoff_hz:g} Hz is not between 0 and half the sampling frequency, {rate / 2:g} Hz")
-    sections = np.asarray(butter(order, cutoff_hz, fs=rate, output="sos"))
-    # Padding by about two periods of the cutoff; SciPy's own default is a few samples and rings at low cutoffs.
-    pad = min(len(x) - 1, max(3 * (2 * len(sections) + 1), int(np.ceil(2 * rate / cutoff_hz))))
-    return np.asarray(sosfiltfilt(sections, x, axis=0, padlen=pad))
+    return np.asarray(butter(order, cutoff_hz, fs=rate, output="sos"))
+
+
+def _padding(grid: np.ndarray, cutoff_hz: float, order: int) -> int:
+    """About two periods of the cutoff; SciPy's own default is a few samples and rings at low cutoffs."""
+    return max(3 * (2 * -(-order // 2) + 1), int(np.ceil(2 / float(grid[1] - grid[0]) / cutoff_hz)))
+
+
+def _filtered(grid: np.ndarray, x: np.ndarray, cutoff_hz: float, order: int) -> np.ndarray:
+    """A series on the steps of a grid through the low-pass."""
+    from scipy.signal import sosfiltfilt
+
+    sections = _sections(grid, cutoff_hz, order)
+    return np.asarray(sosfiltfilt(sections, x, axis=0, padlen=min(len(x) - 1, _padding(grid, cutoff_hz, order))))
 
 
 def _statement(t: np.ndarray, cutoff_hz: float, order: int, uniform: bool) -> str:

@@ -13,8 +13,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from jaxid.autoregression import Autoregression, autoregressions, Part, score_covariance, student
+from jaxid.autoregression import Autoregression, autoregressions, Part, score_covariance, student, transform_length
 from jaxid.problem import Problem, rows
+from jaxid.samples import LONG
 
 
 #: A direction of the scaled Gauss-Newton matrix with an eigenvalue below this share of the largest is not determined.
@@ -62,6 +63,7 @@ def covariance(problem: Problem, z: np.ndarray) -> Covariance:
         whole = np.zeros((*part.r.shape, n))
         whole[:, :, part.z_columns] = part.J
         parts.append(Part(part.r, whole))
+        del part, J, finite  # a long record's Jacobian is large: not more than one beside its copy
 
     scale = np.sqrt(np.maximum(np.diag(H), 1e-300))
     scaled = H / scale / scale[:, None]
@@ -77,7 +79,8 @@ def covariance(problem: Problem, z: np.ndarray) -> Covariance:
     dof = max(1, count - int(inside.sum()))
     s2 = max(S_white / dof, 1e-300)
     noise, widened = (), 1.0
-    for kept in (inside, ~blind):  # those at a bound get their own figures from the full matrix
+    # Those at a bound get their own figures from the full matrix.
+    for kept in (inside,) if np.array_equal(inside, ~blind) else (inside, ~blind):
         index = np.flatnonzero(kept)
         if not index.size:
             continue
@@ -167,12 +170,13 @@ def _long_run(scores: list[tuple[list[int], np.ndarray]], n: int, memory: int) -
     for columns, s in scores:
         bandwidth = int(min(4 * memory, len(s) // 3))
         window = np.maximum(0.0, 1 - np.arange(bandwidth + 1) / (bandwidth + 1))
-        length = 1 << int(np.ceil(np.log2(2 * len(s) + 1)))
+        length, k = transform_length(len(s)), s.shape[1]
         f = np.fft.rfft(s, length, axis=0)
-        for a in range(s.shape[1]):
-            lagged = np.fft.irfft(f[:, a : a + 1] * np.conj(f), length, axis=0)
+        groups = [slice(b, b + 1) for b in range(k)] if len(s) > LONG else [slice(0, k)]
+        for a, group in ((a, group) for a in range(k) for group in groups):
+            lagged = np.fft.irfft(f[:, a : a + 1] * np.conj(f[:, group]), length, axis=0)
             both = lagged[: bandwidth + 1] * window[:, None]
-            negative = lagged[-bandwidth:][::-1] * window[1:, None] if bandwidth else np.zeros((0, s.shape[1]))
-            S[columns[a], columns] += both.sum(0) + negative.sum(0)
+            negative = lagged[-bandwidth:][::-1] * window[1:, None] if bandwidth else np.zeros((0, lagged.shape[1]))
+            S[columns[a], columns[group]] += both.sum(0) + negative.sum(0)
     values, vectors = np.linalg.eigh((S + S.T) / 2)
     return (vectors * np.maximum(values, 0.0)) @ vectors.T

@@ -11,6 +11,7 @@ import numpy as np
 
 from jaxid import catalogue
 from jaxid.binding import bind, Binding, JITTER, resolve_model
+from jaxid.capacity import need, shortened
 from jaxid.diagnosis import how_far as shrinking, timing, where as location
 from jaxid.diagnosis.choice import WHITE
 from jaxid.diagnosis.evidence import held_out, inflation, knowledge, worth
@@ -99,6 +100,8 @@ def _run(
     nominal = resolve_model(model, dataset, without)
     check_asked(nominal, asked or (), residual.name if residual else "")
     library = possible(nominal, allowed)
+    places = sum(len(nominal.offers(k)) for k in library)
+    dataset = shortened(dataset, need("diagnose", dataset, nominal.nq, places)) if dataset.experiments else dataset
     binding = bind(model, dataset, without=without, candidates=library)
     if not binding.dataset.experiments:
         raise UsageError("a diagnosis needs recorded runs; this dataset holds frequency responses alone: fit it")

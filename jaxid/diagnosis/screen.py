@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 
 import numpy as np
 
@@ -13,6 +13,10 @@ from jaxid.problem import Problem, Rows, rows
 
 #: (share explained, candidate, starts of a refit: each probe re-tuned and as it is, best first)
 Screened = tuple[float, Candidate, list[np.ndarray]]
+
+
+#: So many probes of long records are simulated side by side.
+FEW = 16
 
 
 def screened(bench: Bench, p: Problem, z: np.ndarray, theta0: np.ndarray, pool: Sequence[Candidate]) -> list[Screened]:
@@ -28,7 +32,7 @@ def screened(bench: Bench, p: Problem, z: np.ndarray, theta0: np.ndarray, pool: 
     total = float(before @ before)
     r0 = remaining(before)
     probes = [(c, theta) for c in pool for theta in probes_of(bench, c, theta0)]
-    residuals = probe_residuals(p, z, [theta for _, theta in probes])
+    residuals = each_probe(p, z, [theta for _, theta in probes])
     best: dict[str, list[tuple[float, np.ndarray, np.ndarray]]] = {}
     who: dict[str, Candidate] = {}
     for (c, theta), r in zip(probes, residuals, strict=True):
@@ -89,13 +93,26 @@ class Retuning:
 
 def probe_residuals(p: Problem, z: np.ndarray | Sequence[np.ndarray], thetas: Sequence[np.ndarray]) -> list[np.ndarray]:
     """Weighted residual vectors at the samples for full parameter vectors, from the starts of z (one, or one for each)."""
+    return list(each_probe(p, z, thetas))
+
+
+def each_probe(p: Problem, z: np.ndarray | Sequence[np.ndarray], thetas: Sequence[np.ndarray]) -> Iterator[np.ndarray]:
+    """`probe_residuals` one after the other; of long records a few are simulated at a time."""
+    some = FEW if p.runs.engine.long else max(1, len(thetas))
+    for first in range(0, len(thetas), some):
+        own = slice(first, first + some)
+        yield from _probes(p, z if isinstance(z, np.ndarray) else z[own], thetas[own])
+
+
+def _probes(p: Problem, z: np.ndarray | Sequence[np.ndarray], thetas: Sequence[np.ndarray]) -> Iterator[np.ndarray]:
     runs, n = p.runs, len(p.records)
     record = np.tile(np.array(p.records), len(thetas))
     starts = np.tile(p.starts(z), (len(thetas), 1)) if isinstance(z, np.ndarray) else np.concatenate([p.starts(x) for x in z])
     y = runs.engine.outputs(np.repeat(np.array(thetas), n, 0), starts, record)
-    each = []
-    for k, number in enumerate(record):
-        at = runs.record(number).samples
-        with np.errstate(over="ignore", invalid="ignore"):  # a probe that diverges
-            each.append((p.weights[at] * (runs.sample_prediction(number, y[k]) - p.targets[at])).ravel())
-    return [np.concatenate(each[k : k + n]) for k in range(0, len(each), n)]
+    for k in range(0, len(record), n):
+        each = []
+        for number, own in zip(record[k : k + n], y[k : k + n], strict=True):
+            at = runs.record(number).samples
+            with np.errstate(over="ignore", invalid="ignore"):  # a probe that diverges
+                each.append((p.weights[at] * (runs.sample_prediction(number, own) - p.targets[at])).ravel())
+        yield np.concatenate(each)

@@ -16,7 +16,7 @@ from scipy.special import chdtrc
 
 from jaxid.diagnosis.evidence import knowledge, memory
 from jaxid.diagnosis.hypothesis import Candidate, Hypothesis, probes_of
-from jaxid.diagnosis.screen import probe_residuals, Retuning
+from jaxid.diagnosis.screen import each_probe, probe_residuals, Retuning
 from jaxid.estimation import Bench, estimate_starts
 from jaxid.fitters import descend
 from jaxid.problem import Problem, Rows, rows
@@ -213,12 +213,17 @@ class Looker:
         weak = [self._sized(full, WEAK) for _, full in probes]
         if not probes:
             return [], []
-        found = probe_residuals(self.p, self.z, [full for _, full in probes] + weak)
+        full = [theta for _, theta in probes]
+        if self.p.runs.engine.long:
+            pairs = zip(each_probe(self.p, self.z, full), each_probe(self.p, self.z, weak), strict=True)
+        else:
+            found = probe_residuals(self.p, self.z, full + weak)
+            pairs = zip(found[: len(full)], found[len(full) :], strict=True)
         best: dict[Candidate, Probe] = {}
         told: dict[Candidate, float] = {}
         share = lambda left, change: float(np.linalg.norm(left) / max(np.linalg.norm(change), 1e-300))
-        for k, (c, full) in enumerate(probes):
-            change, small = (np.nan_to_num(found[i] - self.before, nan=1e100, posinf=1e100) for i in (k, k + len(probes)))
+        for k, ((c, full), both) in enumerate(zip(probes, pairs, strict=True)):
+            change, small = (np.nan_to_num(r - self.before, nan=1e100, posinf=1e100) for r in both)
             stirred = float(np.linalg.norm(change))
             if not stirred < DIVERGED:
                 continue

@@ -42,7 +42,7 @@ from jaxid.diagnosis.proposals import (
     torque_starts,
     with_refined,
 )
-from jaxid.diagnosis.screen import probe_residuals, Screened, screened
+from jaxid.diagnosis.screen import each_probe, Screened, screened
 from jaxid.diagnosis.shortlist import shortlist
 from jaxid.diagnosis.undetermined import brought_back, moved_to, put_back
 from jaxid.estimation import Bench, estimate_starts
@@ -149,7 +149,7 @@ class Searcher:
         or a play has to be found."""
         nominal = self.nominal.path
         thetas = [theta for _, starts in sets for theta in starts]
-        found = iter(probe_residuals(nominal.problem, nominal.z, thetas))
+        found = each_probe(nominal.problem, nominal.z, thetas)
         out = []
         for effects, starts in sets:
             with np.errstate(over="ignore"):  # a start that diverges

@@ -1,0 +1,170 @@
+"""Long recordings: windows give what whole records give, memory is foreseen, files are measured before they are read."""
+
+import dataclasses
+import resource
+
+import numpy as np
+import pytest
+
+import jaxid
+from jaxid import capacity, cli, engine, identification_rows, samples, signals, windows
+from jaxid.autoregression import autoregressions, Part, score_covariance
+from jaxid.binding import bind
+from jaxid.estimation import Bench
+from jaxid.objective import linearise
+from jaxid.problem import rows
+from jaxid.residual import InverseDynamics, OutputError
+
+
+def recording(count=1600, rate=500.0, **settings):
+    """A pendulum that is driven, as it would be recorded."""
+    rng = np.random.default_rng(3)
+    t = np.arange(count) / rate
+    u = 0.4 * np.sin(2 * np.pi * 0.7 * t) + 0.2 * np.sin(2 * np.pi * 1.9 * t + 1)
+    q = 0.3 * np.sin(2 * np.pi * 0.7 * t + 0.2) + 1e-3 * rng.standard_normal(count)
+    return jaxid.Dataset.from_arrays(t, {"tau": u}, {"q": q}, model="pendulum", noise_std={"q": 1e-3}, **settings)
+
+
+def expansions(data, effects=()):
+    """What descents and their ends take from the runs of a dataset."""
+    b = bind(None, data, effects=effects)
+    found = {}
+    for differences in (1,) if effects else (0, 1):
+        bench = Bench(b, differences=differences)
+        for split in ("fit", "validation"):
+            p = bench.problem(OutputError(), split, b.free, b.theta)
+            z = p.z(b.theta)
+            for share in (1.0, 0.4):
+                at = linearise([(p, z), (p, p.precise().z(1.01 * b.theta))], share)
+                found[differences, split, share] = np.array([[a.cost, *a.gradient, *a.hessian.ravel()] for a in at])
+            whole = list(rows([(p, z)]))
+            found[differences, split, "rows"] = np.concatenate([np.c_[w.r.ravel(), w.J.reshape(w.r.size, -1)] for w in whole])
+            found[differences, split, "loss"] = p.losses(np.array([z, 1.001 * z]))
+            found[differences, split, "predictions"] = np.concatenate(p.predictions(z))
+    p = Bench(b).problem(InverseDynamics(decimate=1), "fit", b.free, b.theta)
+    found["torque"] = linearise([(p, p.z(b.theta))])[0].hessian
+    return found, p.runs.engine.long
+
+
+@pytest.mark.parametrize("effects", [(), ("actuator_lag",)])
+def test_windows_give_what_whole_records_give(monkeypatch, effects):
+    data = recording()
+    whole, long = expansions(data, effects)
+    assert not long
+    monkeypatch.setattr(engine, "LONG", 100)
+    monkeypatch.setattr("jaxid.long_records.WINDOW", 256)
+    monkeypatch.setattr(windows, "WINDOW", 256)
+    monkeypatch.setattr(engine, "_PROGRAMS", type(engine._PROGRAMS)())
+    parts, long = expansions(data, effects)
+    assert long
+    for key, value in whole.items():
+        assert np.allclose(value, parts[key], rtol=1e-10, atol=1e-10 * np.max(np.abs(value))), key
+
+
+def test_a_long_series_is_transformed_in_the_same_way(monkeypatch):
+    rng = np.random.default_rng(0)
+    r = np.convolve(rng.standard_normal(900), np.ones(5), "same")[:, None]
+    J = rng.standard_normal((900, 1, 3))
+    inverse = np.linalg.inv(J[:, 0].T @ J[:, 0])
+    either = []
+    for long in (1 << 17, 100):
+        monkeypatch.setattr("jaxid.autoregression.LONG", long)
+        noise = autoregressions([Part(r, J)], inverse)
+        either.append(score_covariance([Part(r, J)], noise))
+    assert np.allclose(*either, rtol=1e-9)
+
+
+@pytest.mark.parametrize("jitter", [0.0, 0.3])
+def test_filtering_by_stretches(jitter):
+    """Each stretch knows enough of its neighbourhood; where samples are irregular splines are local, too."""
+    rng = np.random.default_rng(1)
+    t = (np.arange(30_000) + jitter * rng.uniform(-0.5, 0.5, 30_000)) / 500
+    x = rng.standard_normal((len(t), 2, 3)) + t[:, None, None]
+    whole = signals.zero_phase(t, x.reshape(len(t), -1), 20.0).reshape(x.shape)
+    parts = list(signals.zero_phase_stretches(t, x.__getitem__, 20.0, stretch=5000))
+    assert len(parts) == 6 and [p[0].start for p in parts] == list(range(0, 30_000, 5000))
+    together = np.concatenate([smooth for _, smooth, _ in parts])
+    assert np.abs(together - whole).max() < 1e-9 * np.abs(whole).max()
+    assert np.array_equal(np.concatenate([raw for *_, raw in parts]), x)
+
+
+def arm(count=3000):
+    rng = np.random.default_rng(0)
+    t = np.arange(count) / 250
+    q = np.stack([0.6 * np.sin((0.9 + 0.4 * j) * t + j) + 0.3 * np.sin(2.3 * t * (1 + 0.1 * j)) for j in range(6)], 1)
+    tau = 3 * np.sin(q) + np.tanh(np.gradient(q, t, axis=0) / 0.01) + 0.05 * rng.standard_normal(q.shape)
+    name = lambda x, s: {f"{s}{j + 1}": x[:, j] for j in range(6)}
+    return jaxid.Dataset.from_arrays(t, name(tau, "tau"), name(q, "q"), model="ur10")
+
+
+@pytest.mark.parametrize("method", ["wls", "tls", "rls"])
+def test_identification_by_stretches(monkeypatch, method):
+    data, found = arm(), []
+    for stretch in (1 << 15, 1000):
+        monkeypatch.setattr(signals, "STRETCH", stretch)
+        monkeypatch.setattr(identification_rows, "STRETCH", stretch)
+        monkeypatch.setattr(signals.zero_phase_stretches, "__defaults__", (stretch, signals.ORDER))
+        found.append(jaxid.identify(None, data, method=method, friction="linear", cutoff_hz=20.0))
+    a, b = found
+    assert np.allclose(a.theta, b.theta, rtol=1e-6, atol=1e-6 * np.abs(a.theta).max())
+    assert np.allclose(a.std(), b.std(), rtol=1e-6, equal_nan=True)
+    for one, other in zip(a.experiments, b.experiments, strict=True):
+        assert one.relative_error == pytest.approx(other.relative_error, rel=1e-9)
+        assert one.unfiltered_relative_error == pytest.approx(other.unfiltered_relative_error, rel=1e-9)
+
+
+def test_what_does_not_fit_is_refused_before_anything_is_computed(monkeypatch):
+    data = recording()
+    monkeypatch.setattr(capacity, "available", lambda: (0.5e9, "limit of a test"))
+    for work in (lambda: jaxid.fit(None, data), lambda: jaxid.diagnose(None, data)):
+        with pytest.raises(jaxid.UsageError, match=r"1,600 rows in 1 run: about 0\.7 GB .* only 0\.5 GB .*limit of a test"):
+            work()
+
+
+def test_a_diagnosis_of_too_much_looks_at_the_first_part_and_says_so(monkeypatch):
+    data = recording(40_000)
+    wanted = capacity.need("diagnose", data, 1, 30)
+    assert capacity.shortened(data, wanted) is data
+    monkeypatch.setattr(capacity, "LONGEST_S", wanted.seconds / 4)
+    less = capacity.shortened(data, wanted)
+    assert [e.split for e in less.experiments] == ["fit", "validation", "report"]
+    assert 0.2 * len(data.experiments[0]) < sum(len(e) for e in less.experiments) < 0.3 * len(data.experiments[0])
+    assert "The first part of each run is looked at" in less.notes[-1] and "25 %" in less.notes[-1]
+
+
+def test_the_estimate_grows_with_what_there_is():
+    small, large = recording(1600), recording(16_000)
+    assert capacity.need("fit", small, 1).bytes < capacity.need("fit", large, 1).bytes
+    assert capacity.need("fit", large, 1).seconds < capacity.need("diagnose", large, 1, 10).seconds
+    many = dataclasses.replace(capacity.need("fit", large, 1), bytes=3.2e9, seconds=1200.0)
+    assert many.large and str(many) == "fit of 16,000 rows in 1 run: about 3.2 GB and 20 minutes"
+
+
+def test_a_limit_of_the_address_space_counts(monkeypatch):
+    monkeypatch.setattr(resource, "getrlimit", lambda _: (1 << 20, 1 << 20))
+    assert capacity.available() == (0.0, "limit of its address space, ulimit -v")
+
+
+def test_samples_that_are_seconds_apart_are_refused():
+    t = 5.0 * np.arange(2000)
+    data = jaxid.Dataset.from_arrays(t, {"tau": np.sin(t)}, {"q": np.cos(t)}, model="pendulum")
+    with pytest.raises(jaxid.UsageError, match=r"step 5 s: is t in ms\?"):
+        jaxid.fit(None, data)
+    samples.refuse_endless(data.experiments, 1.0)  # of a step of 1 s five from one to the next
+
+
+@pytest.mark.parametrize("kind", ["parquet", "csv"])
+def test_a_file_is_measured_before_it_is_read(tmp_path, monkeypatch, kind):
+    jaxid.save_dataset(recording(), tmp_path / "data", format=kind)
+    monkeypatch.setattr(capacity, "available", lambda: (1e3, "limit of a test"))
+    what = r"1,600 rows of 3 columns" if kind == "parquet" else r"MB of text"
+    with pytest.raises(jaxid.DatasetError, match=rf"{what} take about .* GB to read, and 0\.0 GB are free"):
+        jaxid.load_dataset(tmp_path / "data")
+
+
+def test_parameters_have_a_largest_size(monkeypatch, tmp_path, capsys):
+    monkeypatch.setattr(cli, "LARGEST_JSON", 1000)
+    (tmp_path / "fit.json").write_text(" " * 1001)
+    words = ["simulate", "nowhere", "--parameters", str(tmp_path / "fit.json"), "--out", str(tmp_path / "o")]
+    assert cli.main(words) == cli.BAD_INPUT
+    assert "larger than" in capsys.readouterr().err
