@@ -10,7 +10,7 @@ from __future__ import annotations
 import select
 import time
 from collections.abc import Callable, Sequence
-from typing import Any
+from typing import Any, Literal
 
 from jaxid.hardware import xseries as x
 from jaxid.hardware.limits import Clamp, Refused
@@ -43,7 +43,7 @@ class Bus:
             """Opened for this process alone, and waiting for bytes in the kernel; the SDK shares a port with whoever opens it
             too, and keeps a core busy asking for bytes."""
 
-            def setupPort(self, cflag_baud: int) -> bool:
+            def setupPort(self, cflag_baud: int) -> Literal[True]:
                 if self.is_open:
                     self.closePort()
                 self.ser = opened(self.port_name, self.baudrate)
