@@ -8,6 +8,7 @@ from dataclasses import replace
 from typing import Any
 
 from jaxid.dataset_geometry import arm_table
+from jaxid.dataset_patterns import expanded_channels
 from jaxid.dataset_records import Harvest, read_record, read_response, Reading
 from jaxid.dataset_schema import Document, ExperimentEntry, Header, ModelEntry, Places
 from jaxid.dataset_table import Table
@@ -39,6 +40,7 @@ def assemble(
 ):
     """The dataset, or `DatasetError` with every fault of the description, the model and the samples."""
     problems = list(document.problems)
+    problems += expanded_channels(document, places, open_table)
     geometry = _geometry(document, places, open_text, problems)
     info = _model_info(document, places, problems, geometry) if check_model else None
     readings = _readings(document, places, problems, info)
@@ -64,7 +66,7 @@ def assemble(
         responses=tuple(r for h in harvests for r in h.responses),
         model=None if document.model is None else replace(_model_spec(document.model), geometry=geometry),
         controller=None if document.controller is None else Controller(document.controller.kind, document.controller.settings),
-        notes=tuple([note for h in harvests for note in h.notes] + alerts),
+        notes=tuple([*document.notes, *(note for h in harvests for note in h.notes), *alerts]),
         sha256=sha256(),
     )
 
@@ -99,6 +101,7 @@ def _model_spec(entry: ModelEntry) -> ModelSpec:
         free=entry.free,
         constants={k: float(v) for k, v in entry.constants.items()},
         parameters={k: ParameterPrior(p.value, p.lower, p.upper) for k, p in entry.parameters.items()},
+        joints=dict(entry.joints),
     )
 
 
@@ -119,7 +122,7 @@ def _geometry(document: Document, places: Places, open_text: Any, problems: list
     if isinstance(text, Problem):
         problems.append(text)
         return None
-    geometry = Geometry(urdf=text, file=entry.urdf, tip=entry.tip)
+    geometry = Geometry(urdf=text, file=entry.urdf, tip=entry.tip, root=entry.root)
     try:
         arm_table(geometry)
     except UsageError as error:
@@ -178,6 +181,9 @@ def _references(document: Document, places: Places) -> list[Problem]:
         if entry.name is not None and names.setdefault(entry.name, index) != index:
             message = f"experiment {names[entry.name] + 1} has the name {entry.name!r} already"
             problems.append(places.problem(("experiments", index, "name"), message, "Choose another name"))
+        if entry.repeat_of is not None and entry.repeat_of not in _names(document.experiments).values():
+            message = f"there is no run {entry.repeat_of!r} to repeat{nearest(entry.repeat_of, _names(document.experiments).values())}"
+            problems.append(places.problem(("experiments", index, "repeat_of"), message, "Name another run"))
         if entry.kind != "frequency_response" or "channels" not in document.sound:
             continue
         for role in ("input", "output"):
@@ -279,6 +285,7 @@ def _signature_faults(have: dict[str, Reading], signature: Any, free: bool, plac
 def _samples(document: Document, readings: list[Reading], open_table: OpenTable, problems: list[Problem]) -> list[Harvest]:
     names = _names(document.experiments)
     time = document.header.time if document.header is not None else "t"
+    unit = document.header.time_unit if document.header is not None else None
     units = {r.name: r.conversion for r in readings}
     harvests = []
     for index, entry in document.experiments.items():
@@ -290,7 +297,7 @@ def _samples(document: Document, readings: list[Reading], open_table: OpenTable,
         if not table.columns:
             continue
         if entry.kind == "record":
-            harvest = read_record(table, entry, names[index], readings, time)
+            harvest = read_record(table, entry, names[index], readings, time, unit)
         elif entry.input in units and entry.output in units:
             harvest = read_response(table, entry, names[index], units)
         else:
