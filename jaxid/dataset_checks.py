@@ -182,7 +182,9 @@ def _references(document: Document, places: Places) -> list[Problem]:
             message = f"experiment {names[entry.name] + 1} has the name {entry.name!r} already"
             problems.append(places.problem(("experiments", index, "name"), message, "Choose another name"))
         if entry.repeat_of is not None and entry.repeat_of not in _names(document.experiments).values():
-            message = f"there is no run {entry.repeat_of!r} to repeat{nearest(entry.repeat_of, _names(document.experiments).values())}"
+            message = (
+                f"there is no run {entry.repeat_of!r} to repeat{nearest(entry.repeat_of, _names(document.experiments).values())}"
+            )
             problems.append(places.problem(("experiments", index, "repeat_of"), message, "Name another run"))
         if entry.kind != "frequency_response" or "channels" not in document.sound:
             continue

@@ -17,10 +17,10 @@ import numpy as np
 from jaxid.units import Conversion
 
 
-#: A glitch stands off its neighbours by this many of their own steps; white noise does so once in 1e13 samples.
+#: A glitch lies off both sides by this many times what the curve bends nearby; white noise does so once in 1e9 samples.
 OFF = 8.0
 LONGEST_GLITCH = 3  # samples
-_BESIDE = 7  # samples on each side that say what a usual step is
+_BESIDE = 7  # samples on each side that say what is usual
 
 
 @dataclass(frozen=True)
@@ -98,28 +98,29 @@ def _without_glitches(values: np.ndarray, left: np.ndarray, period: float, drop:
 
 
 def glitches(values: np.ndarray) -> np.ndarray:
-    """Which of `values [time]` are glitches [time]: up to three samples that leave and come back by far more than their
-    neighbours ever move in one step. A signal that only flickers by its resolution has none."""
+    """Which of `values [time]` are glitches [time]: up to three samples that lie off both what came before and what follows, by
+    far more than the curve bends nearby. A jump or an impact agrees with one side, a flicker by the resolution is usual."""
     found = np.zeros(len(values), bool)
-    step = np.abs(np.diff(values))
-    moving = step[step > 0]
-    if len(values) < 2 * _BESIDE or not len(moving):
+    bend = np.abs(np.diff(values, 2))
+    bending = bend[bend > 0]
+    if len(values) < 2 * _BESIDE or not len(bending):
         return found
-    usual = np.maximum(_median_around(step), np.median(moving))
+    usual = np.maximum(_median_around(bend), np.median(bending))
+    before = np.concatenate([[0.0, 0.0], np.diff(values, 2)])  # off the line through the two samples before
+    after = np.concatenate([np.diff(values, 2), [0.0, 0.0]])  # off the line through the two samples after
+    scale = np.concatenate([usual[:1], usual, usual[-1:]])
     for length in range(1, LONGEST_GLITCH + 1):
-        out, back = np.diff(values)[: -length or None], np.diff(values)[length:]
-        ordinary = np.maximum(usual[: -length or None], usual[length:])
-        off = (out * back < 0) & (np.minimum(np.abs(out), np.abs(back)) > OFF * ordinary)
-        off &= np.abs(values[length + 1 :] - values[: -length - 1]) < 0.5 * np.minimum(np.abs(out), np.abs(back))
-        for first in np.flatnonzero(off):
-            found[first + 1 : first + 1 + length] = True
+        first, last = before[: len(values) - length + 1], after[length - 1 :]
+        off = (first * last > 0) & (np.minimum(np.abs(first), np.abs(last)) > OFF * scale[: len(first)])
+        for k in np.flatnonzero(off):
+            found[k : k + length] = True
     return found
 
 
-def _median_around(step: np.ndarray) -> np.ndarray:
+def _median_around(values: np.ndarray) -> np.ndarray:
     from numpy.lib.stride_tricks import sliding_window_view
 
-    padded = np.pad(step, _BESIDE, mode="reflect" if len(step) > _BESIDE else "edge")
+    padded = np.pad(values, _BESIDE, mode="reflect" if len(values) > _BESIDE else "edge")
     return np.median(sliding_window_view(padded, 2 * _BESIDE + 1), axis=1)
 
 

@@ -24,7 +24,7 @@ def expanded_files(document: Document, places: Places, folder: Path, suffixes: t
         key = ("experiments", index, "files")
         found = _matching(folder, entry.files, suffixes)
         if isinstance(found, str):
-            problems.append(places.problem(key, f"{entry.files!r} {found}", "Write it with `*`: files = \"run_*.csv\""))
+            problems.append(places.problem(key, f"{entry.files!r} {found}", 'Write it with `*`: files = "run_*.csv"'))
             document.sound.discard("experiments")
             continue
         for k, file in enumerate(found):
@@ -74,12 +74,12 @@ def expanded_channels(
         found = _captures(column, names) if isinstance(column, str) and entry.columns is None else None
         if not found:
             why = "a pattern of channels needs a `column` with one `*`" if found is None else f"no column matches {column!r}"
-            remedy = f"Write column = \"pos_*\" (there is: {', '.join(names[:12])})"
+            remedy = f'Write column = "pos_*" (there is: {", ".join(names[:12])})'
             problems.append(places.problem(("channels", name, "column"), why, remedy))
             document.sound.discard("channels")
             continue
         numbered = joint_numbers(list(found), joints)
-        for capture, at in found.items():
+        for capture, at in sorted(found.items(), key=lambda pair: numbered[pair[0]]):
             new = name.replace("*", str(numbered[capture]))
             if new in channels or new in document.channels:
                 problems.append(places.problem(("channels", name), f"channel {new!r} stands there twice", "Remove one of them"))

@@ -7,7 +7,7 @@ import re
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from difflib import get_close_matches
-from typing import Any, Literal, TypeVar
+from typing import Annotated, Any, Literal, TypeVar
 
 from pydantic import BaseModel, ConfigDict, Field, field_validator, FiniteFloat, model_validator, ValidationError
 
@@ -19,6 +19,7 @@ from jaxid.experiment import Problem
 Split = Literal["fit", "validation", "report"]
 Number = FiniteFloat | bool
 Positive = Field(default=None, gt=0)
+Column = str | Annotated[int, Field(ge=1)]  # a name, or a number that counts from 1
 
 
 class _Strict(BaseModel):
@@ -33,12 +34,6 @@ def _plain(text: str) -> str:
     return text
 
 
-def _counted(number: int) -> int:
-    if number < 1:
-        raise ValueError(f"is {number}: columns count from 1")
-    return number
-
-
 class Header(_Strict):
     """The top-level keys other than the tables."""
 
@@ -48,7 +43,7 @@ class Header(_Strict):
     licence: str | None = None
     recorded: str | datetime.date | None = None
     hardware: str | None = None
-    time: str | int = "t"
+    time: Column = "t"
     time_unit: Literal["s", "ms", "us", "ns"] | None = None
 
     _name = field_validator("name")(_plain)
@@ -56,7 +51,7 @@ class Header(_Strict):
     @field_validator("time")
     @classmethod
     def _time(cls, value: str | int) -> str | int:
-        return _plain(value) if isinstance(value, str) else _counted(value)
+        return _plain(value) if isinstance(value, str) else value
 
 
 class ChannelEntry(_Strict):
@@ -65,10 +60,10 @@ class ChannelEntry(_Strict):
 
     role: Literal["input", "output", "auxiliary"]
     unit: str
-    column: str | int | None = None
-    columns: list[str | int] | None = Field(default=None, min_length=1)
+    column: Column | None = None
+    columns: list[Column] | None = Field(default=None, min_length=1)
     weights: list[FiniteFloat] | None = None
-    valid: str | int | None = None
+    valid: Column | None = None
     unwrap: bool | FiniteFloat = False
     drop_glitches: bool = False
     sampled_every: int = Field(default=1, ge=1)
@@ -86,14 +81,6 @@ class ChannelEntry(_Strict):
     def _scale(cls, value: float) -> float:
         if value == 0:
             raise ValueError("is 0, so every sample would be the offset")
-        return value
-
-    @field_validator("column", "valid", "columns")
-    @classmethod
-    def _columns(cls, value: str | int | list[str | int] | None) -> str | int | list[str | int] | None:
-        for one in value if isinstance(value, list) else [value]:
-            if isinstance(one, int):
-                _counted(one)
         return value
 
     @field_validator("unwrap")
@@ -314,11 +301,12 @@ def read_document(raw: Mapping[str, Any], places: Places) -> Document:
     for index, value in enumerate(sections.get("experiments") or []):
         key = ("experiments", index)
         if isinstance(value, Mapping) and not {"file", "files"} & set(value):
-            document.problems.append(places.problem((*key, "file"), "'file' is missing", "State 'file', or 'files' with a pattern"))
+            document.problems.append(
+                places.problem((*key, "file"), "'file' is missing", "State 'file', or 'files' with a pattern")
+            )
             document.sound.discard("experiments")
         entry = _entry(ExperimentEntry, value, key, places, document, "experiments")
-        stated = entry is not None and (entry.file or entry.files)
-        if stated and not any(_selects(k) for k in document.faulty.get(key, ())):
+        if entry is not None and (entry.file or entry.files) and not any(_selects(k) for k in document.faulty.get(key, ())):
             document.experiments[index] = entry
     if sections.get("model") is not None:
         document.model = _entry(ModelEntry, sections["model"], ("model",), places, document, "model")

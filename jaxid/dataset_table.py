@@ -165,7 +165,7 @@ def table_of_arrays(name: str, columns: Mapping[str, Any]) -> Table:
 
 
 def read_table(path: Path, file: str, content: bytes, *, numbered: bool = False) -> Table:
-    """The table of a `.csv` or `.parquet` file, whose bytes are `content`; where its columns are `numbered` it needs no header."""
+    """The table of a `.csv` or `.parquet` file, whose bytes are `content`; one of `numbered` columns needs no header."""
     if path.suffix.lower() in (".parquet", ".pq"):
         return _read_parquet(file, content)
     return _read_csv(file, content, numbered)
@@ -205,7 +205,9 @@ def _arrow_column(column: Any) -> Any:
             return column.to_numpy()
         return np.concatenate([np.from_dlpack(part) for part in column.chunks])  # `to_numpy` imports pandas, 0.2 s
     if pa.types.is_timestamp(kind) or pa.types.is_duration(kind):
-        return np.asarray(column.cast(pa.int64()).to_pylist()).astype(f"{'M' if pa.types.is_timestamp(kind) else 'm'}8[{kind.unit}]")
+        return np.asarray(column.cast(pa.int64()).to_pylist()).astype(
+            f"{'M' if pa.types.is_timestamp(kind) else 'm'}8[{kind.unit}]"
+        )
     return column.to_pylist()
 
 
@@ -304,7 +306,7 @@ def distinct(names: Sequence[str], columns: Sequence[Any]) -> tuple[dict[str, An
 
 
 def with_list_elements(columns: Mapping[str, Any]) -> dict[str, Any]:
-    """Columns whose cells are lists of one length (`[0.1, -0.2]`) as one column an element too: `positions[0]`, `positions[1]`."""
+    """Columns whose cells are lists of one length (`[0.1, -0.2]`) as one column an element too: `positions[0]` …"""
     out = dict(columns)
     for name, cells in columns.items():
         rows = _lists(cells)

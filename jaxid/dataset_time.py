@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import datetime
 import re
-from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
@@ -44,7 +43,7 @@ def impossible(t: np.ndarray, recorded: str = "t") -> tuple[str, str] | None:
     step = step[step > 0]
     if not len(step):
         return None
-    median, size = float(np.median(step)), float(np.max(np.abs(t)))
+    median, size = float(np.median(step)), float(np.min(np.abs(t)))
     if size > EPOCH:
         unit = next((u for u, n in PER_SECOND.items() if size / n < 1e10), "ns")
         return f"{size:.6g} is a clock that counts from 1970", f'Say what it counts: time_unit = "{unit}"'
@@ -53,7 +52,10 @@ def impossible(t: np.ndarray, recorded: str = "t") -> tuple[str, str] | None:
         why = f'is {recorded} in {unit}? say time_unit = "{unit}"'
         return f"a median step of {median:.4g} s: {why}", 'If it is seconds, say time_unit = "s"'
     if median < SHORTEST_STEP:
-        return f"a median step of {median:.3g} s, shorter than any recording's", 'Name the column of the time, or say time_unit = "s"'
+        return (
+            f"a median step of {median:.3g} s, shorter than any recording's",
+            'Name the column of the time, or say time_unit = "s"',
+        )
     return None
 
 
@@ -112,5 +114,3 @@ def _from(dates: np.ndarray, start: Any) -> np.ndarray:
 
 def _when(start: Any) -> str:
     return str(np.datetime64(start, "ms")).replace("T", " ") + " UTC"
-
-
