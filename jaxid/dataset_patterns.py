@@ -71,7 +71,7 @@ def expanded_channels(
             channels[name] = entry
             continue
         column = entry.column if entry.column is not None else name
-        found = _captures(column, names) if isinstance(column, str) and entry.columns is None else None
+        found = captures_of(column, names) if isinstance(column, str) and entry.columns is None else None
         if not found:
             why = "a pattern of channels needs a `column` with one `*`" if found is None else f"no column matches {column!r}"
             remedy = f'Write column = "pos_*" (there is: {", ".join(names[:12])})'
@@ -105,7 +105,7 @@ def joint_numbers(captures: list[str], joints: dict[str, int]) -> dict[str, int]
     return {c: joints[c] for c in captures}
 
 
-def _captures(pattern: str, names: list[str]) -> dict[str, str] | None:
+def captures_of(pattern: str, names: list[str]) -> dict[str, str] | None:
     """Text that the `*` of a pattern stands for -> the column; None for a pattern with another number of `*`."""
     if pattern.count("*") != 1:
         return None

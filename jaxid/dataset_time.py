@@ -19,22 +19,30 @@ def seconds(cells: Any, numbers: np.ndarray, unit: str | None) -> tuple[np.ndarr
 
     Dates, ISO texts and clocks that count from 1970 count from the first sample of the column, exactly.
     """
+    t, start = since_start(cells, numbers, unit)
+    if start is None:
+        return t, "the time is a duration" if getattr(cells, "dtype", None) is not None and cells.dtype.kind == "m" else ""
+    return t, f"time counts from the first sample, {_when(np.datetime64(start, 'ns'))}"
+
+
+def since_start(cells: Any, numbers: np.ndarray, unit: str | None) -> tuple[np.ndarray, int | None]:
+    """Seconds [time], and the nanoseconds since 1970 from which they count, None where they count from nowhere in particular."""
     dates = _dates(cells, numbers)
+    if dates is not None and dates.dtype.kind == "m":
+        return _from(dates, np.timedelta64(0, "ns")), None
     if dates is not None:
-        if dates.dtype.kind == "m":
-            return _from(dates, np.timedelta64(0, "ns")), "the time is a duration"
         start = _first(dates)
-        return _from(dates, start), f"time counts from the first sample, {_when(start)}"
+        return _from(dates, start), int(start.astype(np.int64))
     if unit is None:
-        return numbers, ""
+        return numbers, None
     per_second = PER_SECOND[unit]
     finite = numbers[np.isfinite(numbers)]
     if len(finite) and abs(finite[0]) / per_second > EPOCH:
         whole = _integers(cells)
+        exact = whole if whole is not None else numbers
         start = whole[0] if whole is not None else finite[0]
-        t = (whole - start if whole is not None else numbers - start) / per_second
-        return t, f"time counts from the first sample, {_when(np.datetime64(int(start * (10**9 // per_second)), 'ns'))}"
-    return numbers / per_second, ""
+        return (exact - start) / per_second, int(start * (10**9 // per_second))
+    return numbers / per_second, None
 
 
 def impossible(t: np.ndarray, recorded: str = "t") -> tuple[str, str] | None:
