@@ -71,7 +71,7 @@ def identification_text(result: Identification) -> str:
     from jaxid.report.identified import base_rows, friction_rows, headline, payload_rows
     from jaxid.text import table
 
-    joints = [f"q{j + 1}" for j in range(result.joints)]
+    joints = result.labels
     parts = [
         f"{result.dataset}, model {result.model}: {result.method}, friction law {result.law}. {headline(result)}",
         table(

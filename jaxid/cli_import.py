@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import warnings
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -66,10 +67,16 @@ def import_(kind, files, out, overwrite, as_json, quiet, **options) -> int:
     """
     import jaxid
     from jaxid.errors import nearest
+    from jaxid.experiment import DatasetWarning
 
     if kind not in KINDS:
         raise jaxid.UsageError(f"unknown kind of recording {kind!r}{nearest(kind, KINDS)}")
-    folder, command = _convert(kind, files, out, overwrite, options)
+    with warnings.catch_warnings(record=True) as said:
+        warnings.simplefilter("always", DatasetWarning)
+        folder, command = _convert(kind, files, out, overwrite, options)
+    for warning in said:
+        if not quiet:
+            terminal.complain(warning.message)
     data = jaxid.load_dataset(folder, check_model=False)
     if as_json:
         summary = {

@@ -126,7 +126,8 @@ def _geometry(document: Document, places: Places, open_text: Any, problems: list
     try:
         arm_table(geometry)
     except UsageError as error:
-        problems.append(places.problem(key, str(error), "Correct the URDF"))
+        stated = ("model", "tip") if "tip" in str(error) else ("model", "root") if "root" in str(error) else key
+        problems.append(places.problem(stated, str(error), "Correct it"))
         return None
     return geometry
 

@@ -29,6 +29,7 @@ from jaxid.identification_rows import (
     spacing,
 )
 from jaxid.identification_solve import Estimate
+from jaxid.joint_names import in_chain_order, joint_names
 from jaxid.layout import Layout
 from jaxid.payload import Payload, payload_by_difference, read_reference
 from jaxid.results import SCHEMA, versions
@@ -108,6 +109,12 @@ class Identification:
     wall_time_s: float
     payload: Payload | None = None
     traces: tuple[Any, ...] = field(default=(), compare=False)
+    joint_names: tuple[str, ...] = ()
+
+    @property
+    def labels(self) -> tuple[str, ...]:
+        """What tables call the joints: their names, else q1 …."""
+        return self.joint_names or tuple(f"q{j + 1}" for j in range(self.joints))
 
     @property
     def torque_units(self) -> tuple[str, ...]:
@@ -129,7 +136,7 @@ class Identification:
     def friction(self) -> list[dict[str, Any]]:
         """Friction of each joint: id -> value, std, unit."""
         std, n = self.std(), self.joints
-        out: list[dict[str, Any]] = [{"joint": f"q{j + 1}"} for j in range(n)]
+        out: list[dict[str, Any]] = [{"joint": name} for name in self.labels]
         for i in range(self.base_count, len(self.names)):
             j = (i - self.base_count) % n
             out[j][self.names[i].rstrip("0123456789") if not self.names[i].startswith("F_3") else "F_3"] = {
@@ -222,6 +229,7 @@ def identify(
     data = dataset if held_out else dataset.with_splits()
     chain = _stated(resolve_model(model, data), data)
     arm: Any = chain.mechanism
+    data = in_chain_order(data, joint_names(arm))
     if not hasattr(arm, "base"):
         raise UsageError(f"identify needs a serial arm (ur10, ur10e, panda, serial_arm); {arm.name} is none. Use jaxid fit")
     base, gains = arm.base(), drive_gains(chain)
@@ -252,6 +260,7 @@ def identify(
         standard=None if phi is None else dict(zip(base.standard, phi.ravel().tolist(), strict=True)),
         dataset=dataset.name, dataset_sha256=dataset.sha256,
         notes=tuple([*data.notes, *_notes(found, names, method, law)]), wall_time_s=time.perf_counter() - began,
+        joint_names=joint_names(arm) or _recorded_names(data, len(arm.prismatic)),
         traces=tuple((r.name, r.split, r.t, r.tau, full_rows(r, law, exponent) @ theta) for r in runs),
     )  # fmt: skip
     if before is None:
@@ -261,6 +270,12 @@ def identify(
         after = converged_after(runs, law, exponent, result, before, base, weights)
         payload = replace(payload, converged_after_s=after)
     return Identification(**{**result.__dict__, "payload": payload})
+
+
+def _recorded_names(dataset: Dataset, count: int) -> tuple[str, ...]:
+    """Names of the joints by the recording, where it names all of them."""
+    joints = {} if dataset.model is None else dataset.model.joints
+    return tuple(joints[f"q{k}"] for k in range(1, count + 1)) if all(f"q{k}" in joints for k in range(1, count + 1)) else ()
 
 
 def _stated(chain: Chain, dataset: Dataset) -> Chain:

@@ -123,6 +123,7 @@ def _read(
     length = len(flat[name]) if name is not None else None
     series = series_of(source.columns, length)
     other = {} if join is None else series_of(join.columns, None)
+    other |= {f"{join.path.stem}.{n}": v for n, v in other.items()} if join is not None else {}
     found = _expanded(wanted, source, series, other, joints)
     if name is None:
         length = len(next(iter(series[w.column] for w in found if w.column in series)))
@@ -142,7 +143,7 @@ def _expanded(wanted: Sequence[Wanted], source: Source, series: Arrays, other: A
     """Channels with the columns they are read from, patterns as one a joint; units that the file states are filled in."""
     problems: list[Problem] = []
     found: list[Wanted] = []
-    everything = [*series, *other]
+    everything = list(dict.fromkeys([*series, *other]))
     for w in wanted:
         if "*" in w.name:
             names = captures_of(w.column, everything) or {}
@@ -157,9 +158,11 @@ def _expanded(wanted: Sequence[Wanted], source: Source, series: Arrays, other: A
         if column is None:
             wide = [n for n in everything if n.startswith(f"{w.column}[")]
             hint = f": it is an array of {len(wide)} columns" if wide else nearest(w.column, everything)
-            remedy = (
-                f"Name one, {w.name}={wide[0]}:UNIT, or all: '{w.name}*={w.column}[*]:UNIT'" if wide else "Correct the column"
-            )
+            remedy = "Correct the column"
+            if wide:
+                remedy = f"Name one, {w.name}={wide[0]}:UNIT, or all: '{w.name}*={w.column}[*]:UNIT'"
+            elif list(series) == [str(k + 1) for k in range(len(series))]:
+                hint, remedy = ": the file has no header", f"Name it by number, from 1: --channel {w.name}=2:UNIT"
             problems.append(Problem(source.path.name, None, w.column, f"there is no column {w.column!r}{hint}", remedy))
             continue
         found.append(replace(w, column=column, unit=w.unit or source.units.get(column)))
@@ -254,8 +257,17 @@ def _command(
     parts += [f"--rows {rows[0]}:{rows[1]}"] if rows is not None else []
     parts += [f"--rate {rate:g}"] if rate is not None else []
     time = [f"t={clock.column}:{clock.unit or 's'}"] if clock.column else []
+    if clock.column and rate is None and (nominal := nominal_rate(sources[0], clock)) is not None:
+        time, parts = [], [*parts, f"--rate {nominal:g}"]
     said = [*time, *(f"{w.name}={w.column}:{w.unit}:{w.role or role_of(w.name)}" for w in found)]
     return " ".join([*filter(None, parts), *(f"--channel {shlex.quote(c)}" for c in said), f"--out {shlex.quote(str(out))}"])
+
+
+def nominal_rate(source: Source, clock: Wanted) -> float | None:
+    """The rate that made the times of a file which has none."""
+    part = parts_of(source)[0]
+    stated = stated_rate(part)
+    return stated[1] if stated is not None and find_column(part, series_of(part.columns, None), clock.column) is None else None
 
 
 def _proposal(source: Source, out: Any) -> str:

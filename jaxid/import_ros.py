@@ -23,6 +23,7 @@ _ROLES = {
     "qd_cmd": ("auxiliary", "rad/s"), "tau_cmd": ("auxiliary", "N m"), "kp_cmd": ("auxiliary", "N m/rad"),
     "kd_cmd": ("auxiliary", "N m s/rad"),
 }  # fmt: skip
+_GOALS = ("leader", "command", "goal", "desired", "target", "reference")
 #: Order of the motors in Unitree's messages for quadrupeds, as its SDK has it.
 _QUADRUPED = tuple(f"{leg}_{joint}_joint" for leg in ("FR", "FL", "RR", "RL") for joint in ("hip", "thigh", "calf"))
 
@@ -108,8 +109,12 @@ def _topic(recording: Recording, asked: str | None) -> str:
             message = f"{len(found)} topics hold states of joints, and they are not mixed: " + ", ".join(
                 f"{n} ({recording.topics[n][1]} messages: {', '.join(_joints_of(recording, n))})" for n in found
             )
-            other = f", and --command-topic {found[1]} if those are its goals" if len(found) > 1 else ""
-            raise refused(recording.path, message, f"Choose one: --topic {found[0]}{other}")
+            goals = [n for n in found if any(word in n for word in _GOALS)]
+            own = next((n for n in found if n not in goals), found[0])
+            other = next((n for n in [*goals, *found] if n != own), own)
+            raise refused(
+                recording.path, message, f"Choose one: --topic {own} (and --command-topic {other} if those are its goals)"
+            )
     there = f"there are no joint states in it (topics: {listed or 'none'})"
     raise refused(recording.path, there, "Record a topic of sensor_msgs/JointState")
 

@@ -23,7 +23,7 @@ from jaxid.units import conversion, UnitError
 
 SEPARATORS = {",": "commas", ";": "semicolons", "\t": "tabs", "|": "bars", " ": "spaces"}
 COMMENTS = ("#", "%", "//")
-_BODY = 60  # rows at the end that say how numbers are written
+_BODY = 60  # rows at the end that say how numbers are written, at most half of all
 
 
 @dataclass(frozen=True)
@@ -106,7 +106,7 @@ def recognise(lines: Sequence[str], stated: Stated = Stated()) -> Form | None:
     data = [k for k, line in enumerate(lines) if line.strip(" \t,;|") and not (comment and line.lstrip().startswith(comment))]
     if stated.first is not None:
         data = [k for k in data if k >= stated.first - 1]
-    body = [lines[k] for k in data[-_BODY:]]
+    body = [lines[k] for k in data[-min(_BODY, -(-len(data) // 2)) :]] if data else []
     best: tuple[int, list[bool], Form] | None = None
     for separator in [stated.separator] if stated.separator else SEPARATORS:
         for decimal in [stated.decimal] if stated.decimal else [d for d in ".," if d != separator]:

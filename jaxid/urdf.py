@@ -103,7 +103,8 @@ def _read(path: Path, text: str | None = None) -> _Robot:
     if tree is None or tree.tag != "robot":
         raise UsageError(f"{path}: the outermost tag is not <robot>; give a URDF")
     if any("xacro" in e.tag or "${" in str(list(e.attrib.values())) for e in tree.iter() if isinstance(e.tag, str)):
-        raise UsageError(f"{path}: a xacro file; expand it first: xacro {path.name} > {path.stem}.urdf")
+        other = f"{path.stem}.urdf" if path.suffix.lower() != ".urdf" else f"{path.stem}_expanded.urdf"
+        raise UsageError(f"{path}: a xacro file; expand it first, into another file: xacro {path.name} > {other}")
     robot = _Robot()
     for link in tree.findall("link"):
         name = _text(link, "name", path, "a link")
@@ -168,11 +169,26 @@ def _inertia(link: Any, path: Path, name: str) -> np.ndarray:
     tensor = inertial.find("inertia")
     keys = ("ixx", "ixy", "ixz", "iyy", "iyz", "izz")
     xx, xy, xz, yy, yz, zz = (_number(tensor, key, "0", path, f"inertia of {what}:") for key in keys)
-    if m < 0:
-        raise UsageError(f"{path}: {what} has a mass of {m:g} kg")
+    _possible(m, np.array([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]]), path, what)
     R = T[:3, :3]
     I = R @ np.array([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]]) @ R.T
     return about_origin(m, T[:3, 3], I[np.triu_indices(3)])
+
+
+def _possible(m: float, I: np.ndarray, path: Path, what: str) -> None:
+    """Raises `UsageError` for a mass or an inertia (about the centre of mass) that no body can have."""
+    if m < 0:
+        raise UsageError(f"{path}: {what} has a mass of {m:g} kg, and a mass is not negative")
+    moments = np.linalg.eigvalsh(I)
+    size = max(float(np.abs(moments).max()), 1e-300)
+    said = ", ".join(f"{v:.4g}" for v in moments)
+    if moments[0] < -1e-6 * size:
+        raise UsageError(f"{path}: {what} has principal moments of inertia of {said} kg m^2, and none can be negative")
+    if moments[2] > (moments[0] + moments[1]) * (1 + 1e-3) + 1e-12:
+        raise UsageError(
+            f"{path}: {what} has principal moments of inertia of {said} kg m^2, which no body can have: one exceeds the sum of "
+            "the others. Correct its <inertia>"
+        )
 
 
 def _joint(element: Any, path: Path) -> _Joint:
@@ -195,6 +211,8 @@ def _joint(element: Any, path: Path) -> _Joint:
     endless = kind == "continuous" or limit is None
     lower = -np.inf if endless else _number(limit, "lower", "0", path, what)
     upper = np.inf if endless else _number(limit, "upper", "0", path, what)
+    if not endless and lower > upper:
+        raise UsageError(f"{path}: joint {name!r} has lower = {lower:g} above upper = {upper:g}; exchange them")
     rates = [
         np.inf if limit is None or limit.get(k) is None else _number(limit, k, "0", path, what) for k in ("velocity", "effort")
     ]
@@ -213,8 +231,14 @@ def _root(robot: _Robot, root: str | None, path: Any) -> str:
         return root
     children = {j.child for j in robot.joints.values()}
     roots = [name for name in robot.inertia if name not in children]
+    used = {j.parent for j in robot.joints.values()} & set(roots)
+    if len(roots) > 1 and len(used) == 1:  # links that no joint names belong to nothing
+        return next(iter(used))
     if len(roots) != 1:
-        raise UsageError(f"{path}: {len(roots)} links have no parent ({', '.join(roots) or 'a closed loop'}); name one as root")
+        raise UsageError(
+            f"{path}: {len(roots)} links have no parent ({', '.join(roots) or 'a closed loop'}); name where the chain begins: "
+            'root = "LINK" under [model] of dataset.toml, or --root LINK'
+        )
     return roots[0]
 
 
@@ -228,10 +252,19 @@ def _tip(robot: _Robot, root: str, tip: str | None, path: Any) -> str:
         moving = [j for j in robot.children(link) if _moves(robot, j)]
         if len(moving) > 1:
             branches = ", ".join(j.child for j in moving)
-            raise UsageError(f"{path}: behind {link!r} several branches move ({branches}); name the link at the end as tip")
+            raise UsageError(
+                f'{path}: behind {link!r} several branches move ({branches}); name its last link: tip = "LINK" under '
+                f"[model] of dataset.toml, or --tip LINK. Ends to choose from: {', '.join(_ends(robot, root))}"
+            )
         if not moving:
             return link
         link = moving[0].child
+
+
+def _ends(robot: _Robot, link: str) -> list[str]:
+    """The last link that moves of each branch."""
+    behind = [j for j in robot.children(link) if _moves(robot, j)]
+    return [end for j in behind for end in _ends(robot, j.child)] if behind else [link]
 
 
 def _moves(robot: _Robot, joint: _Joint) -> bool:
