@@ -12,6 +12,7 @@ from typing import Any
 
 import numpy as np
 
+from jaxid.dataset_records import MINIMUM_SAMPLES
 from jaxid.import_runs import first_line, needed, refused
 
 
@@ -116,8 +117,8 @@ def _records(rows: list[Any]) -> dict[str, list[Any]] | None:
     keys = list(rows[0])
     if len(rows) < 2 or any(set(r) != set(keys) for r in rows):
         return None
-    if any(isinstance(r[k], list) and len(r[k]) > 64 for r in rows[:5] for k in keys):
-        return None
+    if len(rows) < MINIMUM_SAMPLES and any(isinstance(v, list) for v in rows[0].values()):
+        return None  # a few recordings, not a few samples
     return {k: [r[k] for r in rows] for k in keys}
 
 

@@ -26,6 +26,9 @@ COMMENTS = ("#", "%", "//")
 _BODY = 60  # rows at the end that say how numbers are written, at most half of all
 
 
+_TORN = re.compile(r"[\d\s.,;|+\-eE]*[.,;|\s][\d\s.,;|+\-eE]*\d[\d\s.,;|+\-eE]*")  # numbers that another sign separates
+
+
 @dataclass(frozen=True)
 class Form:
     """How a file writes its table. Rows count from 1, as an editor shows them; `header` and `units` are None where there is none,
@@ -125,13 +128,16 @@ def recognise(lines: Sequence[str], stated: Stated = Stated()) -> Form | None:
 
 
 def _numeric(body: Sequence[str], form: Form) -> list[bool]:
-    """Which columns of the rows at the end hold numbers, dates or lists; empty where the rows differ in their count of fields."""
+    """Which columns of the rows at the end hold numbers, dates or lists; empty where the rows differ in their count of
+    fields, or where what is left of numbers shows that another sign separates them."""
     rows = [_fields(line, form) for line in body]
     width = max((len(r) for r in rows), key=[len(r) for r in rows].count, default=0)
     usual = [r for r in rows if len(r) == width]
     if not usual or len(usual) < 0.9 * len(rows):
         return []
-    return [sum(_is_data(r[k], form) for r in usual) >= 0.9 * len(usual) for k in range(width)]
+    numeric = [sum(_is_data(r[k], form) for r in usual) >= 0.9 * len(usual) for k in range(width)]
+    torn = any(_TORN.fullmatch(r[k]) for k in range(width) if not numeric[k] for r in usual)
+    return [] if torn else numeric
 
 
 def _is_data(cell: str, form: Form) -> bool:
