@@ -23,6 +23,7 @@ from jaxid.experiment import (
     ParameterPrior,
     Problem,
 )
+from jaxid.joint_names import in_chain_order, number_of, renamed, renumbered
 from jaxid.units import Conversion, conversion, si_unit, UnitError
 
 
@@ -46,8 +47,9 @@ def assemble(
     readings = _readings(document, places, problems, info)
     problems += _roles(document, places, known_model=info is not None)
     problems += _references(document, places)
+    chain = arm_table(geometry).joints if geometry is not None and geometry.urdf and check_model else ()
     if info is not None:
-        problems += _fits_model(document, readings, places, info)
+        problems += _fits_model(document, _of_chain(document, readings, chain), places, info)
     harvests = _samples(document, readings, open_table, problems)
     problems += _still_outputs(harvests)
     if problems:
@@ -57,7 +59,7 @@ def assemble(
         warnings.warn(text, DatasetWarning, stacklevel=3)
     header = document.header
     assert header is not None
-    return Dataset(
+    dataset = Dataset(
         name=header.name,
         description=header.description,
         source=_origin(header),
@@ -69,6 +71,20 @@ def assemble(
         notes=tuple([*document.notes, *(note for h in harvests for note in h.notes), *alerts]),
         sha256=sha256(),
     )
+    try:
+        return in_chain_order(dataset, chain)
+    except UsageError as error:
+        raise DatasetError([places.problem(("model", "joints"), str(error), "Correct [model.joints]")]) from None
+
+
+def _of_chain(document: Document, readings: list[Reading], chain: tuple[str, ...]) -> list[Reading]:
+    """The channels as the model will have them: without joints that the recording names and the chain lacks."""
+    joints = {} if document.model is None else document.model.joints
+    try:
+        numbers = renumbered(joints, chain) if chain and joints else {}
+    except UsageError:
+        return readings  # said later, by name
+    return [replace(r, name=new) for r in readings if number_of(new := renamed(r.name, numbers)) <= len(chain) or not numbers]
 
 
 def _each_once(problems: list[Problem]) -> list[Problem]:

@@ -31,13 +31,13 @@ def in_chain_order(dataset: Dataset, names: Sequence[str]) -> Dataset:
         return dataset
     joints = dict(dataset.model.joints) if dataset.model is not None else {}
     if not joints:
-        return _by_number(dataset, names)
+        return _bynumber_of(dataset, names)
     numbers = renumbered(joints, names)
     left = [joints[f"q{old}"] for old, new in numbers.items() if new > len(names)]
     if all(old == new for old, new in numbers.items()) and not left:
         return dataset
-    new_name = lambda name: _renamed(name, numbers)
-    outside = {c.name for c in dataset.channels if _number(new_name(c.name)) > len(names)}
+    new_name = lambda name: renamed(name, numbers)
+    outside = {c.name for c in dataset.channels if number_of(new_name(c.name)) > len(names)}
     channels = [replace(c, name=new_name(c.name), role="auxiliary" if c.name in outside else c.role) for c in dataset.channels]
     channels = [
         c for role in ("input", "output", "auxiliary") for c in sorted((c for c in channels if c.role == role), key=_place)
@@ -82,10 +82,10 @@ def renumbered(joints: Mapping[str, str], names: Sequence[str]) -> dict[int, int
     return found | {k: next(behind) for k in sorted(own) if k not in found}
 
 
-def _by_number(dataset: Dataset, names: Sequence[str]) -> Dataset:
+def _bynumber_of(dataset: Dataset, names: Sequence[str]) -> Dataset:
     """Without names of the recording: a note where the numbers are all there is, and joints are left out."""
     more = sorted(
-        (c.name for c in dataset.outputs if re.fullmatch(r"q\d+", c.name) and _number(c.name) > len(names)), key=_number
+        (c.name for c in dataset.outputs if re.fullmatch(r"q\d+", c.name) and number_of(c.name) > len(names)), key=number_of
     )
     note = "joints by their numbers, for the recording does not name them: " + ", ".join(
         f"q{k} = {n}" for k, n in enumerate(names, 1)
@@ -103,12 +103,14 @@ def _plain(name: str) -> str:
     return re.sub(r"[^a-z0-9]", "", last)
 
 
-def _number(name: str) -> int:
+def number_of(name: str) -> int:
+    """The joint of a numbered channel, 0 where it has no number."""
     match = _NUMBERED.fullmatch(name)
     return int(match[2]) if match else 0
 
 
-def _renamed(name: str, numbers: Mapping[int, int]) -> str:
+def renamed(name: str, numbers: Mapping[int, int]) -> str:
+    """A numbered channel under its joint's new number."""
     match = _NUMBERED.fullmatch(name)
     if match is None or int(match[2]) not in numbers:
         return name

@@ -21,7 +21,7 @@ from jaxid.dataset_io import load_dataset
 from jaxid.errors import UsageError
 from jaxid.experiment import Dataset, DatasetError
 from jaxid.import_map import import_table
-from jaxid.import_text import recognise, Stated
+from jaxid.import_text import recognise
 
 
 N = 60
