@@ -46,14 +46,14 @@ def quiet(function: Any, *args: Any, **more: Any) -> Dataset:
 class Bag:
     """Writes messages with rosbags into a bag or an MCAP file."""
 
-    def __init__(self, path: Path, storage: str = "MCAP", version: int = 9):
+    def __init__(self, path: Path, storage: str = "MCAP"):
         pytest.importorskip("rosbags")
         from rosbags.rosbag2 import StoragePlugin, Writer
         from rosbags.typesys import get_typestore, Stores
 
         self.store: Any = get_typestore(Stores.ROS2_HUMBLE)
         self.path = path
-        self.writer = Writer(path, version=version, storage_plugin=StoragePlugin[storage])
+        self.writer = Writer(path, version=9, storage_plugin=StoragePlugin[storage])
         self.topics: dict[str, Any] = {}
 
     def __enter__(self):
@@ -81,7 +81,7 @@ class Bag:
             self.topics[topic] = self.writer.add_connection(topic, kind, typestore=self.store)
         self.writer.write(self.topics[topic], START + k * 10**7, bytes(self.store.serialize_cdr(message, kind)) + behind)
 
-    def states(self, topic: str, names=NAMES, q=Q, tau=TAU, behind: bytes = b"", qd=np.zeros(0)) -> None:
+    def states(self, topic: str, names=NAMES, q=Q, tau: np.ndarray | None = TAU, behind: bytes = b"", qd=np.zeros(0)) -> None:
         kind = "sensor_msgs/msg/JointState"
         n = len(names)
         for k in range(N):

@@ -10,6 +10,7 @@ import shlex
 import warnings
 import zipfile
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pandas as pd
@@ -311,7 +312,10 @@ class _Global:
         self.module, self.name = module, name
 
 
-class _Pickler(pickle._Pickler):  # pyright: ignore[reportAttributeAccessIssue]
+_Plain: Any = getattr(pickle, "_Pickler")  # the one in Python, whose steps can be changed
+
+
+class _Pickler(_Plain):
     """Writes the names that PyTorch would, which need not be installed."""
 
     def persistent_id(self, obj):
