@@ -29,7 +29,7 @@ from jaxid.identification_rows import (
     spacing,
 )
 from jaxid.identification_solve import Estimate
-from jaxid.joint_names import in_chain_order, joint_names
+from jaxid.joint_names import in_chain_order, joint_names, names_of_joints
 from jaxid.layout import Layout
 from jaxid.payload import Payload, payload_by_difference, read_reference
 from jaxid.results import SCHEMA, versions
@@ -109,12 +109,7 @@ class Identification:
     wall_time_s: float
     payload: Payload | None = None
     traces: tuple[Any, ...] = field(default=(), compare=False)
-    joint_names: tuple[str, ...] = ()
-
-    @property
-    def labels(self) -> tuple[str, ...]:
-        """What tables call the joints: their names, else q1 …."""
-        return self.joint_names or tuple(f"q{j + 1}" for j in range(self.joints))
+    labels: tuple[str, ...] = ()  # what tables call the joints: their names, else q1 …
 
     @property
     def torque_units(self) -> tuple[str, ...]:
@@ -260,7 +255,7 @@ def identify(
         standard=None if phi is None else dict(zip(base.standard, phi.ravel().tolist(), strict=True)),
         dataset=dataset.name, dataset_sha256=dataset.sha256,
         notes=tuple([*data.notes, *_notes(found, names, method, law)]), wall_time_s=time.perf_counter() - began,
-        joint_names=joint_names(arm) or _recorded_names(data, len(arm.prismatic)),
+        labels=names_of_joints(arm, data, len(arm.prismatic)),
         traces=tuple((r.name, r.split, r.t, r.tau, full_rows(r, law, exponent) @ theta) for r in runs),
     )  # fmt: skip
     if before is None:
@@ -270,12 +265,6 @@ def identify(
         after = converged_after(runs, law, exponent, result, before, base, weights)
         payload = replace(payload, converged_after_s=after)
     return Identification(**{**result.__dict__, "payload": payload})
-
-
-def _recorded_names(dataset: Dataset, count: int) -> tuple[str, ...]:
-    """Names of the joints by the recording, where it names all of them."""
-    joints = {} if dataset.model is None else dataset.model.joints
-    return tuple(joints[f"q{k}"] for k in range(1, count + 1)) if all(f"q{k}" in joints for k in range(1, count + 1)) else ()
 
 
 def _stated(chain: Chain, dataset: Dataset) -> Chain:

@@ -47,6 +47,8 @@ class Recording:
 
 
 def open_bag(path: Path) -> Recording:
+    """A ROS 2 bag's folder. Raises `DatasetError` for what is none."""
+    _exists(path)
     reader_of = needed("rosbags.highlevel", "ros").AnyReader
     stores = needed("rosbags.typesys", "ros")
     try:
@@ -78,6 +80,8 @@ _UNKNOWN = "Record as MCAP (ros2 bag record -s mcap), which keeps the definition
 
 
 def open_mcap(path: Path) -> Recording:
+    """An MCAP file. Raises `DatasetError` for what is none."""
+    _exists(path)
     make_reader = needed("mcap.reader", "ros").make_reader
     topics: dict[str, tuple[str, int]] = {}
     try:
@@ -112,6 +116,11 @@ def open_mcap(path: Path) -> Recording:
 
     recording.read = read
     return recording
+
+
+def _exists(path: Path) -> None:
+    if not path.exists():
+        raise refused(path, f"there is nothing named {path}", "Correct its name")
 
 
 def _mcap_kind(schema: Any, channel: Any, message: Any) -> str:

@@ -40,8 +40,7 @@ class Source:
 def read_source(path: Path, stated: Stated) -> Source:
     """A file by its own kind, whatever it is called."""
     if not path.is_file():
-        what = "is a folder" if path.is_dir() else "does not exist"
-        raise refused(path, f"{path} {what}", "Name a file")
+        raise refused(path, f"{path} {'is a folder' if path.is_dir() else 'does not exist'}", _instead(path))
     content = path.read_bytes()
     if not content.strip():
         raise refused(path, "the file is empty", "Record again")
@@ -55,6 +54,14 @@ def read_source(path: Path, stated: Stated) -> Source:
             raise DatasetError(table.problems)
         return Source(path, "csv", dict(table.columns), {}, table.rows, "a Parquet file", "", table.twice)
     return Source(path, kind, read_arrays(kind, path), words=f"read as {kind}")
+
+
+def _instead(path: Path) -> str:
+    """What to type for a folder that is a recording of another kind."""
+    for kind, mark in (("lerobot", "meta/info.json"), ("rosbag", "metadata.yaml")):
+        if (path / mark).is_file():
+            return f"It looks like a recording of its own kind: jaxid import {kind} {path}"
+    return "Name a file"
 
 
 def parts_of(source: Source) -> list[Source]:

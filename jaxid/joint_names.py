@@ -21,6 +21,13 @@ def joint_names(mechanism: Any) -> tuple[str, ...]:
     return tuple(getattr(mechanism, "joint_names", ()))
 
 
+def names_of_joints(mechanism: Any, dataset: Dataset, count: int) -> tuple[str, ...]:
+    """Names of the first `count` joints, by the chain's file or else by the recording; q1 … where neither names all of them."""
+    joints = {} if dataset.model is None else dataset.model.joints
+    channels = [f"q{k}" for k in range(1, count + 1)]
+    return joint_names(mechanism) or tuple(joints[c] if joints.keys() >= set(channels) else c for c in channels)
+
+
 def in_chain_order(dataset: Dataset, names: Sequence[str]) -> Dataset:
     """The dataset with its numbered channels in the order of the chain's joints `names`, which a note says.
 
