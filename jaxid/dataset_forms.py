@@ -25,11 +25,13 @@ _BESIDE = 7  # samples on each side that say what is usual
 
 @dataclass(frozen=True)
 class Signal:
-    """A channel at the samples of a run, SI: `values [time]`, `left_out [time]`, and `known [time]`: where it has a value."""
+    """A channel at the samples of a run, SI: `values [time]`, `left_out [time]`, and `known [time]`: where it has a value; `held`
+    counts the samples of an input or auxiliary channel at which the last good one holds."""
 
     values: np.ndarray
     left_out: np.ndarray
     known: np.ndarray
+    held: int = 0
 
 
 class FormError(ValueError):
@@ -54,9 +56,10 @@ def signal(raw: np.ndarray, t: np.ndarray, valid: np.ndarray, entry: Any, conver
         values = conversion.factor * values + conversion.shift
     if left_out.all():
         raise FormError("every sample would be left out", "Correct `valid`, `drop_glitches` or `sampled_every`")
-    if entry.role != "output" and left_out.any():
+    count = 0 if entry.role == "output" else int(np.sum(left_out))
+    if count:
         values, left_out = _held(values, left_out, t, entry.hold == "linear"), np.zeros(len(values), bool)
-    found = Signal(values, left_out, np.ones(len(values), bool))
+    found = Signal(values, left_out, np.ones(len(values), bool), count)
     if entry.shift:
         found = _shifted(found, entry.shift)
     if entry.delay_s or entry.clock_ppm:
@@ -149,7 +152,7 @@ def _held(values: np.ndarray, left_out: np.ndarray, t: np.ndarray, linear: bool)
 
 def _shifted(s: Signal, rows: int) -> Signal:
     """Each value that many rows earlier; where none comes to lie is not known."""
-    moved = Signal(np.roll(s.values, -rows), np.roll(s.left_out, -rows), np.roll(s.known, -rows))
+    moved = Signal(np.roll(s.values, -rows), np.roll(s.left_out, -rows), np.roll(s.known, -rows), s.held)
     edge = slice(len(s.values) - rows, None) if rows > 0 else slice(0, -rows)
     moved.known[edge] = False
     return moved
@@ -172,5 +175,5 @@ def _resampled(s: Signal, t: np.ndarray, own: np.ndarray, entry: Any) -> Signal:
         reach = lambda at: np.interp(at, inside, integral) + np.maximum(at - inside[-1], 0) * values[-1]
         width = np.maximum(ends - t, 1e-300)
         mean = np.where(ends > t, (reach(ends) - reach(t)) / width, values[-1])
-        return Signal(mean, np.zeros(len(t), bool), known)
-    return Signal(np.interp(t, own, s.values), beside & s.left_out.any(), known)
+        return Signal(mean, np.zeros(len(t), bool), known, s.held)
+    return Signal(np.interp(t, own, s.values), beside & s.left_out.any(), known, s.held)

@@ -165,6 +165,10 @@ def _known_span(
     for channel, s in signals.items():
         if count := int(np.sum(s.left_out)):
             harvest.notes.append(f"{name}: {count} of {len(s.left_out)} samples of {channel} left out of the loss")
+        if s.held:
+            harvest.notes.append(
+                f"{name}: {s.held} of {len(s.values)} samples of {channel} not taken; the last good one holds there"
+            )
     return slice(first, end), [c - first for c in cuts if first < c < end]
 
 

@@ -38,6 +38,7 @@ class _Joint:
 class _Robot:
     inertia: dict[str, np.ndarray] = field(default_factory=dict)  # link -> ten numbers about its frame
     joints: dict[str, _Joint] = field(default_factory=dict)
+    impossible: dict[str, str] = field(default_factory=dict)  # link -> why no body can have its inertia
 
     def children(self, link: str) -> list[_Joint]:
         return [j for j in self.joints.values() if j.parent == link]
@@ -56,6 +57,9 @@ def read_urdf(path: str | Path, tip: str | None = None, root: str | None = None,
     moving = [j for j in chain if j.kind in MOVING]
     if not moving:
         raise UsageError(f"{path}: no joint moves between {root!r} and {tip!r}")
+    for link in _behind(robot, moving[0].child):
+        if link in robot.impossible:  # of what stands still nothing shows
+            raise UsageError(f"{path}: {robot.impossible[link]}. Correct its <inertial>")
     for j in chain:
         if j.mimic:
             raise UsageError(f"{path}: joint {j.name!r} mimics another; jaxid takes chains of independent joints")
@@ -110,7 +114,7 @@ def _read(path: Path, text: str | None = None) -> _Robot:
         name = _text(link, "name", path, "a link")
         if name in robot.inertia:
             raise UsageError(f"{path}: link {name!r} stands there twice")
-        robot.inertia[name] = _inertia(link, path, name)
+        robot.inertia[name] = _inertia(link, path, name, robot)
     for element in tree.findall("joint"):
         joint = _joint(element, path)
         for link in (joint.parent, joint.child):
@@ -159,7 +163,7 @@ def _rotation(axis: int, angle: float) -> np.ndarray:
     return R
 
 
-def _inertia(link: Any, path: Path, name: str) -> np.ndarray:
+def _inertia(link: Any, path: Path, name: str, robot: _Robot) -> np.ndarray:
     inertial = link.find("inertial")
     if inertial is None:
         return np.zeros(10)
@@ -169,26 +173,24 @@ def _inertia(link: Any, path: Path, name: str) -> np.ndarray:
     tensor = inertial.find("inertia")
     keys = ("ixx", "ixy", "ixz", "iyy", "iyz", "izz")
     xx, xy, xz, yy, yz, zz = (_number(tensor, key, "0", path, f"inertia of {what}:") for key in keys)
-    _possible(m, np.array([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]]), path, what)
+    if why := _impossible(m, np.array([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]])):
+        robot.impossible[name] = f"{what} has {why}"
     R = T[:3, :3]
     I = R @ np.array([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]]) @ R.T
     return about_origin(m, T[:3, 3], I[np.triu_indices(3)])
 
 
-def _possible(m: float, I: np.ndarray, path: Path, what: str) -> None:
-    """Raises `UsageError` for a mass or an inertia (about the centre of mass) that no body can have."""
+def _impossible(m: float, I: np.ndarray) -> str:
+    """Why no body has this mass and this inertia about its centre of mass [3 3]; empty where one can."""
     if m < 0:
-        raise UsageError(f"{path}: {what} has a mass of {m:g} kg, and a mass is not negative")
+        return f"a mass of {m:g} kg, and a mass is not negative"
     moments = np.linalg.eigvalsh(I)
-    size = max(float(np.abs(moments).max()), 1e-300)
-    said = ", ".join(f"{v:.4g}" for v in moments)
-    if moments[0] < -1e-6 * size:
-        raise UsageError(f"{path}: {what} has principal moments of inertia of {said} kg m^2, and none can be negative")
+    said = "principal moments of inertia of " + ", ".join(f"{v:.4g}" for v in moments) + " kg m^2"
+    if moments[0] < -1e-6 * max(float(np.abs(moments).max()), 1e-300):
+        return f"{said}, and none can be negative"
     if moments[2] > (moments[0] + moments[1]) * (1 + 1e-3) + 1e-12:
-        raise UsageError(
-            f"{path}: {what} has principal moments of inertia of {said} kg m^2, which no body can have: one exceeds the sum of "
-            "the others. Correct its <inertia>"
-        )
+        return f"{said}, which no body can have: one exceeds the sum of the others"
+    return ""
 
 
 def _joint(element: Any, path: Path) -> _Joint:
@@ -265,6 +267,11 @@ def _ends(robot: _Robot, link: str) -> list[str]:
     """The last link that moves of each branch."""
     behind = [j for j in robot.children(link) if _moves(robot, j)]
     return [end for j in behind for end in _ends(robot, j.child)] if behind else [link]
+
+
+def _behind(robot: _Robot, link: str) -> list[str]:
+    """A link and everything that hangs on it."""
+    return [link, *(n for j in robot.children(link) for n in _behind(robot, j.child))]
 
 
 def _moves(robot: _Robot, joint: _Joint) -> bool:

@@ -171,6 +171,15 @@ def test_glitches_are_left_out_of_the_loss_and_stay_in_the_data(tmp_path):
         assert noise_floor(data)["q"].std < 1e-3
 
 
+def test_an_input_holds_its_last_good_sample_through_a_glitch(tmp_path):
+    torn = np.cos(3 * T)
+    torn[[50, 200]] = 1000.0
+    data = load(write(tmp_path / "d", {"t": T, "tau": torn, "q": Q}, {"tau": "drop_glitches = true", "q": ""}))
+    (run,) = data.experiments
+    np.testing.assert_array_equal(run.u[[50, 200], 0], torn[[49, 199]])
+    assert run.read.all() and any("2 of 400 samples of tau not taken" in n for n in data.notes)
+
+
 def test_what_is_no_glitch():
     noise = np.random.default_rng(1).standard_normal(20_000)
     jump, bounce = np.where(T < 2, 0.0, 1.0), np.abs(np.sin(9 * T))

@@ -418,6 +418,14 @@ def test_faults_of_a_urdf_are_named_with_what_to_type(tmp_path, content, words):
     assert (tmp_path / "arm.urdf").read_text() == content
 
 
+def test_what_stands_still_may_have_any_inertia(tmp_path):
+    from jaxid.urdf import read_urdf
+
+    body = '<inertial><mass value="1"/><inertia ixx="0.1" ixy="0" ixz="0" iyy="0.1" iyz="0" izz="0.9"/></inertial>'
+    (tmp_path / "a.urdf").write_text(urdf(["a"]).replace('<link name="base"/>', f'<link name="base">{body}</link>'))
+    assert read_urdf(tmp_path / "a.urdf").joints == ("a",)
+
+
 def test_several_roots(tmp_path):
     from jaxid.urdf import read_urdf
 
