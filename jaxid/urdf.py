@@ -7,6 +7,7 @@ carries them. The frames are those of the URDF, turned where a joint's axis is n
 
 from __future__ import annotations
 
+import warnings
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -14,6 +15,7 @@ from typing import Any
 import numpy as np
 
 from jaxid.errors import nearest, UsageError
+from jaxid.experiment import DatasetWarning
 from jaxid.kinematics import ArmTable, geometry_of
 from jaxid.rigid_body import about_origin, moved, Placements
 
@@ -59,7 +61,7 @@ def read_urdf(path: str | Path, tip: str | None = None, root: str | None = None,
         raise UsageError(f"{path}: no joint moves between {root!r} and {tip!r}")
     for link in _behind(robot, moving[0].child):
         if link in robot.impossible:  # of what stands still nothing shows
-            raise UsageError(f"{path}: {robot.impossible[link]}. Correct its <inertial>")
+            _tell(f"{path}: {robot.impossible[link]}", refuse="negative" in robot.impossible[link])
     for j in chain:
         if j.mimic:
             raise UsageError(f"{path}: joint {j.name!r} mimics another; jaxid takes chains of independent joints")
@@ -178,6 +180,13 @@ def _inertia(link: Any, path: Path, name: str, robot: _Robot) -> np.ndarray:
     R = T[:3, :3]
     I = R @ np.array([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]]) @ R.T
     return about_origin(m, T[:3, 3], I[np.triu_indices(3)])
+
+
+def _tell(text: str, refuse: bool) -> None:
+    """Refuses what cannot be simulated; an inertia beyond the sum of the others is in many makers' files, and only said."""
+    if refuse:
+        raise UsageError(f"{text}. Correct its <inertial>")
+    warnings.warn(f"{text}; it is taken as it stands", DatasetWarning, stacklevel=4)
 
 
 def _impossible(m: float, I: np.ndarray) -> str:
