@@ -16,6 +16,7 @@ from jaxid.chain import Chain, Effect, neutral
 from jaxid.dataset_geometry import arm_table
 from jaxid.errors import nearest, UsageError
 from jaxid.experiment import Dataset, Experiment
+from jaxid.joint_names import in_chain_order, joint_names
 from jaxid.layout import Layout
 from jaxid.mechanism import Mechanism, Signature
 from jaxid.noise import Noise, noise_floor
@@ -91,6 +92,7 @@ def resolve_model(model: object, dataset: Dataset, without: Iterable[str] = ()) 
     constants = spec.constants if spec is not None else {}
     if isinstance(model, Mechanism):
         model = with_settings(model, constants)
+        dataset = in_chain_order(dataset, joint_names(model))
         model = Chain(model, signature=_signature(model, dataset), smoothing_velocity=smoothing)
     if not isinstance(model, Chain):
         raise UsageError(f"a model is an id, a mechanism or a chain, not {type(model).__name__}")
@@ -156,6 +158,7 @@ def bind(
     if not dataset.experiments and not dataset.responses:
         raise UsageError("the dataset holds no experiment")
     nominal = resolve_model(model, dataset, without)
+    dataset = in_chain_order(dataset, joint_names(nominal.mechanism))
     added = [parse_effect(e, nominal) for e in effects]
     present = {e.name for e in nominal.effects}
     contents = nominal.contents

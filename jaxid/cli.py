@@ -7,6 +7,7 @@ import json
 import os
 import sys
 from collections.abc import Callable
+from keyword import iskeyword
 from pathlib import Path
 from typing import Any
 
@@ -28,6 +29,7 @@ MODULES = {
     "compare": "jaxid.cli_compare",
     "excite": "jaxid.cli_excite",
     "identify": "jaxid.cli_identify",
+    "import": "jaxid.cli_import",
     "record": "jaxid.cli_record",
     "emulate": "jaxid.cli_emulate",
 }
@@ -52,7 +54,7 @@ class AllCommands(Commands):
 
     def get_command(self, ctx, cmd_name):
         if cmd_name in MODULES:
-            return getattr(importlib.import_module(MODULES[cmd_name]), cmd_name)
+            return getattr(importlib.import_module(MODULES[cmd_name]), f"{cmd_name}_" if iskeyword(cmd_name) else cmd_name)
         return super().get_command(ctx, cmd_name)
 
 
@@ -190,51 +192,6 @@ def simulate(dataset, parameters, out, model, as_json, quiet) -> int:
 
     with Output(out, as_json, quiet) as output:
         return output.deliver(jaxid.simulate(fitted, data, model=model), simulation_text)
-
-
-@cli.command("import")
-@click.argument("kind", metavar="KIND")
-@click.argument("files", type=click.Path(path_type=Path), metavar="FILE…", nargs=-1, required=True)
-@OUT
-@click.option("--overwrite", is_flag=True, help="Replace a folder that has other content.")
-@click.option("--unit", metavar="U", help="lerobot: the unit of states and actions.")
-@click.option("--channel", "channels", multiple=True, metavar="NAME=COLUMN:UNIT[:ROLE]", help="csv: a channel, or t; repeat it.")
-@output_options
-def import_(kind, files, out, overwrite, unit, channels, as_json, quiet) -> int:
-    """Convert a recording made by others.
-
-    KIND: emps, ur_rtde_csv, rosbag, mcap, lerobot, csv. Several files of one recording become one dataset folder.
-    """
-    import jaxid
-    from jaxid import importers, importers_robot as robot
-    from jaxid.errors import nearest
-
-    converters: dict[str, Callable[..., Path]] = {
-        "emps": importers.import_emps,
-        "ur_rtde_csv": robot.import_ur_rtde_csv,
-        "rosbag": robot.import_rosbag,
-        "mcap": robot.import_mcap,
-        "lerobot": robot.import_lerobot,
-        "csv": robot.import_csv,
-    }
-    if kind not in converters:
-        raise jaxid.UsageError(f"unknown kind of recording {kind!r}{nearest(kind, converters)}")
-    more = {"lerobot": {"unit": unit}, "csv": {"channels": channels}}.get(kind, {})
-    folder = converters[kind](files, out, overwrite=overwrite, **more)
-    data = jaxid.load_dataset(folder, check_model=False)
-    if as_json:
-        summary = {
-            "schema": 1,
-            "kind": "dataset",
-            "name": data.name,
-            "folder": str(folder),
-            "channels": {c.name: c.unit for c in data.channels},
-            "experiments": [{"name": e.name, "split": e.split, "samples": len(e.t)} for e in data.experiments],
-        }
-        print(json.dumps(summary, indent=1))
-    elif not quiet:
-        terminal.say(f"{data.name}: {len(data.experiments)} experiments written to {folder}")
-    return SUCCESS
 
 
 @cli.command()

@@ -42,13 +42,19 @@ if TYPE_CHECKING:
     "--gain-std", type=click.FloatRange(0, 1), default=0.0, show_default=True, metavar="S",
     help="Relative standard deviation of the drive gains, for the payload's interval.",
 )  # fmt: skip
+@click.option("--tip", metavar="LINK", help="Last link of the chain in the URDF that --model names.")
+@click.option("--root", metavar="LINK", help="First link of the chain in the URDF that --model names.")
 @output_options
-def identify(dataset, out, model, method, friction, cutoff, motion_cutoff, reference, gain_std, as_json, quiet) -> int:
+def identify(dataset, out, model, method, friction, cutoff, motion_cutoff, reference, gain_std, tip, root, as_json, quiet) -> int:
     """Identify a serial arm: base parameters, friction, payload.
 
     Writes identification.json and report.html into DIR.
     """
     jaxid, data = start(dataset, out)
+    if tip is not None or root is not None:
+        if model is None or not model.endswith(".urdf"):
+            raise jaxid.UsageError("--tip and --root name links of a URDF: give it as --model arm.urdf")
+        model = jaxid.models.SerialArm.from_urdf(model, tip, root)
 
     foretell("identify", model, data, quiet)
     with Output(out, as_json, quiet) as output:
@@ -64,7 +70,7 @@ def identification_text(result: Identification) -> str:
     from jaxid.report.identified import base_rows, friction_rows, headline, payload_rows
     from jaxid.text import table
 
-    joints = [f"q{j + 1}" for j in range(result.joints)]
+    joints = result.labels
     parts = [
         f"{result.dataset}, model {result.model}: {result.method}, friction law {result.law}. {headline(result)}",
         table(

@@ -17,9 +17,10 @@ from jaxid.errors import nearest
 from jaxid.experiment import Controller, Dataset, DatasetError, ModelSpec, Problem
 
 
-RUN_SETTINGS = ("split", "at_rest", "initial", "constants", "initial_window_s", "split_at_gaps")
-CHANNEL_SETTINGS = ("noise_std", "resolution", "hold")
-DATASET_SETTINGS = ("name", "names", "description", "source", "model", "controller", "check_model")
+RUN_SETTINGS = ("split", "at_rest", "initial", "constants", "initial_window_s", "split_at_gaps", "repeat_of")
+FORMS = ("scale", "offset", "unwrap", "drop_glitches", "sampled_every", "shift", "delay_s", "clock_ppm")
+CHANNEL_SETTINGS = ("noise_std", "resolution", "hold", *FORMS)
+DATASET_SETTINGS = ("name", "time_unit", "names", "description", "source", "model", "controller", "check_model")
 
 # The conventions of names; a number behind a name is a joint.
 _NAMED_UNITS = {
@@ -86,6 +87,7 @@ def from_arrays(
     if problems:
         raise DatasetError(problems)
     raw: dict[str, Any] = {"name": name, "description": str(settings.get("description", ""))}
+    raw |= {"time_unit": settings["time_unit"]} if settings.get("time_unit") is not None else {}
     raw |= {"source": settings["source"]} if settings.get("source") is not None else {}
     raw |= {"channels": channels, "experiments": entries}
     model = _model(settings.get("model"), free=not inputs)
@@ -181,6 +183,9 @@ def _digest(raw: Mapping[str, Any], tables: Sequence[Table]) -> str:
     return digest.hexdigest()
 
 
+_TIME_INDEX = ("DatetimeIndex", "TimedeltaIndex")
+
+
 def from_frame(
     frame: Any,
     inputs: Sequence[str] | Mapping[str, str],
@@ -199,7 +204,10 @@ def from_frame(
         for column in [time, *(c for g in groups for c in g.values())]:
             if column not in there:
                 message = f"there is no column {column!r}{nearest(column, there)}"
-                problems.append(Problem(name, None, column, message, "Name a column of the frame"))
+                index = getattr(getattr(one, "index", None), "name", None)
+                own = column == time and (index == time or type(getattr(one, "index", None)).__name__ in _TIME_INDEX)
+                remedy = "The time is the frame's index: give frame.reset_index()" if own else "Name a column of the frame"
+                problems.append(Problem(name, None, column, message, remedy))
     if problems:
         raise DatasetError(list(dict.fromkeys(problems)))
     single = not isinstance(frame, list | tuple)

@@ -8,6 +8,7 @@ from dataclasses import replace
 from typing import Any
 
 from jaxid.dataset_geometry import arm_table
+from jaxid.dataset_patterns import expanded_channels
 from jaxid.dataset_records import Harvest, read_record, read_response, Reading
 from jaxid.dataset_schema import Document, ExperimentEntry, Header, ModelEntry, Places
 from jaxid.dataset_table import Table
@@ -22,6 +23,7 @@ from jaxid.experiment import (
     ParameterPrior,
     Problem,
 )
+from jaxid.joint_names import in_chain_order, number_of, renamed, renumbered
 from jaxid.units import Conversion, conversion, si_unit, UnitError
 
 
@@ -39,13 +41,15 @@ def assemble(
 ):
     """The dataset, or `DatasetError` with every fault of the description, the model and the samples."""
     problems = list(document.problems)
+    problems += expanded_channels(document, places, open_table)
     geometry = _geometry(document, places, open_text, problems)
     info = _model_info(document, places, problems, geometry) if check_model else None
     readings = _readings(document, places, problems, info)
     problems += _roles(document, places, known_model=info is not None)
     problems += _references(document, places)
+    chain = arm_table(geometry).joints if geometry is not None and geometry.urdf and check_model else ()
     if info is not None:
-        problems += _fits_model(document, readings, places, info)
+        problems += _fits_model(document, _of_chain(document, readings, chain), places, info)
     harvests = _samples(document, readings, open_table, problems)
     problems += _still_outputs(harvests)
     if problems:
@@ -55,7 +59,7 @@ def assemble(
         warnings.warn(text, DatasetWarning, stacklevel=3)
     header = document.header
     assert header is not None
-    return Dataset(
+    dataset = Dataset(
         name=header.name,
         description=header.description,
         source=_origin(header),
@@ -64,9 +68,23 @@ def assemble(
         responses=tuple(r for h in harvests for r in h.responses),
         model=None if document.model is None else replace(_model_spec(document.model), geometry=geometry),
         controller=None if document.controller is None else Controller(document.controller.kind, document.controller.settings),
-        notes=tuple([note for h in harvests for note in h.notes] + alerts),
+        notes=tuple([*document.notes, *(note for h in harvests for note in h.notes), *alerts]),
         sha256=sha256(),
     )
+    try:
+        return in_chain_order(dataset, chain)
+    except UsageError as error:
+        raise DatasetError([places.problem(("model", "joints"), str(error), "Correct [model.joints]")]) from None
+
+
+def _of_chain(document: Document, readings: list[Reading], chain: tuple[str, ...]) -> list[Reading]:
+    """The channels as the model will have them: without joints that the recording names and the chain lacks."""
+    joints = {} if document.model is None else document.model.joints
+    try:
+        numbers = renumbered(joints, chain) if chain and joints else {}
+    except UsageError:
+        return readings  # said later, by name
+    return [replace(r, name=new) for r in readings if number_of(new := renamed(r.name, numbers)) <= len(chain) or not numbers]
 
 
 def _each_once(problems: list[Problem]) -> list[Problem]:
@@ -99,6 +117,7 @@ def _model_spec(entry: ModelEntry) -> ModelSpec:
         free=entry.free,
         constants={k: float(v) for k, v in entry.constants.items()},
         parameters={k: ParameterPrior(p.value, p.lower, p.upper) for k, p in entry.parameters.items()},
+        joints=dict(entry.joints),
     )
 
 
@@ -119,11 +138,12 @@ def _geometry(document: Document, places: Places, open_text: Any, problems: list
     if isinstance(text, Problem):
         problems.append(text)
         return None
-    geometry = Geometry(urdf=text, file=entry.urdf, tip=entry.tip)
+    geometry = Geometry(urdf=text, file=entry.urdf, tip=entry.tip, root=entry.root)
     try:
         arm_table(geometry)
     except UsageError as error:
-        problems.append(places.problem(key, str(error), "Correct the URDF"))
+        stated = ("model", "tip") if "tip" in str(error) else ("model", "root") if "root" in str(error) else key
+        problems.append(places.problem(stated, str(error), "Correct it"))
         return None
     return geometry
 
@@ -178,6 +198,11 @@ def _references(document: Document, places: Places) -> list[Problem]:
         if entry.name is not None and names.setdefault(entry.name, index) != index:
             message = f"experiment {names[entry.name] + 1} has the name {entry.name!r} already"
             problems.append(places.problem(("experiments", index, "name"), message, "Choose another name"))
+        if entry.repeat_of is not None and entry.repeat_of not in _names(document.experiments).values():
+            message = (
+                f"there is no run {entry.repeat_of!r} to repeat{nearest(entry.repeat_of, _names(document.experiments).values())}"
+            )
+            problems.append(places.problem(("experiments", index, "repeat_of"), message, "Name another run"))
         if entry.kind != "frequency_response" or "channels" not in document.sound:
             continue
         for role in ("input", "output"):
@@ -279,6 +304,7 @@ def _signature_faults(have: dict[str, Reading], signature: Any, free: bool, plac
 def _samples(document: Document, readings: list[Reading], open_table: OpenTable, problems: list[Problem]) -> list[Harvest]:
     names = _names(document.experiments)
     time = document.header.time if document.header is not None else "t"
+    unit = document.header.time_unit if document.header is not None else None
     units = {r.name: r.conversion for r in readings}
     harvests = []
     for index, entry in document.experiments.items():
@@ -290,7 +316,7 @@ def _samples(document: Document, readings: list[Reading], open_table: OpenTable,
         if not table.columns:
             continue
         if entry.kind == "record":
-            harvest = read_record(table, entry, names[index], readings, time)
+            harvest = read_record(table, entry, names[index], readings, time, unit)
         elif entry.input in units and entry.output in units:
             harvest = read_response(table, entry, names[index], units)
         else:

@@ -14,6 +14,6 @@ def arm_table(geometry: Geometry) -> Any:
     if geometry.urdf:
         from jaxid.urdf import read_urdf
 
-        return read_urdf(geometry.file, geometry.tip, text=geometry.urdf)
+        return read_urdf(geometry.file, geometry.tip, geometry.root, text=geometry.urdf)
     make: Any = kinematics.modified_dh if geometry.convention == "modified" else kinematics.standard_dh
     return make(**geometry.columns)

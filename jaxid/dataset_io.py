@@ -8,12 +8,15 @@ import re
 import shutil
 import tempfile
 import tomllib
+from itertools import islice
 from pathlib import Path
 from typing import Any
 
 from jaxid.capacity import too_large_to_read
 from jaxid.dataset_checks import assemble
-from jaxid.dataset_schema import ExperimentEntry, Places, read_document
+from jaxid.dataset_patterns import by_number, expanded_files
+from jaxid.dataset_places import Places
+from jaxid.dataset_schema import ExperimentEntry, read_document
 from jaxid.dataset_table import read_table, Table
 from jaxid.experiment import Dataset, DatasetError, Problem
 from jaxid.small_files import read_small
@@ -35,9 +38,11 @@ def load_dataset(path: str | os.PathLike[str], *, check_model: bool = True) -> D
         folder = folder.parent
     content, text, raw = _description(folder)
     places = Places("dataset.toml", text)
-    folder_tables = _Folder(folder, places)
+    document = read_document(raw, places)
+    document.problems += expanded_files(document, places, folder, SUFFIXES)
+    folder_tables = _Folder(folder, places, numbered=by_number(document))
     return assemble(
-        read_document(raw, places),
+        document,
         places,
         folder_tables.open,
         check_model=check_model,
@@ -73,14 +78,19 @@ def _description(folder: Path) -> tuple[bytes, str, dict[str, Any]]:
         line = re.search(r"at line (\d+)", str(error))
         message = str(error).split(" (at ")[0].strip().rstrip(".") or type(error).__name__
         row = int(line[1]) if line else None
-        raise _refuse(file, f"not readable as TOML: {message[:1].lower()}{message[1:]}", "Correct the line", row) from None
+        stated = text.splitlines()[row - 1] if row is not None and row <= len(text.splitlines()) else ""
+        remedy = "Correct the line"
+        if "\\" in stated:
+            remedy = f"Write forward slashes: {stated.strip().replace(chr(92), '/')}"
+        raise _refuse(file, f"not readable as TOML: {message[:1].lower()}{message[1:]}", remedy, row) from None
 
 
 class _Folder:
     """The data files of a folder, each read once."""
 
-    def __init__(self, folder: Path, places: Places):
+    def __init__(self, folder: Path, places: Places, numbered: bool):
         self.folder = folder
+        self.numbered = numbered
         self.places = places
         self.tables: dict[str, Table] = {}
         self.digests: dict[str, bytes] = {}
@@ -92,7 +102,7 @@ class _Folder:
         content = self._content(file, ("experiments", index, "file"), SUFFIXES)
         if isinstance(content, Problem):
             return content
-        self.tables[file] = read_table(self.folder / file, file, content)
+        self.tables[file] = read_table(self.folder / file, file, content, numbered=self.numbered)
         return self.tables[file]
 
     def text(self, file: str, key: tuple[str | int, ...]) -> str | Problem:
@@ -110,6 +120,8 @@ class _Folder:
         kinds = " nor ".join(s for s in suffixes if s != ".pq")
         try:
             path = self.folder / file
+            if any(c in file for c in "\a\b\t\n\v\f\r"):
+                return self._absent(file, key, suffixes)  # "sub\run.csv" holds a carriage return
             outside = ".." in parts or Path(file).is_absolute() or file[1:2] == ":" or file[:1] == "\\"
             if outside or not path.resolve().is_relative_to(self.folder.resolve()):
                 return self.places.problem(key, f"{file!r} lies outside the folder", "Move the file into the dataset's folder")
@@ -118,9 +130,7 @@ class _Folder:
             if path.suffix.lower() not in suffixes:
                 return self.places.problem(key, f"{file!r} is neither {kinds}", f"Name a {kinds.replace('nor', 'or')} file")
             if not path.is_file():
-                there = [p.name for p in sorted(self.folder.iterdir()) if p.suffix.lower() in suffixes][:12]
-                hint = f" (there is: {', '.join(there)})" if there else ""
-                return self.places.problem(key, f"there is no file {file!r}{hint}", "Add the file or correct its name")
+                return self._absent(file, key, suffixes)
             if suffixes is SUFFIXES and (found := too_large_to_read(path)):
                 return self.places.problem(key, f"{file!r}: {found[0]}", found[1])
             content = path.read_bytes()
@@ -129,6 +139,16 @@ class _Folder:
             return self.places.problem(key, f"{file!r} is not readable ({reason})", "Correct its name or permissions")
         self.digests[file] = hashlib.sha256(content).digest()
         return content
+
+    def _absent(self, file: str, key: tuple[str | int, ...], suffixes: tuple[str, ...]) -> Problem:
+        found = (p for p in sorted(self.folder.rglob("*")) if p.suffix.lower() in suffixes and p.is_file())
+        there = [p.relative_to(self.folder).as_posix() for p in islice(found, 12)]
+        hint = f" (there is: {', '.join(there)})" if there else ""
+        remedy = "Add the file or correct its name"
+        stated = self.places.line(key)
+        if "\\" in stated:
+            remedy = f"Write forward slashes: {stated.strip().replace(chr(92), '/')}"
+        return self.places.problem(key, f"there is no file {file!r}{hint}", remedy)
 
     def sha256(self, description: bytes) -> str:
         digest = hashlib.sha256(description)

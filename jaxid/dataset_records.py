@@ -7,8 +7,10 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
+from jaxid.dataset_forms import FormError, Signal, signal
 from jaxid.dataset_schema import ChannelEntry, ExperimentEntry
-from jaxid.dataset_table import Table
+from jaxid.dataset_table import ragged_rows, Table
+from jaxid.dataset_time import impossible, seconds
 from jaxid.errors import nearest
 from jaxid.experiment import Channel, Experiment, FrequencyResponse, Problem
 from jaxid.units import Conversion
@@ -20,15 +22,27 @@ GAP, LONG_STEP = 20.0, 5.0  # in medians of the time step
 
 @dataclass(frozen=True)
 class Reading:
-    """How a channel is read: its column, and `value = factor * (scale * raw + offset) + shift` in SI."""
+    """How a channel is read: its columns and forms (`jaxid.dataset_forms`), and the conversion of its unit to SI."""
 
     name: str
     entry: ChannelEntry
     conversion: Conversion
 
     @property
-    def column(self) -> str:
-        return self.entry.column if self.entry.column is not None else self.name
+    def column(self) -> str | int:
+        return self.columns[0]
+
+    @property
+    def columns(self) -> list[str | int]:
+        """The columns that it is made of."""
+        if self.entry.columns is not None:
+            return self.entry.columns
+        return [self.entry.column if self.entry.column is not None else self.name]
+
+    @property
+    def reads(self) -> list[str | int]:
+        """The columns that it looks at."""
+        return self.columns + ([self.entry.valid] if self.entry.valid is not None else [])
 
     @property
     def channel(self) -> Channel:
@@ -37,11 +51,6 @@ class Reading:
 
         entry = self.entry
         return Channel(self.name, entry.role, self.conversion.si, width(entry.noise_std), width(entry.resolution), entry.hold)
-
-    def convert(self, raw: np.ndarray) -> np.ndarray:
-        with np.errstate(over="ignore", invalid="ignore"):
-            stated = self.entry.scale * raw + self.entry.offset
-            return self.conversion.factor * stated + self.conversion.shift
 
 
 @dataclass
@@ -58,55 +67,109 @@ class Harvest:
     still_inputs: set[str] = field(default_factory=set)
 
 
-def read_record(table: Table, entry: ExperimentEntry, name: str, readings: Sequence[Reading], time: str) -> Harvest:
+def read_record(
+    table: Table, entry: ExperimentEntry, name: str, readings: Sequence[Reading], time: str | int, time_unit: str | None = None
+) -> Harvest:
     """One recorded run (several where it is split at gaps), or what is wrong with it."""
     harvest = Harvest()
-    absent = [table.missing(time, "the time")] if time not in table.columns else []
-    absent += [
-        table.missing(r.column, f"channel {r.name!r}" if r.column != r.name else "this channel")
-        for r in readings
-        if r.column not in table.columns
-    ]
-    harvest.problems += absent
+    harvest.problems += _absent(table, readings, time)
     index = _selected(table, entry, harvest)
-    if index is None or time not in table.columns:
+    clock = table.find(time)
+    if index is None or clock is None:
         return harvest
-    t = table.numbers(time).values
-    time_faults = _sample_faults(table, time, index)
+    index, torn = _readable(table, index, harvest)
+    t, said = seconds(table.columns[clock], table.numbers(clock).values, time_unit)
+    time_faults = [] if said else _sample_faults(table, clock, index)
     harvest.problems += time_faults
+    if said:
+        harvest.notes.append(f"{table.file}: {said}")
+    if len(index) == 0:
+        return harvest
     if entry.window_s is not None:
-        if time_faults:
+        if time_faults or torn:
             return harvest  # which samples the window holds is not known
         start, stop = entry.window_s
         span = t[index[[0, -1]]]
         index = index[(t[index] >= start) & (t[index] < stop)]
         if len(index) == 0:
             message = f"no sample lies in window_s = [{start:g}, {stop:g}]; time runs from {span[0]:g} to {span[1]:g} s"
-            harvest.problems.append(Problem(table.file, None, time, message, "Correct window_s"))
+            harvest.problems.append(Problem(table.file, None, clock, message, "Correct window_s"))
             return harvest
-    values = {r.name: _channel(table, r, index, harvest) for r in readings if r.column in table.columns}
-    if len(index) < MINIMUM_SAMPLES and table.whole:
+    doubted = None if time_unit is not None or said or time_faults or torn else impossible(t[index], clock)
+    if doubted is not None:
+        harvest.problems.append(Problem(table.file, table.row(int(index[0])), clock, *doubted))
+    signals = {r.name: _channel(table, r, index, t[index], harvest) for r in readings if _there(table, r)}
+    if len(index) < MINIMUM_SAMPLES and not torn:
         message = f"{len(index)} samples in experiment {name!r}; fewer than {MINIMUM_SAMPLES} say too little"
         harvest.problems.append(Problem(table.file, None, None, message, "Record or select a longer run"))
-    cuts = None if time_faults else _time(table, entry, name, time, index, t[index], harvest)
+    cuts = None if time_faults or doubted or torn else _time(table, entry, name, clock, index, t[index], harvest)
     if harvest.problems or table.problems or cuts is None:
         return harvest
-    columns = {k: v for k, v in values.items() if v is not None}
+    whole = {k: v for k, v in signals.items() if v is not None}
+    known, cuts = _known_span(table, name, whole, cuts, harvest)
+    if known is None:
+        return harvest
+    values = {k: v.values[known] for k, v in whole.items()}
+    outputs = [r for r in readings if r.entry.role == "output"]
     run = Experiment(
         name=name,
         split=entry.split,
-        t=t[index],
-        u=_stack(columns, readings, "input", len(index)),
-        y=_stack(columns, readings, "output", len(index)),
-        auxiliary={r.name: columns[r.name] for r in readings if r.entry.role == "auxiliary"},
+        t=t[index][known],
+        u=_stack(values, readings, "input", len(index[known])),
+        y=_stack(values, readings, "output", len(index[known])),
+        auxiliary={r.name: values[r.name] for r in readings if r.entry.role == "auxiliary"},
         initial=None if entry.initial is None else dict(entry.initial),
         at_rest=entry.at_rest,
         constants={k: float(v) for k, v in entry.constants.items()},
         initial_window_s=entry.initial_window_s,
-        source=f"{table.file}, {_span(table, index)}",
+        source=f"{table.file}, {_span(table, index[known])}",
+        left_out=np.stack([whole[r.name].left_out[known] for r in outputs], 1) if outputs else None,
+        repeat_of=entry.repeat_of,
     )
     harvest.experiments += _pieces(run, cuts, harvest, table)
     return harvest
+
+
+def _absent(table: Table, readings: Sequence[Reading], time: str | int) -> list[Problem]:
+    """Columns that are named and not there, or there twice."""
+    wanted = [(time, "the time")]
+    wanted += [(c, f"channel {r.name!r}" if c != r.name else "this channel") for r in readings for c in r.reads]
+    problems = []
+    for column, role in wanted:
+        if (twice := table.ambiguous(column)) is not None:
+            problems.append(twice)
+        elif table.find(column) is None:
+            problems.append(table.missing(column, role))
+    twice = [p for p in problems if "stands twice" in p.message]
+    return list(dict.fromkeys(twice or problems))  # what is lacking beside is the one with the wrong name
+
+
+def _there(table: Table, reading: Reading) -> bool:
+    return all(table.find(c) is not None for c in reading.reads)
+
+
+def _known_span(
+    table: Table, name: str, signals: dict[str, Signal], cuts: list[int], harvest: Harvest
+) -> tuple[slice | None, list[int]]:
+    """The samples between the first and the last at which every channel has a value, and where to cut among them."""
+    known = np.all([s.known for s in signals.values()], axis=0) if signals else np.ones(table.count, bool)
+    there = np.flatnonzero(known)
+    if len(there) < MINIMUM_SAMPLES:
+        message = f"shifted against one another, the channels of {name!r} have {len(there)} samples in common"
+        harvest.problems.append(Problem(table.file, None, None, message, "Correct `shift`, `delay_s` or `clock_ppm`"))
+        return None, []
+    first, end = int(there[0]), int(there[-1]) + 1
+    if (lost := len(known) - (end - first)) > 0:
+        where = f"{name}: {lost} sample{'s' * (lost > 1)} at the ends left out"
+        harvest.notes.append(f"{where}, where a shifted channel has no value")
+    for channel, s in signals.items():
+        if count := int(np.sum(s.left_out)):
+            harvest.notes.append(f"{name}: {count} of {len(s.left_out)} samples of {channel} left out of the loss")
+        if s.held:
+            harvest.notes.append(
+                f"{name}: {s.held} of {len(s.values)} samples of {channel} not taken; the last good one holds there"
+            )
+    return slice(first, end), [c - first for c in cuts if first < c < end]
 
 
 def _span(table: Table, index: np.ndarray) -> str:
@@ -137,9 +200,8 @@ def _selected(table: Table, entry: ExperimentEntry, harvest: Harvest) -> np.ndar
     if entry.rows is not None:
         start, stop = entry.rows
         if stop > table.count:
-            if table.whole:
-                message = f"rows = [{start}, {stop}] reach beyond the {table.count} samples of the file"
-                harvest.problems.append(Problem(table.file, None, None, message, "Correct `rows` (half-open, from 0)"))
+            message = f"rows = [{start}, {stop}] reach beyond the {table.count} samples of the file"
+            harvest.problems.append(Problem(table.file, None, None, message, "Correct `rows` (half-open, from 0)"))
             return None
         mask[:start] = mask[stop:] = False
     index = np.flatnonzero(mask)
@@ -149,6 +211,17 @@ def _selected(table: Table, entry: ExperimentEntry, harvest: Harvest) -> np.ndar
             harvest.problems.append(Problem(table.file, None, None, message, "Correct `where` or `rows`"))
         return None
     return index
+
+
+def _readable(table: Table, index: np.ndarray, harvest: Harvest) -> tuple[np.ndarray, bool]:
+    """The selected samples whose rows have a field for each column; whether there are others, which is a problem."""
+    good = ~np.isin(index, list(table.ragged))
+    if good.all():
+        return index, False
+    torn = {k: table.ragged[k] for k in index[~good].tolist()}
+    rows = table.rows if table.rows is not None else np.arange(table.count)
+    harvest.problems.append(ragged_rows(table.file, rows.tolist(), torn, len(table.columns)))
+    return index[good], True
 
 
 def _sample_faults(table: Table, column: str, index: np.ndarray) -> list[Problem]:
@@ -173,31 +246,45 @@ def _sample_faults(table: Table, column: str, index: np.ndarray) -> list[Problem
     return problems
 
 
-def _channel(table: Table, reading: Reading, index: np.ndarray, harvest: Harvest) -> np.ndarray | None:
+def _channel(table: Table, reading: Reading, index: np.ndarray, t: np.ndarray, harvest: Harvest) -> Signal | None:
     """The channel's samples in SI. Notes whether it moves."""
-    faults = _sample_faults(table, reading.column, index)
+    entry = reading.entry
+    valid = np.ones(len(index), bool)
+    if entry.valid is not None and (found := table.find(entry.valid)) is not None:
+        valid = np.nan_to_num(table.numbers(found).values[index]) != 0
+    columns = [c for c in map(table.find, reading.columns) if c is not None]
+    faults = [f for c in columns for f in _sample_faults(table, c, index[valid])]
     harvest.problems += faults
-    values = reading.convert(table.numbers(reading.column).values[index])
+    weights = entry.weights if entry.weights is not None else [1.0]
+    raw = np.sum([w * table.numbers(c).values[index] for w, c in zip(weights, columns, strict=True)], axis=0)
+    raw[~valid & ~np.isfinite(raw)] = 0.0  # an empty cell where nothing is read
     if faults:
         harvest.moving.add(reading.name)
         return None
+    try:
+        found = signal(raw, t, valid, entry, reading.conversion)
+    except FormError as error:
+        text = f"channel {reading.name!r}: {error}"
+        harvest.problems.append(Problem(table.file, None, columns[0], text, error.remedy))
+        return None
+    values = found.values
     if not np.isfinite(values).all():
         first = int(index[np.flatnonzero(~np.isfinite(values))[0]])
         text = f"{table.place(first)} is too large after scale, offset and unit"
-        harvest.problems.append(Problem(table.file, table.row(first), reading.column, text, "Correct scale, offset or unit"))
+        harvest.problems.append(Problem(table.file, table.row(first), columns[0], text, "Correct scale, offset or unit"))
         return None
-    still = np.ptp(values) == 0
+    still = np.ptp(values[~found.left_out]) == 0
     if reading.entry.role == "output" and not still:
         harvest.moving.add(reading.name)
     elif reading.entry.role == "output":
         constant = f"it is {values[0]:g} {reading.conversion.si} in all {len(index)} samples"
         text = f"output {reading.name!r} never moves: {constant}"
         harvest.still[reading.name] = Problem(
-            table.file, None, reading.column, text, 'Check the sensor, or give the channel role = "auxiliary"'
+            table.file, None, columns[0], text, 'Check the sensor, or give the channel role = "auxiliary"'
         )
     elif reading.entry.role == "input" and still:
         harvest.still_inputs.add(reading.name)
-    return values
+    return found
 
 
 def _time(
@@ -215,7 +302,7 @@ def _time(
         remedy = "Give increasing times, or choose one run of the file with `where` or `rows`"
         harvest.problems.append(Problem(table.file, table.row(sample), column, text, remedy))
         return None
-    if len(step) == 0 or not table.whole:
+    if len(step) == 0:
         return []
     median = float(np.median(step))
     gaps = np.flatnonzero(step > GAP * median)
@@ -275,6 +362,7 @@ def read_response(table: Table, entry: ExperimentEntry, name: str, units: dict[s
     index = _selected(table, entry, harvest)
     if index is None:
         return harvest
+    index, _ = _readable(table, index, harvest)
     for key in keys:
         if key not in absent:
             harvest.problems += _sample_faults(table, named[key], index)

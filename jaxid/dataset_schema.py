@@ -4,14 +4,14 @@ from __future__ import annotations
 
 import datetime
 import re
-import tomllib
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from difflib import get_close_matches
-from typing import Any, Literal, TypeVar
+from typing import Annotated, Any, Literal, TypeVar
 
 from pydantic import BaseModel, ConfigDict, Field, field_validator, FiniteFloat, model_validator, ValidationError
 
+from jaxid.dataset_places import dotted, Places, real_path
 from jaxid.errors import nearest
 from jaxid.experiment import Problem
 
@@ -19,6 +19,7 @@ from jaxid.experiment import Problem
 Split = Literal["fit", "validation", "report"]
 Number = FiniteFloat | bool
 Positive = Field(default=None, gt=0)
+Column = str | Annotated[int, Field(ge=1)]  # a name, or a number that counts from 1
 
 
 class _Strict(BaseModel):
@@ -42,17 +43,33 @@ class Header(_Strict):
     licence: str | None = None
     recorded: str | datetime.date | None = None
     hardware: str | None = None
-    time: str = "t"
+    time: Column = "t"
+    time_unit: Literal["s", "ms", "us", "ns"] | None = None
 
-    _name = field_validator("name", "time")(_plain)
+    _name = field_validator("name")(_plain)
+
+    @field_validator("time")
+    @classmethod
+    def _time(cls, value: str | int) -> str | int:
+        return _plain(value) if isinstance(value, str) else value
 
 
 class ChannelEntry(_Strict):
-    """`[channels.NAME]`. A value is `scale * raw + offset`, in `unit`."""
+    """`[channels.NAME]`. A value is `scale * raw + offset`, in `unit`; raw is a column, or columns with weights. What else may be
+    said of how it was recorded is applied to it in that unit (`jaxid.dataset_forms`)."""
 
     role: Literal["input", "output", "auxiliary"]
     unit: str
-    column: str | None = None
+    column: Column | None = None
+    columns: list[Column] | None = Field(default=None, min_length=1)
+    weights: list[FiniteFloat] | None = None
+    valid: Column | None = None
+    unwrap: bool | FiniteFloat = False
+    drop_glitches: bool = False
+    sampled_every: int = Field(default=1, ge=1)
+    shift: int = 0
+    delay_s: FiniteFloat = 0.0
+    clock_ppm: FiniteFloat = 0.0
     scale: FiniteFloat = 1.0
     offset: FiniteFloat = 0.0
     noise_std: FiniteFloat | None = Positive
@@ -66,11 +83,36 @@ class ChannelEntry(_Strict):
             raise ValueError("is 0, so every sample would be the offset")
         return value
 
+    @field_validator("unwrap")
+    @classmethod
+    def _range(cls, value: bool | float) -> bool | float:
+        if not isinstance(value, bool) and value <= 0:
+            raise ValueError(f"is {value:g}: write true, or the range of the counter above 0")
+        return value
+
+    @field_validator("clock_ppm")
+    @classmethod
+    def _clock(cls, value: float) -> float:
+        if not abs(value) < 1e5:
+            raise ValueError(f"is {value:g}: a clock that is off by a tenth has another unit (time_unit)")
+        return value
+
+    @model_validator(mode="after")
+    def _together(self) -> ChannelEntry:
+        if (self.columns is None) != (self.weights is None):
+            raise ValueError("`columns` and `weights` go together: columns = ['m5', 'm6'], weights = [32.0, 32.0]")
+        if self.columns is not None and self.column is not None:
+            raise ValueError("both `column` and `columns` say what to read: keep one of them")
+        if self.columns is not None and len(self.columns) != len(self.weights or ()):
+            raise ValueError(f"{len(self.columns)} columns have {len(self.weights or ())} weights: write one for each")
+        return self
+
 
 class ExperimentEntry(_Strict):
-    """`[[experiments]]`: a recorded run, or a frequency response."""
+    """`[[experiments]]`: a recorded run, several of them by a pattern (`files`), or a frequency response."""
 
-    file: str
+    file: str = ""
+    files: str | None = None
     name: str | None = None
     split: Split = "fit"
     kind: Literal["record", "frequency_response"] = "record"
@@ -86,8 +128,9 @@ class ExperimentEntry(_Strict):
     output: str | None = None
     columns: dict[Literal["omega", "frequency", "gain", "phase", "re", "im"], str] = {}
     phase_unit: Literal["rad", "deg"] = "rad"
+    repeat_of: str | None = None
 
-    @field_validator("name")
+    @field_validator("name", "repeat_of")
     @classmethod
     def _name(cls, value: str | None) -> str | None:
         return value if value is None else _plain(value)
@@ -108,8 +151,10 @@ class ExperimentEntry(_Strict):
 
     @model_validator(mode="after")
     def _kinds(self) -> ExperimentEntry:
+        if self.files is not None and (self.file or self.name is not None):
+            raise ValueError(f"`files` are several runs, and {'`file`' if self.file else '`name`'} is of one: keep one of them")
         response = {"input", "output", "columns", "phase_unit"}
-        record = {"at_rest", "initial", "initial_window_s", "constants", "split_at_gaps", "window_s"}
+        record = {"at_rest", "initial", "initial_window_s", "constants", "split_at_gaps", "window_s", "repeat_of"}
         wrong = sorted(self.model_fields_set & (response if self.kind == "record" else record))
         if wrong:
             raise ValueError(f"{wrong[0]!r} has no meaning in an experiment of kind {self.kind!r}")
@@ -153,8 +198,8 @@ class LinksEntry(_Strict):
 
 
 class ModelEntry(_Strict):
-    """`[model]`. `urdf` (a file of the folder, with the `tip` of the chain where it has branches) or `dh` are the links of a
-    `serial_arm`."""
+    """`[model]`. `urdf` (a file of the folder, with the `root` and the `tip` of the chain where it has several) or `dh` are the
+    links of a `serial_arm`; `joints` says which joint a channel is of (`q1` and its `tau1`, `q1_cmd` … alike)."""
 
     name: str | None = None
     without: list[str] = []
@@ -163,7 +208,18 @@ class ModelEntry(_Strict):
     parameters: dict[str, PriorEntry] = {}
     urdf: str | None = None
     tip: str | None = None
+    root: str | None = None
     dh: LinksEntry | None = None
+    joints: dict[str, str] = {}
+
+    @field_validator("joints")
+    @classmethod
+    def _joints(cls, value: dict[str, str]) -> dict[str, str]:
+        for channel, joint in value.items():
+            _plain(joint)
+            if sum(joint == other for other in value.values()) > 1:
+                raise ValueError(f"{channel!r}: two channels are of joint {joint!r}; one joint has one position")
+        return value
 
     @model_validator(mode="after")
     def _apart(self) -> ModelEntry:
@@ -174,8 +230,9 @@ class ModelEntry(_Strict):
             raise ValueError("the links stand in both urdf and dh: keep one of them")
         if (self.urdf is not None or self.dh is not None) and self.name != "serial_arm":
             raise ValueError('urdf and dh are the links of the model "serial_arm": write name = "serial_arm"')
-        if self.tip is not None and self.urdf is None:
-            raise ValueError("tip names the end of a chain in a URDF, and there is no urdf")
+        if self.urdf is None and (self.tip is not None or self.root is not None):
+            word, what = ("tip", "end") if self.tip is not None else ("root", "beginning")
+            raise ValueError(f"{word} names the {what} of a chain in a URDF, and there is no urdf")
         return self
 
 
@@ -206,61 +263,12 @@ class Document:
     model: ModelEntry | None = None
     controller: ControllerEntry | None = None
     problems: list[Problem] = field(default_factory=list)
+    notes: list[str] = field(default_factory=list)
     sound: set[str] = field(default_factory=set)  # the sections without a fault
     faulty: dict[tuple[str | int, ...], set[str | int | None]] = field(default_factory=dict)  # part -> its faulty keys
 
 
 Entry = TypeVar("Entry", bound=BaseModel)
-
-
-class Places:
-    """Makes problems of `dataset.toml`: the key as people write it, and its line."""
-
-    def __init__(self, file: str, text: str = ""):
-        self.file = file
-        self.lines = _key_lines(text)
-
-    def problem(self, key: tuple[str | int, ...], message: str, remedy: str) -> Problem:
-        line = next((self.lines[key[:n]] for n in range(len(key), 0, -1) if key[:n] in self.lines), None)
-        return Problem(self.file, line, _dotted(key) or None, message, remedy)
-
-
-def _dotted(key: tuple[str | int, ...]) -> str:
-    text = ""
-    for part in key:
-        text += f"[{part + 1}]" if isinstance(part, int) else f".{part}" if text else part
-    return text
-
-
-_KEY = r"""(?:"(?:[^"\\]|\\.)*"|'[^']*'|[A-Za-z0-9_-]+)"""
-_DOTTED = rf"{_KEY}(?:\s*\.\s*{_KEY})*"
-
-
-def _key_lines(text: str) -> dict[tuple[str | int, ...], int]:
-    """The line of each key of a TOML text, by a light scan (tomllib does not tell)."""
-    lines: dict[tuple[str | int, ...], int] = {}
-    counts: dict[str, int] = {}
-    table: tuple[str | int, ...] = ()
-
-    def parts(dotted: str) -> tuple[str | int, ...]:
-        return tuple(tomllib.loads(f"key = {w}")["key"] if w[0] in "\"'" else w for w in re.findall(_KEY, dotted))
-
-    for number, line in enumerate(text.splitlines(), 1):
-        if header := re.match(rf"\s*(\[\[?)\s*({_DOTTED})\s*\]", line):
-            table = parts(header[2])
-            first = str(table[0])
-            if header[1] == "[[" and len(table) == 1:
-                counts[first] = counts.get(first, -1) + 1
-            if first in counts:
-                table = (first, counts[first], *table[1:])
-            key = table
-            lines.setdefault((first,), number)
-        elif pair := re.match(rf"\s*({_DOTTED})\s*=", line):
-            key = (*table, *parts(pair[1]))
-        else:
-            continue
-        lines.setdefault(key, number)
-    return lines
 
 
 def read_document(raw: Mapping[str, Any], places: Places) -> Document:
@@ -280,7 +288,7 @@ def read_document(raw: Mapping[str, Any], places: Places) -> Document:
     head = {k: v for k, v in raw.items() if k not in tables}
     document.header = _entry(Header, head, (), places, document, "header", allowed)
     for name, value in (sections.get("channels") or {}).items():
-        if not re.fullmatch(r"[A-Za-z_][A-Za-z0-9_]*", name) or name == "t":
+        if not re.fullmatch(r"[A-Za-z_][A-Za-z0-9_]*(\*[A-Za-z0-9_]*)?", name) or name == "t":
             why = "is the name of the time" if name == "t" else "is not a name of letters, digits and underscores"
             document.problems.append(
                 places.problem(("channels", name), f"channel {name!r} {why}", "Rename it and state its `column`")
@@ -292,8 +300,13 @@ def read_document(raw: Mapping[str, Any], places: Places) -> Document:
             document.channels[name] = entry
     for index, value in enumerate(sections.get("experiments") or []):
         key = ("experiments", index)
+        if isinstance(value, Mapping) and not {"file", "files"} & set(value):
+            document.problems.append(
+                places.problem((*key, "file"), "'file' is missing", "State 'file', or 'files' with a pattern")
+            )
+            document.sound.discard("experiments")
         entry = _entry(ExperimentEntry, value, key, places, document, "experiments")
-        if entry is not None and not any(_selects(k) for k in document.faulty.get(key, ())):
+        if entry is not None and (entry.file or entry.files) and not any(_selects(k) for k in document.faulty.get(key, ())):
             document.experiments[index] = entry
     if sections.get("model") is not None:
         document.model = _entry(ModelEntry, sections["model"], ("model",), places, document, "model")
@@ -323,7 +336,7 @@ def _entry(
     """One part, checked; one with a fault is tried again without the faulty keys, so that the rest can be checked."""
     if not isinstance(raw, Mapping):
         document.sound.discard(section)
-        document.problems.append(places.problem(key, f"{_dotted(key)} is not a table", f"Write it as [{_dotted(key)}]"))
+        document.problems.append(places.problem(key, f"{dotted(key)} is not a table", f"Write it as [{dotted(key)}]"))
         return None
     try:
         return cls.model_validate(dict(raw))
@@ -335,7 +348,7 @@ def _entry(
         seen: set[tuple[str | int, ...]] = set()
         faulty = document.faulty.setdefault(key, set())
         for fault in error.errors(include_url=False, include_input=True):
-            where = _real_path(fault["loc"], raw)
+            where = real_path(fault["loc"], raw)
             faulty.add(where[0] if where else None)
             if where in seen:  # a union reports once a branch
                 continue
@@ -347,27 +360,6 @@ def _entry(
             return cls.model_validate(rest)
         except (ValidationError, OverflowError):
             return None
-
-
-def _real_path(loc: tuple[str | int, ...], raw: Any) -> tuple[str | int, ...]:
-    """The part of pydantic's location that stands in the data (it also names branches of unions)."""
-    path: list[str | int] = []
-    for part in loc:
-        if isinstance(raw, Mapping) and part in raw:
-            raw = raw[part]
-        elif isinstance(raw, list) and isinstance(part, int) and part < len(raw):
-            raw = raw[part]
-        else:
-            if not path and isinstance(part, str):
-                path.append(part)
-            elif isinstance(raw, Mapping) and isinstance(part, str) and part.isidentifier() and part not in _BRANCHES:
-                path.append(part)
-            break
-        path.append(part)
-    return tuple(path)
-
-
-_BRANCHES = {"str", "int", "float", "bool", "date", "dict", "list"}
 
 
 def _say(cls: type[BaseModel], fault: Any, where: tuple[str | int, ...], allowed: list[str] | None) -> tuple[str, str]:

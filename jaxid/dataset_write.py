@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 
+from jaxid.dataset_time import impossible
 from jaxid.experiment import Dataset
 
 
@@ -15,20 +16,23 @@ def write_files(dataset: Dataset, folder: Path, format: str) -> None:
     """Runs are `run_1`, `run_2` …, frequency responses `response_1` … in the order of the dataset."""
     import tomlkit
 
-    description = _header(dataset)
+    flagged = {c.name for i, c in enumerate(dataset.outputs) if any(not e.read[:, i].all() for e in dataset.experiments)}
+    description = _header(dataset, flagged)
     entries = []
     for number, run in enumerate(dataset.experiments, 1):
         file = f"run_{number}.{format}"
         columns = {"t": run.t}
         columns |= {c.name: run.u[:, i] for i, c in enumerate(dataset.inputs)}
         columns |= {c.name: run.y[:, i] for i, c in enumerate(dataset.outputs)}
-        _write_table(folder / file, columns | run.auxiliary, format)
+        flags = {_flag(c.name): run.read[:, i].astype(int) for i, c in enumerate(dataset.outputs) if c.name in flagged}
+        _write_table(folder / file, columns | run.auxiliary | flags, format)
         entry = {"file": file, "name": run.name, "split": run.split}
         # The gaps of a loaded run are within the limit already; those of arrays were checked as well.
         entry |= {"at_rest": True} if run.at_rest else {}
         entry |= {"initial_window_s": run.initial_window_s} if run.initial_window_s is not None else {}
         entry |= {"initial": run.initial} if run.initial is not None else {}
         entry |= {"constants": run.constants} if run.constants else {}
+        entry |= {"repeat_of": run.repeat_of} if run.repeat_of is not None else {}
         entries.append(entry)
     for number, response in enumerate(dataset.responses, 1):
         file = f"response_{number}.{format}"
@@ -43,7 +47,12 @@ def write_files(dataset: Dataset, folder: Path, format: str) -> None:
     (folder / "dataset.toml").write_text(tomlkit.dumps(description), encoding="utf-8")
 
 
-def _header(dataset: Dataset) -> dict[str, Any]:
+def _flag(channel: str) -> str:
+    """The column that says which readings of a channel count."""
+    return f"{channel}.valid"  # no channel can have this name
+
+
+def _header(dataset: Dataset, flagged: set[str]) -> dict[str, Any]:
     top: dict[str, Any] = {"name": dataset.name}
     if dataset.description:
         top["description"] = dataset.description
@@ -58,12 +67,15 @@ def _header(dataset: Dataset) -> dict[str, Any]:
         if model.parameters:
             entry["parameters"] = {name: _stated(prior.__dict__) for name, prior in model.parameters.items()}
         if (links := model.geometry) is not None and links.urdf:
-            entry |= {"urdf": "arm.urdf"} | ({"tip": links.tip} if links.tip is not None else {})
+            entry |= {"urdf": "arm.urdf"} | _stated({"tip": links.tip, "root": links.root})
         elif links is not None:
             entry["dh"] = {"convention": links.convention, **links.columns}
+        entry |= {"joints": dict(model.joints)} if model.joints else {}
         top["model"] = entry
     if dataset.controller is not None:
         top["controller"] = {"kind": dataset.controller.kind, **dataset.controller.settings}
+    if any(impossible(run.t) for run in dataset.experiments):
+        top["time_unit"] = "s"
     top["channels"] = {
         c.name: _stated(
             {
@@ -72,6 +84,7 @@ def _header(dataset: Dataset) -> dict[str, Any]:
                 "noise_std": c.noise_std,
                 "resolution": c.resolution,
                 "hold": None if c.hold == "zero" else c.hold,
+                "valid": _flag(c.name) if c.name in flagged else None,
             }
         )
         for c in dataset.channels

@@ -227,7 +227,7 @@ def scores(bench: Bench, split: str, predictions: Sequence[np.ndarray]) -> dict[
     for c, (name, unit) in enumerate(b.chain.signature.outputs):
         y, e = [], []
         for experiment, prediction in zip(b.experiments(split), predictions, strict=True):
-            keep = scored(experiment, split)
+            keep = scored(experiment, split) & experiment.read[:, iy[c]]
             y.append(experiment.y[keep, iy[c]])
             e.append(prediction[keep, c] - y[-1])
         out[name] = score(np.concatenate(y), np.concatenate(e), unit)

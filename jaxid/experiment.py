@@ -83,6 +83,8 @@ class Experiment:
     `past` samples before the first of `t` belong to the same recording and to none of its splits: delays, lags and friction
     that remember bring their state from there. `source` says where the samples stand, for messages. `scatter [time ny]` is the
     standard deviation of what each reading is off by beside its channel's noise, where that is known (see `time_stamps`).
+    `left_out [time ny]` marks readings that count in no loss (glitches, repeated rows); `y` keeps there what was recorded.
+    `repeat_of` names the run of which this is a repeat.
     """
 
     name: str
@@ -98,6 +100,8 @@ class Experiment:
     past: Experiment | None = None
     source: str = ""
     scatter: np.ndarray | None = None
+    left_out: np.ndarray | None = None
+    repeat_of: str | None = None
 
     def __post_init__(self):
         t = _frozen(self.t)
@@ -105,6 +109,8 @@ class Experiment:
         object.__setattr__(self, "u", _frozen(self.u))
         object.__setattr__(self, "y", _frozen(self.y))
         object.__setattr__(self, "auxiliary", {k: _frozen(v) for k, v in self.auxiliary.items()})
+        if self.left_out is not None:
+            object.__setattr__(self, "left_out", _frozen(self.left_out, bool) if np.any(self.left_out) else None)
         if t.ndim != 1 or self.u.ndim != 2 or self.y.ndim != 2 or not len(t) == len(self.u) == len(self.y):
             raise ValueError(
                 f"experiment {self.name!r}: t {t.shape}, u {self.u.shape}, y {self.y.shape}; "
@@ -114,10 +120,11 @@ class Experiment:
     def __eq__(self, other: object) -> bool:
         if not isinstance(other, Experiment):
             return NotImplemented
-        plain = ("name", "split", "initial", "at_rest", "constants", "initial_window_s")
+        plain = ("name", "split", "initial", "at_rest", "constants", "initial_window_s", "repeat_of")
         return (
             all(getattr(self, k) == getattr(other, k) for k in plain)
             and all(np.array_equal(getattr(self, k), getattr(other, k)) for k in ("t", "u", "y"))
+            and np.array_equal(self.read, other.read)
             and list(self.auxiliary) == list(other.auxiliary)
             and all(np.array_equal(v, other.auxiliary[k]) for k, v in self.auxiliary.items())
         )
@@ -141,11 +148,30 @@ class Experiment:
         both = {k: join(getattr(self.past, k), getattr(self, k)) for k in ("t", "u", "y")}
         if self.scatter is not None and self.past.scatter is not None:
             both["scatter"] = join(self.past.scatter, self.scatter)
+        both["left_out"] = ~join(self.past.read, self.read)
         return replace(self, **both, auxiliary={k: join(v, self.auxiliary[k]) for k, v in self.past.auxiliary.items()}, past=None)
 
     def noise(self, sigma: np.ndarray, columns: Sequence[int]) -> np.ndarray:
         """Noise of each reading of some outputs [time columns] whose channels have the noise `sigma` [columns]."""
-        return np.hypot(sigma, 0.0 if self.scatter is None else self.scatter[:, columns]) * np.ones((len(self), 1))
+        all_alike = np.hypot(sigma, 0.0 if self.scatter is None else self.scatter[:, columns]) * np.ones((len(self), 1))
+        return all_alike if self.left_out is None else np.where(self.left_out[:, columns], np.inf, all_alike)
+
+    def noise_rms(self, sigma: np.ndarray, columns: Sequence[int]) -> np.ndarray:
+        """Its root mean square over the readings that count [columns]."""
+        each, read = self.noise(sigma, columns), self.read[:, columns]
+        return np.sqrt(np.sum(np.where(read, each, 0.0) ** 2, 0) / np.maximum(np.sum(read, 0), 1))
+
+    @property
+    def read(self) -> np.ndarray:
+        """Which readings [time ny] count."""
+        return np.ones(self.y.shape, bool) if self.left_out is None else ~self.left_out
+
+    def motion(self) -> np.ndarray:
+        """`y [time ny]` to smooth: readings that are left out lie on the line between their neighbours. Never for a loss."""
+        if self.left_out is None:
+            return self.y
+        pairs = [(self.y[:, i], self.read[:, i]) for i in range(self.y.shape[1])]
+        return np.stack([np.interp(self.t, self.t[k], y[k]) if k.any() else y for y, k in pairs], 1)
 
     def piece(self, start: int, stop: int, *, name: str, split: str, past: int = 0) -> Experiment:
         """Samples `start:stop` as a run of its own, at their times, that knows up to `past` samples before them; only one from
@@ -169,6 +195,7 @@ class Experiment:
             at_rest=self.at_rest if first else False,
             past=before,
             scatter=None if self.scatter is None else self.scatter[start:stop],
+            left_out=None if self.left_out is None else self.left_out[start:stop],
             source=f"{self.source}, samples {start + 1} to {stop} of it",
         )
 
@@ -214,19 +241,21 @@ class ParameterPrior:
 
 @dataclass(frozen=True)
 class Geometry:
-    """The links of a `serial_arm`: the text of a URDF with its file's name and the tip of the chain, or the columns of a
+    """The links of a `serial_arm`: the text of a URDF with its file's name, root and tip of the chain, or the columns of a
     Denavit-Hartenberg table of a `convention` (modified or standard)."""
 
     urdf: str = ""
     file: str = ""
     tip: str | None = None
+    root: str | None = None
     convention: str = "modified"
     columns: dict[str, list[float] | list[bool]] = field(default_factory=dict)
 
 
 @dataclass(frozen=True)
 class ModelSpec:
-    """The model a dataset is meant for; `free` is motion without any input, `geometry` that of a `serial_arm`."""
+    """The model a dataset is meant for; `free` is motion without any input, `geometry` that of a `serial_arm`; `joints`: channel
+    of a position -> the name of its joint."""
 
     name: str | None = None
     without: tuple[str, ...] = ()
@@ -234,6 +263,7 @@ class ModelSpec:
     constants: dict[str, float] = field(default_factory=dict)
     parameters: dict[str, ParameterPrior] = field(default_factory=dict)
     geometry: Geometry | None = None
+    joints: dict[str, str] = field(default_factory=dict)
 
 
 @dataclass(frozen=True)

@@ -297,7 +297,7 @@ class FrequencyResponseError(Residual):
         records, lines = [], 0
         for number, e in enumerate(experiments):
             p = positions[number]
-            bins, U, Y = estimate(e.t, e.u[:, iu], e.y[:, iy[output]], self.band_hz, self.least_input)
+            bins, U, Y = estimate(e.t, e.u[:, iu], e.motion()[:, iy[output]], self.band_hz, self.least_input)
             if not bins.size and e.split == "fit":
                 raise UsageError(f"{e.name}: the input excites no line between {self.band_hz[0]:g} and {self.band_hz[1]:g} Hz")
             omega = 2 * np.pi * bins / (count * np.median(np.diff(e.t)))
@@ -309,7 +309,7 @@ class FrequencyResponseError(Residual):
             each = np.column_stack([omega, np.full(omega.size, output), np.zeros(omega.size), bins, inverse.real, inverse.imag])
             x[rows] = np.repeat(each, 2, 0)
             for c, k in enumerate(timed):
-                y[p, 1 + c], w[p, 1 + c] = e.y[:, iy[k]], 1 / noise[k]
+                y[p, 1 + c], w[p, 1 + c] = e.y[:, iy[k]], e.read[:, iy[k]] / noise[k]
             record = _record(number, e, p, 0, len(e.t), dataset, chain, False)
             kept = np.flatnonzero((w[p[0] : p[-1] + 1] > 0).any(1)) + p[0]
             records.append(Record(**{**record.__dict__, "samples": kept}))
@@ -357,7 +357,7 @@ class FrequencyResponseError(Residual):
         for number, e in enumerate(experiments):
             p = positions[number]
             for c, k in enumerate(timed):
-                y[p, 1 + c], w[p, 1 + c] = e.y[:, iy[k]], 1 / noise[k]
+                y[p, 1 + c], w[p, 1 + c] = e.y[:, iy[k]], e.read[:, iy[k]] / noise[k]
             record = _record(number, e, p, 0, len(e.t), dataset, chain, False)
             kept = np.flatnonzero((w[p[0] : p[-1] + 1] > 0).any(1)) + p[0]
             records.append(Record(**{**record.__dict__, "samples": kept}))

@@ -32,6 +32,7 @@ from jaxid.identification_rows import (
     torques,
 )
 from jaxid.identification_solve import Estimate
+from jaxid.joint_names import in_chain_order, joint_names, names_of_joints
 from jaxid.layout import Layout
 from jaxid.payload import Payload, payload_by_difference, read_reference
 from jaxid.results import SCHEMA, versions
@@ -111,6 +112,7 @@ class Identification:
     wall_time_s: float
     payload: Payload | None = None
     traces: tuple[Any, ...] = field(default=(), compare=False)
+    labels: tuple[str, ...] = ()  # what tables call the joints: their names, else q1 …
 
     @property
     def torque_units(self) -> tuple[str, ...]:
@@ -132,7 +134,7 @@ class Identification:
     def friction(self) -> list[dict[str, Any]]:
         """Friction of each joint: id -> value, std, unit."""
         std, n = self.std(), self.joints
-        out: list[dict[str, Any]] = [{"joint": f"q{j + 1}"} for j in range(n)]
+        out: list[dict[str, Any]] = [{"joint": name} for name in self.labels]
         for i in range(self.base_count, len(self.names)):
             j = (i - self.base_count) % n
             out[j][self.names[i].rstrip("0123456789") if not self.names[i].startswith("F_3") else "F_3"] = {
@@ -225,6 +227,7 @@ def identify(
     data = dataset if held_out else dataset.with_splits()
     chain = _stated(resolve_model(model, data), data)
     arm: Any = chain.mechanism
+    data = in_chain_order(data, joint_names(arm))
     if not hasattr(arm, "base"):
         raise UsageError(f"identify needs a serial arm (ur10, ur10e, panda, serial_arm); {arm.name} is none. Use jaxid fit")
     refuse_too_large(need("identify", data, chain.nq))
@@ -258,6 +261,7 @@ def identify(
         standard=None if phi is None else dict(zip(base.standard, phi.ravel().tolist(), strict=True)),
         dataset=dataset.name, dataset_sha256=dataset.sha256,
         notes=tuple([*data.notes, *_notes(found, names, method, law)]), wall_time_s=time.perf_counter() - began,
+        labels=names_of_joints(arm, data, len(arm.prismatic)),
         traces=tuple((r.name, r.split, r.t, r.tau, own[chosen]) for r, own in zip(runs, predicted, strict=True)),
     )  # fmt: skip
     if before is None:

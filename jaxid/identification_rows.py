@@ -110,7 +110,7 @@ def read_run(
             f"experiment {e.name!r} is sampled at {rate:.4g} Hz; a cutoff of {cutoff_hz:g} Hz is too high, give at most "
             f"{rate / 4:.3g}"
         )
-    q, qd, qdd, _ = differentiate(e.t, e.y[:, iy], min(motion_hz, rate / 2.5))
+    q, qd, qdd, _ = differentiate(e.t, e.motion()[:, iy], min(motion_hz, rate / 2.5))
     tau = e.u[:, iu] * gains
     ends = filter_ends(e.t, cutoff_hz)
     kept = slice(ends, len(e.t) - ends)

@@ -39,7 +39,8 @@ def noise_floor(dataset: Dataset) -> dict[str, Noise]:
 
 
 def _floor(channel: Channel, column: int, runs: Sequence[Experiment], groups: list[list[Experiment]]) -> Noise:
-    series = [run.y[:, column] for run in runs]
+    parts = [(run, at) for run in runs for at in _evenly(run.read[:, column])]
+    series = [run.y[at, column] for run, at in parts]
     found: dict[str, tuple[float, str]] = {}
     if channel.noise_std is not None:  # a stated step comes on top of the noise before it
         both = channel.resolution is not None
@@ -50,10 +51,10 @@ def _floor(channel: Channel, column: int, runs: Sequence[Experiment], groups: li
         how = "stated" if channel.resolution is not None else "found in the data"
         found["quantisation"] = (step / sqrt(12), f"step {step:.3g} {channel.unit} / sqrt(12), {how}")
     if channel.noise_std is None and channel.resolution is None and series:
-        scatter = [run.noise(np.zeros(1), [column])[:, 0] for run in runs]
+        scatter = [run.noise(np.zeros(1), [column])[at, 0] for run, at in parts]
         std = _beside(series, scatter) if any(s.any() for s in scatter) else sensor_noise(series)
         found["sensor"] = (std, "estimated from differences of neighbouring samples")
-    between = [_scatter([run.y[:, column] for run in group]) for group in groups]
+    between = [_scatter([run.motion()[:, column] for run in group]) for group in groups]
     if between:
         found["repeatability"] = (
             float(np.sqrt(np.mean(np.square(between)))),
@@ -68,6 +69,16 @@ def _floor(channel: Channel, column: int, runs: Sequence[Experiment], groups: li
         std, text = _LEAST_SHARE * motion, f"no noise visible, {_LEAST_SHARE:g} of the motion is used"
     alone = "" if groups else "; the sensor's alone, for no run was repeated"
     return Noise(float(std), source, channel.unit, f"{channel.name}: {std:.3g} {channel.unit} ({text}{alone})")
+
+
+def _evenly(read: np.ndarray) -> list[np.ndarray]:
+    """Indices of the readings [time] that count, in stretches where each is as many samples behind the last as usual: differences
+    of neighbours mean something only there."""
+    at = np.flatnonzero(read)
+    if len(at) == len(read) or len(at) < 2:
+        return [at]
+    stretches = np.split(at, np.flatnonzero(np.diff(at) != np.median(np.diff(at))) + 1)
+    return [s for s in stretches if len(s) > 5] or [at]
 
 
 def sensor_noise(series: Sequence[np.ndarray]) -> float:
@@ -121,7 +132,8 @@ def quantisation_step(series: Sequence[np.ndarray]) -> float | None:
 
 
 def repeats(runs: Sequence[Experiment]) -> list[list[Experiment]]:
-    """Groups of two and more runs with the same inputs at the same times, the same constants and the same start."""
+    """Groups of two and more runs with the same inputs at the same times, the same constants and the same start, or of which one
+    is stated to repeat the other."""
     groups: list[list[Experiment]] = []
     for run in runs:
         group = next((g for g in groups if _same_conditions(g[0], run)), None)
@@ -133,6 +145,11 @@ def repeats(runs: Sequence[Experiment]) -> list[list[Experiment]]:
 
 
 def _same_conditions(a: Experiment, b: Experiment) -> bool:
+    if a.t.shape != b.t.shape:
+        return False
+    stated = a.repeat_of == b.name or b.repeat_of in (a.name, a.repeat_of or b.name)
+    if stated:
+        return bool(np.max(np.abs((a.t - a.t[0]) - (b.t - b.t[0]))) <= 0.01 * float(np.median(np.diff(a.t))))
     if a.u.shape != b.u.shape or not np.array_equal(a.u, b.u):
         return False
     if (a.constants, a.initial, a.at_rest) != (b.constants, b.initial, b.at_rest):

@@ -112,7 +112,8 @@ class Problem(AbstractProblem):
             record = self.runs.record(r)
             e = self.runs.experiments[record.experiment]
             nq = len(record.q0)
-            travel = np.ptp(e.y, axis=0)[:nq] if e.y.shape[1] >= nq else np.full(nq, np.ptp(e.y))
+            y = e.motion()
+            travel = np.ptp(y, axis=0)[:nq] if y.shape[1] >= nq else np.full(nq, np.ptp(y))
             q = 0.2 * travel + 1e-6
             out.append(np.concatenate([q, 10 * travel / (e.t[-1] - e.t[0]) + 2 * np.abs(record.qd0) + 1e-6]))
         return np.array(out)

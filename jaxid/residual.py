@@ -244,7 +244,7 @@ def _record(number: int, e: Experiment, p: np.ndarray, a: int, b: int, dataset: 
     measured = [iy[k] for k in chain.joint_outputs]
     if measured:
         until = min(len(e.t), a + head_samples(e))
-        q0, qd0, _ = start_state(e.t[a:until], e.y[a:until][:, measured], e.t[until - 1] - e.t[a])
+        q0, qd0, _ = start_state(e.t[a:until], e.motion()[a:until][:, measured], e.t[until - 1] - e.t[a])
         q0, qd0 = np.atleast_1d(q0).copy(), np.atleast_1d(qd0).copy()
     if a == 0 and e.at_rest:
         qd0[:], free[nq:] = 0.0, False

@@ -176,9 +176,10 @@ def motion(dataset: Dataset, experiment: Experiment, chain: Chain, noise: np.nda
     _, iy = columns(dataset, chain)
     joints = chain.joint_outputs
     out = []
-    rms = np.sqrt(np.mean(experiment.noise(noise, iy) ** 2, 0))
+    rms = experiment.noise_rms(noise, iy)
+    smooth = experiment.motion()
     for i, sigma in zip([iy[k] for k in joints], [rms[k] for k in joints], strict=True):
-        y = experiment.y[:, i]
+        y = smooth[:, i]
         out.append(differentiate(experiment.t, y, content_cutoff(experiment.t, y, sigma)))
     q, qd, qdd = (np.stack([o[k] for o in out], -1) for k in range(3))
     return Motion(q, qd, qdd, out[0][3])

@@ -48,8 +48,9 @@ def simulate_dataset(content: Mapping[str, Any], dataset: Dataset, model: object
             starts[e.name] = x
             names = [n for n, _ in binding.chain.signature.outputs]
             runs[e.name] = {"t": e.t, **{n: y[:, c] for c, n in enumerate(names)}}
-            keep = scored(e, "simulate")
-            rmse[e.name] = {n: float(np.sqrt(np.mean((y[keep, c] - e.y[keep, iy[c]]) ** 2))) for c, n in enumerate(names)}
+            keep = scored(e, "simulate")[:, None] & e.read[:, iy]
+            error = np.where(keep, y - e.y[:, iy], 0.0)
+            rmse[e.name] = dict(zip(names, np.sqrt(np.sum(error**2, 0) / np.maximum(keep.sum(0), 1)).tolist(), strict=True))
 
     def moving(i: int) -> Motion | None:
         e = dataset.experiments[i]

@@ -92,7 +92,7 @@ def _by_differences(
     of that kind."""
     parts: list[tuple[np.ndarray, ...]] = []
     for e in runs:
-        y = e.y[:, column]
+        y = e.motion()[:, column]
         d, weights = _differences(e.t, y, order)
         cutoff = content_cutoff(e.t, y, max(noise, float(np.sqrt(np.mean(d**2)))))
         q, rate, bend = differentiate(e.t, y, cutoff)[:3]

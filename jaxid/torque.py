@@ -57,7 +57,9 @@ def torque_setting(
     first = (dataset.split("fit") or experiments)[0]  # one rule for all splits
     rate = 1 / float(np.median(np.diff(first.t)))
     if cutoff_hz is None:
-        content = max(content_cutoff(first.t, first.y[:, i], s) for i, s in zip(iy, noise[chain.joint_outputs], strict=True))
+        content = max(
+            content_cutoff(first.t, first.motion()[:, i], s) for i, s in zip(iy, noise[chain.joint_outputs], strict=True)
+        )
         cutoff_hz = min(rate / 10, max(content, 2.0))
     if decimate is None:
         kept = sum(len(e.t) for e in dataset.split("fit") or experiments) * chain.nq
@@ -65,7 +67,7 @@ def torque_setting(
     motion, ends = [], []
     statement = ""
     for e in experiments:
-        q, qd, qdd, statement = differentiate(e.t, e.y[:, iy], cutoff_hz)
+        q, qd, qdd, statement = differentiate(e.t, e.motion()[:, iy], cutoff_hz)
         motion.append(np.concatenate([q, qd, qdd], 1))
         ends.append(filter_ends(e.t, cutoff_hz))
     taps = np.ones(1)

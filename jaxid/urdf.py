@@ -7,6 +7,7 @@ carries them. The frames are those of the URDF, turned where a joint's axis is n
 
 from __future__ import annotations
 
+import warnings
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -14,6 +15,7 @@ from typing import Any
 import numpy as np
 
 from jaxid.errors import nearest, UsageError
+from jaxid.experiment import DatasetWarning
 from jaxid.kinematics import ArmTable, geometry_of
 from jaxid.rigid_body import about_origin, moved, Placements
 
@@ -38,6 +40,7 @@ class _Joint:
 class _Robot:
     inertia: dict[str, np.ndarray] = field(default_factory=dict)  # link -> ten numbers about its frame
     joints: dict[str, _Joint] = field(default_factory=dict)
+    impossible: dict[str, str] = field(default_factory=dict)  # link -> why no body can have its inertia
 
     def children(self, link: str) -> list[_Joint]:
         return [j for j in self.joints.values() if j.parent == link]
@@ -56,6 +59,9 @@ def read_urdf(path: str | Path, tip: str | None = None, root: str | None = None,
     moving = [j for j in chain if j.kind in MOVING]
     if not moving:
         raise UsageError(f"{path}: no joint moves between {root!r} and {tip!r}")
+    for link in _behind(robot, moving[0].child):
+        if link in robot.impossible:  # of what stands still nothing shows
+            _tell(f"{path}: {robot.impossible[link]}", refuse="negative" in robot.impossible[link])
     for j in chain:
         if j.mimic:
             raise UsageError(f"{path}: joint {j.name!r} mimics another; jaxid takes chains of independent joints")
@@ -103,13 +109,14 @@ def _read(path: Path, text: str | None = None) -> _Robot:
     if tree is None or tree.tag != "robot":
         raise UsageError(f"{path}: the outermost tag is not <robot>; give a URDF")
     if any("xacro" in e.tag or "${" in str(list(e.attrib.values())) for e in tree.iter() if isinstance(e.tag, str)):
-        raise UsageError(f"{path}: a xacro file; expand it first: xacro {path.name} > {path.stem}.urdf")
+        other = f"{path.stem}.urdf" if path.suffix.lower() != ".urdf" else f"{path.stem}_expanded.urdf"
+        raise UsageError(f"{path}: a xacro file; expand it first, into another file: xacro {path.name} > {other}")
     robot = _Robot()
     for link in tree.findall("link"):
         name = _text(link, "name", path, "a link")
         if name in robot.inertia:
             raise UsageError(f"{path}: link {name!r} stands there twice")
-        robot.inertia[name] = _inertia(link, path, name)
+        robot.inertia[name] = _inertia(link, path, name, robot)
     for element in tree.findall("joint"):
         joint = _joint(element, path)
         for link in (joint.parent, joint.child):
@@ -158,7 +165,7 @@ def _rotation(axis: int, angle: float) -> np.ndarray:
     return R
 
 
-def _inertia(link: Any, path: Path, name: str) -> np.ndarray:
+def _inertia(link: Any, path: Path, name: str, robot: _Robot) -> np.ndarray:
     inertial = link.find("inertial")
     if inertial is None:
         return np.zeros(10)
@@ -168,11 +175,31 @@ def _inertia(link: Any, path: Path, name: str) -> np.ndarray:
     tensor = inertial.find("inertia")
     keys = ("ixx", "ixy", "ixz", "iyy", "iyz", "izz")
     xx, xy, xz, yy, yz, zz = (_number(tensor, key, "0", path, f"inertia of {what}:") for key in keys)
-    if m < 0:
-        raise UsageError(f"{path}: {what} has a mass of {m:g} kg")
+    if why := _impossible(m, np.array([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]])):
+        robot.impossible[name] = f"{what} has {why}"
     R = T[:3, :3]
     I = R @ np.array([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]]) @ R.T
     return about_origin(m, T[:3, 3], I[np.triu_indices(3)])
+
+
+def _tell(text: str, refuse: bool) -> None:
+    """Refuses what cannot be simulated; an inertia beyond the sum of the others is in many makers' files, and only said."""
+    if refuse:
+        raise UsageError(f"{text}. Correct its <inertial>")
+    warnings.warn(f"{text}; it is taken as it stands", DatasetWarning, stacklevel=4)
+
+
+def _impossible(m: float, I: np.ndarray) -> str:
+    """Why no body has this mass and this inertia about its centre of mass [3 3]; empty where one can."""
+    if m < 0:
+        return f"a mass of {m:g} kg, and a mass is not negative"
+    moments = np.linalg.eigvalsh(I)
+    said = "principal moments of inertia of " + ", ".join(f"{v:.4g}" for v in moments) + " kg m^2"
+    if moments[0] < -1e-6 * max(float(np.abs(moments).max()), 1e-300):
+        return f"{said}, and none can be negative"
+    if moments[2] > (moments[0] + moments[1]) * (1 + 1e-3) + 1e-12:
+        return f"{said}, which no body can have: one exceeds the sum of the others"
+    return ""
 
 
 def _joint(element: Any, path: Path) -> _Joint:
@@ -195,6 +222,8 @@ def _joint(element: Any, path: Path) -> _Joint:
     endless = kind == "continuous" or limit is None
     lower = -np.inf if endless else _number(limit, "lower", "0", path, what)
     upper = np.inf if endless else _number(limit, "upper", "0", path, what)
+    if not endless and lower > upper:
+        raise UsageError(f"{path}: joint {name!r} has lower = {lower:g} above upper = {upper:g}; exchange them")
     rates = [
         np.inf if limit is None or limit.get(k) is None else _number(limit, k, "0", path, what) for k in ("velocity", "effort")
     ]
@@ -213,8 +242,14 @@ def _root(robot: _Robot, root: str | None, path: Any) -> str:
         return root
     children = {j.child for j in robot.joints.values()}
     roots = [name for name in robot.inertia if name not in children]
+    used = {j.parent for j in robot.joints.values()} & set(roots)
+    if len(roots) > 1 and len(used) == 1:  # links that no joint names belong to nothing
+        return next(iter(used))
     if len(roots) != 1:
-        raise UsageError(f"{path}: {len(roots)} links have no parent ({', '.join(roots) or 'a closed loop'}); name one as root")
+        raise UsageError(
+            f"{path}: {len(roots)} links have no parent ({', '.join(roots) or 'a closed loop'}); name where the chain begins: "
+            'root = "LINK" under [model] of dataset.toml, or --root LINK'
+        )
     return roots[0]
 
 
@@ -228,10 +263,24 @@ def _tip(robot: _Robot, root: str, tip: str | None, path: Any) -> str:
         moving = [j for j in robot.children(link) if _moves(robot, j)]
         if len(moving) > 1:
             branches = ", ".join(j.child for j in moving)
-            raise UsageError(f"{path}: behind {link!r} several branches move ({branches}); name the link at the end as tip")
+            raise UsageError(
+                f'{path}: behind {link!r} several branches move ({branches}); name its last link: tip = "LINK" under '
+                f"[model] of dataset.toml, or --tip LINK. Ends to choose from: {', '.join(_ends(robot, root))}"
+            )
         if not moving:
             return link
         link = moving[0].child
+
+
+def _ends(robot: _Robot, link: str) -> list[str]:
+    """The last link that moves of each branch."""
+    behind = [j for j in robot.children(link) if _moves(robot, j)]
+    return [end for j in behind for end in _ends(robot, j.child)] if behind else [link]
+
+
+def _behind(robot: _Robot, link: str) -> list[str]:
+    """A link and everything that hangs on it."""
+    return [link, *(n for j in robot.children(link) for n in _behind(robot, j.child))]
 
 
 def _moves(robot: _Robot, joint: _Joint) -> bool:

@@ -202,10 +202,12 @@ class SerialArm(AbstractArm):
     signatures: tuple[Signature, ...] = eqx.field(static=True, default=signatures_of(_DEFAULT.prismatic))
 
     friction: tuple[tuple[float, float], ...] = eqx.field(static=True, default=())
+    joint_names: tuple[str, ...] = eqx.field(static=True, default=())
 
     def __init__(self, table: ArmTable = _DEFAULT):
         self._set(table)
         self.signatures = signatures_of(table.prismatic)
+        self.joint_names = tuple(table.joints)
         self.friction = tuple(zip(map(float, table.coulomb), map(float, table.viscous), strict=True))
 
     def nominal_effects(self):

@@ -97,7 +97,7 @@ def signed(data: list[int]) -> int:
     return int.from_bytes(bytes(data), "little", signed=True)
 
 
-def hand_over(driver: Driver, rows: Sequence[Sequence[float]], seconds: float = 10.0) -> int:
+def hand_over(driver: Driver, rows: np.ndarray | Sequence[Sequence[float]], seconds: float = 10.0) -> int:
     """Gives a driver the table of a path; returns in how many pieces."""
     path = Sender(np.array(rows, float), driver.send)
     until, pieces, others = time.monotonic() + seconds, 0, []

@@ -60,7 +60,7 @@ def measure(
         sigma = float(compared.noise[c] if compared else b.sigma[c])
         rmse = [sigma * rms([r[:, c] for r in run.residual]) for run in stated]
         source = "scatter of neighbouring samples" if compared else b.noise[name].source
-        floor = sigma if alike is bench else rms([e.noise(b.sigma, iy)[:, c] for e in b.experiments(split)])
+        floor = sigma if alike is bench else rms([e.noise_rms(b.sigma, iy)[[c]] for e in b.experiments(split)])
         per_channel[name] = ChannelGap(unit, rmse[0], rmse[1], rmse[2], floor, source)
     shrinkage = interval = None
     reason = made_of = ""

@@ -21,7 +21,7 @@ def section(result: Identification) -> Section:
         {
             "result": result,
             "headline": headline(result),
-            "joints": [f"q{j + 1}" for j in range(result.joints)],
+            "joints": result.labels,
             "friction": friction_rows(result),
             "base": base_rows(result),
             "payload": None if result.payload is None else payload_rows(result),
@@ -97,7 +97,7 @@ def picture(result: Identification, k: int):
             axes[j].plot(*plot.thin(t, tau[:, j], 700), color=plot.BLACK, linewidth=1.4, label="measured, filtered")
             axes[j].plot(*plot.thin(t, predicted[:, j], 700), color=plot.BLUE, linewidth=0.9, label="predicted")
             axes[j].plot(*plot.thin(t, tau[:, j] - predicted[:, j], 700), color=plot.VERMILLION, linewidth=0.7, label="left over")
-            axes[j].set_title(f"joint {j + 1} ({result.torque_units[j]})", fontsize=9, loc="left")
+            axes[j].set_title(f"{result.labels[j]} ({result.torque_units[j]})", fontsize=9, loc="left")
         for left in axes[tau.shape[1] :]:
             left.set_visible(False)
         for lowest in axes[max(0, tau.shape[1] - 2) : tau.shape[1]]:
