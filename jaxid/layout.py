@@ -99,7 +99,7 @@ def _entries(chain: Chain):
         for k in range(value.size):  # a field is one number, or one per joint: m1 m2 ...
             own = chain.mechanism.spec_of(name, k, spec)._replace(value=float(value.flat[k]))
             where = joints[k] if value.ndim and k < len(joints) else ""
-            yield Entry(f"{name}{k + 1}" if value.ndim else name, -1, name, k, where, own, unit(own.unit, k))
+            yield Entry(chain.mechanism.number_name(name, k) if value.ndim else name, -1, name, k, where, own, unit(own.unit, k))
     ids = {kind.name: names for kind, names in chain.mechanism.builtin}
     for i, effect in enumerate(chain.effects):
         places = chain.places(effect)
@@ -107,7 +107,7 @@ def _entries(chain: Chain):
             short = ids.get(effect.name, {}).get(field)
             for k, place in enumerate(places):
                 if short and "{joint}" in short:
-                    name = short.replace("{joint}", place)
+                    name = short.replace("{joint}", joints[k] if effect.location == "input" and k < len(joints) else place)
                 elif short:
                     name = short if len(places) == 1 else f"{short}{k + 1}"
                 else:
