@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field, replace
-from typing import Any
+from typing import Any, cast
 
 import jax
 import jax.numpy as jnp
@@ -15,8 +15,9 @@ from jaxid import catalogue, samples
 from jaxid.chain import Chain, Effect, neutral
 from jaxid.dataset_geometry import arm_table
 from jaxid.errors import nearest, UsageError
-from jaxid.experiment import Dataset, Experiment
+from jaxid.experiment import Dataset, Experiment, ParameterPrior
 from jaxid.layout import Layout
+from jaxid.robots import match as robots
 from jaxid.mechanism import Mechanism, Signature
 from jaxid.noise import Noise, noise_floor
 from jaxid.parameter import Reference, settings, with_settings
@@ -77,6 +78,7 @@ def resolve_model(model: object, dataset: Dataset, without: Iterable[str] = ()) 
     """The chain that a dataset and a user mean: by id, by the path of a URDF, as a mechanism, or as a
     chain; None takes the dataset's."""
     spec = dataset.model
+    model, dataset = robots.prepared(model, dataset)
     if model is None:
         if spec is None or spec.name is None:
             raise UsageError(f"the dataset names no model: give one (there is: {', '.join(catalogue.model_names())})")
@@ -89,6 +91,8 @@ def resolve_model(model: object, dataset: Dataset, without: Iterable[str] = ()) 
     elif isinstance(model, str):
         model = catalogue.model_class(model)()
     constants = spec.constants if spec is not None else {}
+    if robots.is_robot(model):
+        model = cast(Any, model).matched(dataset)
     if isinstance(model, Mechanism):
         model = with_settings(model, constants)
         model = Chain(model, signature=_signature(model, dataset), smoothing_velocity=smoothing)
@@ -148,6 +152,7 @@ def bind(
     `effects` are added and fitted, `candidates` are put into the chain at their neutral value and stay there. The spread of
     time stamps is read off the recording where that shows it (`time_stamps`), and readings count by it.
     """
+    model, dataset = robots.prepared(model, dataset)
     dataset = dataset.with_splits() if splits else dataset
     if not dataset.experiments and not dataset.responses:
         raise UsageError("the dataset holds no experiment")
@@ -173,11 +178,12 @@ def bind(
     spec = dataset.model
     priors = dict(spec.parameters) if spec is not None else {}
     for name, value in (spec.constants if spec is not None else {}).items():
-        if name != "smoothing_velocity" and name not in settings(chain.mechanism):
+        if name != "smoothing_velocity" and name not in settings(chain.mechanism) and not name.startswith(robots.POSE):
             i = layout.index(name)
             theta[i] = value
             fixed.add(i)
             stated.add(i)
+    priors = {name: ParameterPrior(None, *known) for name, known in chain.mechanism.known().items()} | priors
     for name, prior in priors.items():
         if prior.value is not None:
             theta[layout.index(name)] = prior.value
@@ -235,7 +241,7 @@ def _references(
     """Typical magnitudes of each joint and of each input channel, in the recordings to fit, or in all where none is."""
     fit = dataset.split("fit") or dataset.experiments
     chain, nq = layout.chain, layout.chain.nq
-    iu, _ = samples.columns(dataset, chain)
+    iu, iy = samples.columns(dataset, chain)
     size = [float(np.percentile(np.abs(np.concatenate([e.u[:, i] for e in fit])), 99)) for i in iu] if fit else []
     direct = chain.direct
     if not fit:
@@ -254,5 +260,8 @@ def _references(
         with float64():
             torque = _inertia_program(layout)(theta, q[pick], qdd[pick])
             inertia = np.percentile(np.abs(np.asarray(torque)), 99, axis=0)
+        if (law := getattr(chain.mechanism, "drive_law", None)) is not None:  # what the law asks for says more
+            asked = law.size(np.concatenate([e.u[:, iu[:nq]] for e in fit]) - np.concatenate([e.y for e in fit])[:, iy])
+            inertia = np.maximum(inertia, asked)
         joints = samples.references(fit, used, iu if direct else [], inertia)
     return joints, [joints[min(k, nq - 1)]._replace(torque=max(s, 1e-9)) for k, s in enumerate(size)]

@@ -40,7 +40,7 @@ def load_dataset(path: str | os.PathLike[str], *, check_model: bool = True) -> D
         folder_tables.open,
         check_model=check_model,
         sha256=lambda: folder_tables.sha256(content),
-        open_text=folder_tables.text,
+        open_text=folder_tables,
     )
 
 
@@ -93,9 +93,12 @@ class _Folder:
         self.tables[file] = read_table(self.folder / file, file, content)
         return self.tables[file]
 
-    def text(self, file: str, key: tuple[str | int, ...]) -> str | Problem:
+    def path(self, file: str) -> Path:
+        return self.folder / file
+
+    def __call__(self, file: str, key: tuple[str | int, ...]) -> str | Problem:
         """A file of the folder as text."""
-        content = self._content(file, key, (".urdf", ".xml"))
+        content = self._content(file, key, (".urdf", ".xml", ".mjcf"))
         if isinstance(content, Problem):
             return content
         try:

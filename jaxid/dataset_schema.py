@@ -152,9 +152,18 @@ class LinksEntry(_Strict):
         return self
 
 
+class BaseEntry(_Strict):
+    """`[model.base]` of a robot: how its base stands, rad."""
+
+    kind: Literal["fixed", "prescribed", "free"] = "fixed"
+    roll: FiniteFloat = 0.0
+    pitch: FiniteFloat = 0.0
+    yaw: FiniteFloat = 0.0
+
+
 class ModelEntry(_Strict):
     """`[model]`. `urdf` (a file of the folder, with the `tip` of the chain where it has branches) or `dh` are the links of a
-    `serial_arm`."""
+    `serial_arm`; `robot` is the file of any robot, MJCF or URDF, with its `joints` by channel and its `base`."""
 
     name: str | None = None
     without: list[str] = []
@@ -164,9 +173,19 @@ class ModelEntry(_Strict):
     urdf: str | None = None
     tip: str | None = None
     dh: LinksEntry | None = None
+    robot: str | None = None
+    joints: dict[str, str] = {}
+    base: BaseEntry | None = None
 
     @model_validator(mode="after")
     def _apart(self) -> ModelEntry:
+        if self.robot is not None and (self.name not in (None, "robot") or self.urdf is not None or self.dh is not None):
+            raise ValueError("robot names the file of a robot, beside which name, urdf and dh do not stand: keep one of them")
+        if self.robot is None and (self.joints or self.base is not None):
+            raise ValueError('joints and base belong to a robot: write robot = "robot.xml" (or a URDF)')
+        twice = [j for j in self.joints.values() if list(self.joints.values()).count(j) > 1]
+        if twice:
+            raise ValueError(f"joints names {twice[0]!r} for two channels")
         both = sorted(set(self.constants) & set(self.parameters))
         if both:
             raise ValueError(f"{both[0]!r} is both known (constants) and to be fitted (parameters)")
@@ -174,8 +193,8 @@ class ModelEntry(_Strict):
             raise ValueError("the links stand in both urdf and dh: keep one of them")
         if (self.urdf is not None or self.dh is not None) and self.name != "serial_arm":
             raise ValueError('urdf and dh are the links of the model "serial_arm": write name = "serial_arm"')
-        if self.tip is not None and self.urdf is None:
-            raise ValueError("tip names the end of a chain in a URDF, and there is no urdf")
+        if self.tip is not None and self.urdf is None and self.robot is None:
+            raise ValueError("tip names the end of a chain in a URDF, and there is neither urdf nor robot")
         return self
 
 
@@ -183,8 +202,10 @@ class ControllerEntry(BaseModel):
     """`[controller]`: its kind; gains, sample time and saturation as numbers or lists of numbers; the names of channels."""
 
     model_config = ConfigDict(extra="allow", strict=True, allow_inf_nan=False)
-    __pydantic_extra__: dict[str, FiniteFloat | list[FiniteFloat]]
+    __pydantic_extra__: dict[str, FiniteFloat | list[FiniteFloat] | dict[str, FiniteFloat]]
     kind: str
+    fit: list[str] | None = None
+    spread: dict[str, FiniteFloat] | None = None
     velocity: str | None = None
     reference: str | list[str] | None = None
     reference_velocity: str | None = None

@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from jaxid.experiment import Dataset
+from jaxid.experiment import Dataset, Geometry
 
 
 def write_files(dataset: Dataset, folder: Path, format: str) -> None:
@@ -40,6 +40,8 @@ def write_files(dataset: Dataset, folder: Path, format: str) -> None:
     links = None if dataset.model is None else dataset.model.geometry
     if links is not None and links.urdf:
         (folder / "arm.urdf").write_text(links.urdf, encoding="utf-8")
+    if links is not None and links.robot:
+        (folder / robot_file(links)).write_text(links.robot, encoding="utf-8")
     (folder / "dataset.toml").write_text(tomlkit.dumps(description), encoding="utf-8")
 
 
@@ -59,6 +61,10 @@ def _header(dataset: Dataset) -> dict[str, Any]:
             entry["parameters"] = {name: _stated(prior.__dict__) for name, prior in model.parameters.items()}
         if (links := model.geometry) is not None and links.urdf:
             entry |= {"urdf": "arm.urdf"} | ({"tip": links.tip} if links.tip is not None else {})
+        elif links is not None and links.robot:
+            del entry["name"]
+            entry |= {"robot": robot_file(links)} | ({"tip": links.tip} if links.tip is not None else {})
+            entry |= {"base": dict(model.base)} if model.base else {}
         elif links is not None:
             entry["dh"] = {"convention": links.convention, **links.columns}
         top["model"] = entry
@@ -77,6 +83,11 @@ def _header(dataset: Dataset) -> dict[str, Any]:
         for c in dataset.channels
     }
     return top
+
+
+def robot_file(links: Geometry) -> str:
+    """The name under which a robot's file is written."""
+    return "robot.urdf" if links.file.lower().endswith(".urdf") else "robot.xml"
 
 
 def _stated(entry: dict[str, Any]) -> dict[str, Any]:

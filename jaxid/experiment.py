@@ -222,11 +222,13 @@ class Geometry:
     tip: str | None = None
     convention: str = "modified"
     columns: dict[str, list[float] | list[bool]] = field(default_factory=dict)
+    robot: str = ""  # the text of a robot's file, MJCF or URDF
 
 
 @dataclass(frozen=True)
 class ModelSpec:
-    """The model a dataset is meant for; `free` is motion without any input, `geometry` that of a `serial_arm`."""
+    """The model a dataset is meant for; `free` is motion without any input, `geometry` that of a `serial_arm` or a robot, whose
+    `joints` say which channel is which joint (q1 -> name) and whose `base` is fixed or prescribed."""
 
     name: str | None = None
     without: tuple[str, ...] = ()
@@ -234,6 +236,8 @@ class ModelSpec:
     constants: dict[str, float] = field(default_factory=dict)
     parameters: dict[str, ParameterPrior] = field(default_factory=dict)
     geometry: Geometry | None = None
+    joints: dict[str, str] = field(default_factory=dict)
+    base: dict[str, Any] = field(default_factory=dict)
 
 
 @dataclass(frozen=True)
@@ -241,7 +245,7 @@ class Controller:
     """The feedback law under which the data were recorded; sample time, saturation and gains stand in `settings`."""
 
     kind: str
-    settings: dict[str, float | list[float] | str | list[str]] = field(default_factory=dict)
+    settings: dict[str, float | list[float] | str | list[str] | dict[str, float]] = field(default_factory=dict)
 
 
 @dataclass(frozen=True)

@@ -31,7 +31,7 @@ class _Joint:
     axis: np.ndarray
     limits: tuple[float, float, float, float]  # lower, upper, velocity, effort
     dynamics: tuple[float, float]  # damping, friction
-    mimic: bool
+    mimic: tuple[str, float, float] | None  # joint that it follows, offset, ratio
 
 
 @dataclass
@@ -81,6 +81,20 @@ def read_urdf(path: str | Path, tip: str | None = None, root: str | None = None,
         tuple(j.kind == "prismatic" for j in moving), np.array(inertia), np.zeros(len(moving)), before,
         tuple(j.name for j in moving), *limits, *np.array([j.dynamics for j in moving]).T,
     )  # fmt: skip
+
+
+def read_links(path: Path, text: str | None = None) -> tuple[_Robot, str]:
+    """The links and joints of a URDF, and its root link. Raises `UsageError` for what is no tree."""
+    robot = _read(path, text)
+    root = _root(robot, None, path)
+    reached, edge = {root}, [root]
+    while edge:
+        edge = [j.child for link in edge for j in robot.children(link)]
+        reached |= set(edge)
+    lost = sorted(set(robot.inertia) - reached)
+    if lost:
+        raise UsageError(f"{path}: link {lost[0]!r} does not hang on the root {root!r}: its joints form a closed loop")
+    return robot, root
 
 
 def _read(path: Path, text: str | None = None) -> _Robot:
@@ -202,8 +216,16 @@ def _joint(element: Any, path: Path) -> _Joint:
     return _Joint(
         name, kind, ends[0], ends[1], _origin(element.find("origin"), path, f"joint {name!r}"),
         axis / max(float(np.linalg.norm(axis)), 1e-300), (lower, upper, rates[0], rates[1]),
-        (dissipation[0], dissipation[1]), element.find("mimic") is not None,
+        (dissipation[0], dissipation[1]), _mimic(element.find("mimic"), path, name),
     )  # fmt: skip
+
+
+def _mimic(tag: Any, path: Path, name: str) -> tuple[str, float, float] | None:
+    if tag is None:
+        return None
+    what = f"mimic of joint {name!r}:"
+    ratio, offset = (_number(tag, key, default, path, what) for key, default in (("multiplier", "1"), ("offset", "0")))
+    return _text(tag, "joint", path, f"<mimic> of joint {name!r}"), offset, ratio
 
 
 def _root(robot: _Robot, root: str | None, path: Any) -> str:

@@ -117,7 +117,7 @@ class Robot(Staged):
     tree: Any = eqx.field(static=True, default=None)  # the file's own numbers: a `Stated`
     drive_law: Any = eqx.field(static=True, default=None)
 
-    def __init__(self, tree: Tree | None = None, driven: bool | None = None):
+    def __init__(self, tree: Tree | None = None, driven: bool | None = None, law: Any = None):
         tree = default_tree() if tree is None else tree
         leading = tree.leading
         S, c = tree.follow()
@@ -141,7 +141,8 @@ class Robot(Staged):
         self.base_roll = self.base_pitch = self.base_yaw = np.float64(0.0)
         self.prepared = self.added = self.tilt = self.drive_law = None
         self.fitted = ()
-        driven = all(j in tree.actuators and tree.actuators[j].kind == "position" for j in leading) if driven is None else driven
+        if driven is None:
+            driven = law is not None or all(j in tree.actuators and tree.actuators[j].kind == "position" for j in leading)
         self.signatures = (signature_of(tree, driven),)
         own: list[tuple[type, dict[str, str]]] = [
             (ViscousFriction, {"coefficient": "damping@{joint}"}),
@@ -152,7 +153,7 @@ class Robot(Staged):
         if driven:
             from jaxid.robots.drives import file_law
 
-            self._drive(file_law(tree), own)
+            self._drive(file_law(tree) if law is None else law, own)
         self.builtin = tuple(own)
 
     def _drive(self, law: Any, own: list) -> None:
@@ -164,6 +165,10 @@ class Robot(Staged):
         if any(law.lag):
             own.append((ActuatorLag, {"time": "timeconst@{joint}"}))
         self.fitted = law.fitted(self.signatures[0].joints)
+
+    def driven_by(self, law: Any) -> Robot:
+        """The same driven by goals through a law (a `jaxid.robots.drives.Law`)."""
+        return type(self)(self.tree.tree, law=law)
 
     @classmethod
     def from_mjcf(cls, path: str | Path, *, tip: str | None = None, text: str | None = None) -> Robot:
@@ -238,9 +243,8 @@ class Robot(Staged):
             lower = 0.0 if field in ("gyration_xx", "gyration_yy", "gyration_zz") else -reach
             return spec._replace(lower=lower, upper=reach, scale=0.01 * reach)
         if field == "armature":
-            size = total * (1.0 if self.slides[place] else reach**2)
-            upper = 10 * max(size, float(tree.armature[place]))
-            return spec._replace(upper=upper, scale=0.01 * size)
+            size = max(float(tree.swung()[place]), float(tree.armature[place]))
+            return spec._replace(upper=20 * size, scale=0.1 * size)
         return spec
 
     # ---- dynamics

@@ -61,6 +61,11 @@ class Law:
     def words(self) -> dict[str, Any]:
         return {k: getattr(self, k) for k in ("kind", "velocity", "rate", "period", "control")}
 
+    def size(self, error: np.ndarray) -> np.ndarray:
+        """Torque that position errors [samples n] ask for, 99th percentile."""
+        kp = np.abs(np.array(self.kp) * np.array(self.gain) * (np.array(self.kd) if self.kind == "cascade" else 1.0))
+        return np.minimum(np.percentile(np.abs(error), 99, axis=0) * kp, np.abs(np.array(self.highest) * np.array(self.gain)))
+
     def fitted(self, joints: Sequence[str]) -> tuple[tuple[str, float, float], ...]:
         """(number, lower, upper) of what is fitted; bounds from the spread of the priors."""
         out = []

@@ -159,6 +159,17 @@ class Tree:
             k = self.parent[k]
         return tuple(reversed(out))
 
+    def swung(self) -> np.ndarray:
+        """Inertia about each joint's axis of all that hangs on it at the reference (mass where it slides), [n]."""
+        total, out = self.inertia.copy(), np.zeros(self.n)
+        for k in reversed(range(self.n)):
+            xx, xy, xz, yy, yz, zz = total[k, :6]
+            about = self.axis[k] @ np.array([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]]) @ self.axis[k]
+            out[k] = total[k, 9] if self.slides[k] else about
+            if self.parent[k] >= 0:
+                total[self.parent[k]] += turned(total[k], self.place[k])
+        return out
+
     def neutral(self, joint: str) -> float:
         """Where a joint that nobody moves is held: the first pose of the file, else its reference."""
         k = self.joint(joint)
