@@ -218,6 +218,11 @@ class Chain(eqx.Module):
         return len(inputs) == self.nq and all(unit in ("N m", "N") for _, unit in inputs)
 
     @property
+    def known_torque(self) -> bool:
+        """Whether the inputs tell the torque of each joint: they are torques, or a stated law turns them into torques."""
+        return self.direct or getattr(self.mechanism, "drive_law", None) is not None
+
+    @property
     def torque_channels(self) -> tuple[tuple[str, str], ...]:
         """(name, unit) of each joint's drive torque: the input channels, or the joints where inputs are something else."""
         if self.direct:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 import warnings
 from collections.abc import Callable, Iterable
 from dataclasses import replace
@@ -39,6 +40,7 @@ def assemble(
 ):
     """The dataset, or `DatasetError` with every fault of the description, the model and the samples."""
     problems = list(document.problems)
+    document.model = _as_robot_entry(document, open_text)
     geometry = _geometry(document, places, open_text, problems)
     info = _model_info(document, places, problems, geometry) if check_model else None
     readings = _readings(document, places, problems, info)
@@ -131,6 +133,21 @@ def _geometry(document: Document, places: Places, open_text: Any, problems: list
         problems.append(places.problem(key, str(error), "Correct the URDF"))
         return None
     return geometry
+
+
+def _as_robot_entry(document: Document, open_text: Any) -> ModelEntry | None:
+    """The model; a `serial_arm` whose `urdf` is an MJCF, or whose goals are recorded under a stated law and no input is, is read
+    as a robot."""
+    entry, roles = document.model, {c.role for c in document.channels.values()}
+    goals = any(name.endswith("_cmd") for name in document.channels)
+    if entry is None or entry.urdf is None:
+        return entry
+    text = open_text(entry.urdf, ("model", "urdf")) if open_text is not None and entry.urdf.endswith((".xml", ".mjcf")) else ""
+    mjcf = isinstance(text, str) and re.search(r"<\s*mujoco\b", text) is not None
+    driven = document.controller is not None and "input" not in roles and goals and not entry.free
+    if not (mjcf or driven):
+        return entry
+    return entry.model_copy(update={"name": None, "urdf": None, "robot": entry.urdf})
 
 
 def _robot(entry: ModelEntry, places: Places, open_text: Any, problems: list[Problem]) -> Geometry | None:

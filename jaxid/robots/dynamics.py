@@ -17,16 +17,23 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from jaxid.arithmetic import dot, sincos
-from jaxid.rigid_body import add, cross, into, moved, out_of, Placements, scaled, times, Vector
+from jaxid.rigid_body import add, cross, inner, into, moved, out_of, Placements, scaled, times, Vector
 
 
 class Plan(NamedTuple):
-    """Where the nodes of a tree stand: `at` [n] = level * slots + slot; `route` [levels slots slots] or None."""
+    """Where the nodes of a tree stand: `at` [n] = level * slots + slot; `source` [levels * slots] the node there, or n;
+    `route` [levels slots slots] or None."""
 
     levels: int
     slots: int
     at: np.ndarray
+    source: np.ndarray
     route: np.ndarray | None
+
+    @property
+    def dense(self) -> bool:
+        """Whether the nodes fill the places in their own order."""
+        return np.array_equal(self.at, np.arange(self.levels * self.slots))
 
 
 def plan(parent: tuple[int, ...]) -> Plan:
@@ -46,13 +53,24 @@ def plan(parent: tuple[int, ...]) -> Plan:
         if up >= 0:
             route[level[k], slot[k], slot[up]] = 1.0
     plain = all(up < 0 or slot[k] == slot[up] for k, up in enumerate(parent))
-    return Plan(levels, slots, np.array([a * slots + b for a, b in zip(level, slot, strict=True)], int), None if plain else route)
+    at = np.array([a * slots + b for a, b in zip(level, slot, strict=True)], int)
+    source = np.full(levels * slots, len(parent))
+    source[at] = np.arange(len(parent))
+    return Plan(levels, slots, at, source, None if plain else route)
 
 
-def spread(plan: Plan, values: Any, fill: float = 0.0) -> Any:
-    """Numbers of the nodes [n] at their places [levels slots]."""
-    flat = jnp.full(plan.levels * plan.slots, fill, jnp.asarray(values).dtype).at[plan.at].set(values, unique_indices=True)
-    return flat.reshape(plan.levels, plan.slots)
+def spread(plan: Plan, values: Any) -> Any:
+    """Numbers of the nodes [... n] at their places [... levels slots], zero where there is no node."""
+    if not plan.dense:
+        xp: Any = np if isinstance(values, np.ndarray) else jnp
+        values = xp.concatenate([values, 0 * values[..., :1]], -1)[..., plan.source]
+    return values.reshape(*values.shape[:-1], plan.levels, plan.slots)
+
+
+def gathered(plan: Plan, places: Any) -> Any:
+    """Numbers at the places [levels slots ...] by nodes [n ...]."""
+    flat = places.reshape(plan.levels * plan.slots, *places.shape[2:])
+    return flat if plan.dense else flat[plan.at]
 
 
 class Body(NamedTuple):
@@ -64,7 +82,7 @@ class Body(NamedTuple):
     R2: tuple[Vector, Vector, Vector]
     p: Vector
     turn: Vector  # axis of a hinge, else 0
-    slide: Vector  # axis of a slide, in the node's frame, else 0
+    slide: Vector | None  # axis of a slide, in the node's frame, else 0; None where no joint slides
     inertia: tuple[Any, ...]
     route: Any
 
@@ -77,7 +95,6 @@ def body(
     inertia: Float[Array, "n 10"],
 ) -> Body:
     """`place`: x y z roll pitch yaw of each node in its parent's frame; `axis` [n 3]; `inertia` about the node's origin."""
-    put = lambda v: spread(plan, v)
     (sr, cr), (sp, cp), (sy, cy) = (sincos(place[k]) for k in (3, 4, 5))
     rows = (
         (cy * cp, cy * sp * sr - sy * cr, cy * sp * cr + sy * sr),
@@ -90,31 +107,31 @@ def body(
     # R0 K and R0 K K of the axis' cross product matrix K: rows times axis
     first = tuple(cross(row, a) for row in rows)
     second = tuple(cross(row, a) for row in first)
-    fill = lambda matrix: tuple(tuple(put(v) for v in row) for row in matrix)
-    R0 = fill(rows)
+    turns = [jnp.asarray(v) for matrix in (rows, first, second) for row in matrix for v in row]
+    every = spread(plan, jnp.concatenate([jnp.stack(turns), place[:3], inertia.T]))
     empty = 1 - spread(plan, np.ones(len(slides)))
-    R0 = tuple(tuple(v + empty if i == j else v for j, v in enumerate(row)) for i, row in enumerate(R0))
+    every = every if plan.dense else every.at[np.array([0, 4, 8])].add(empty)
+    matrix = lambda k: tuple(tuple(every[k + 3 * i + j] for j in range(3)) for i in range(3))
+    parts = lambda v: tuple(spread(plan, v.T.copy()))
     return Body(
-        R0, fill(first), fill(second),  # type: ignore[arg-type]
-        tuple(put(place[k]) for k in range(3)),  # type: ignore[arg-type]
-        tuple(put(v) for v in a), tuple(put(sliding[:, k]) for k in range(3)),  # type: ignore[arg-type]
-        tuple(put(inertia[:, k]) for k in range(10)),
-        plan.route,
+        matrix(0), matrix(9), matrix(18), tuple(every[27:30]),  # type: ignore[arg-type]
+        parts(hinge), parts(sliding) if any(slides) else None, tuple(every[30:40]), plan.route,  # type: ignore[arg-type]
     )  # fmt: skip
 
 
 def frames(plan: Plan, body: Body, q: Float[Array, " n"]) -> Placements:
     """Frame of each place in the frame before it; `q` from the reference."""
-    s, c = sincos(spread(plan, q))
+    here = spread(plan, q)
+    s, c = sincos(here)
     rows = tuple(
         tuple(r0 + s * r1 + (1 - c) * r2 for r0, r1, r2 in zip(a, b, d, strict=True))
         for a, b, d in zip(body.R0, body.R1, body.R2, strict=True)
     )
     x, y, z = ((rows[0][k], rows[1][k], rows[2][k]) for k in range(3))
-    here = spread(plan, q)
-    moved_by = tuple(sum(r0[k] * body.slide[k] for k in range(3)) for r0 in body.R0)
-    p = tuple(p + here * m for p, m in zip(body.p, moved_by, strict=True))
-    return Placements(x, y, z, p)  # type: ignore[arg-type]
+    if body.slide is None:
+        return Placements(x, y, z, body.p)
+    along = body.slide
+    return Placements(x, y, z, add(body.p, scaled(here, tuple(inner(row, along) for row in body.R0))))  # type: ignore[arg-type]
 
 
 def _routed(route: Any, parts: Any) -> Any:
@@ -122,7 +139,7 @@ def _routed(route: Any, parts: Any) -> Any:
     return parts if route is None else jax.tree.map(lambda v: dot(route, v), parts)
 
 
-def _gathered(route: Any, parts: Any) -> Any:
+def _summed(route: Any, parts: Any) -> Any:
     """Sums over the children at the slots of their parents."""
     return parts if route is None else jax.tree.map(lambda v: dot(route.T, v), parts)
 
@@ -153,7 +170,8 @@ def inverse_dynamics(
         w, wd, acc = _routed(route, carry)
         acc = into(E, add(acc, add(cross(wd, E.p), cross(w, cross(w, E.p)))))
         w, wd = into(E, w), into(E, wd)
-        acc = add(acc, add(scaled(a, slide), scaled(2 * v, cross(w, slide))))
+        if slide is not None:
+            acc = add(acc, add(scaled(a, slide), scaled(2 * v, cross(w, slide))))
         wd = add(wd, add(scaled(a, turn), scaled(v, cross(w, turn))))
         w = add(w, scaled(v, turn))
         h = phi[6:9]
@@ -164,9 +182,9 @@ def inverse_dynamics(
     def inwards(carry, x):
         E, turn, slide, force, moment, route = x
         force, moment = add(carry[0], force), add(carry[1], moment)
-        tau = sum(a * b for a, b in zip((*turn, *slide), (*moment, *force), strict=True))
+        tau = inner(turn, moment) if slide is None else inner(turn, moment) + inner(slide, force)
         before = out_of(E, force)
-        return _gathered(route, (before, add(out_of(E, moment), cross(E.p, before)))), tau
+        return _summed(route, (before, add(out_of(E, moment), cross(E.p, before)))), tau
 
     row = jnp.zeros(plan.slots)
     start = jax.tree.map(lambda c: c + row, tuple(base))
@@ -174,7 +192,7 @@ def inverse_dynamics(
     _, (force, moment) = jax.lax.scan(outwards, start, (E, body.turn, body.slide, v, a, body.inertia, first))
     zero = (row, row, row)
     tau = jax.lax.scan(inwards, (zero, zero), (E, body.turn, body.slide, force, moment, first), reverse=True)[1]
-    return tau.reshape(-1)[plan.at]
+    return gathered(plan, tau)
 
 
 def _opened(route: np.ndarray) -> np.ndarray:
@@ -198,19 +216,22 @@ def mass_matrix(plan: Plan, body: Body, E: Placements) -> Float[Array, "n n"]:
         total = tuple(a + b for a, b in zip(total, phi, strict=True))
         h, m = total[6:9], total[9]
         # force and moment that give everything beyond this joint unit acceleration along it
-        f, c = add(cross(turn, h), scaled(m, slide)), add(times(total, turn), cross(h, slide))
+        f, c = cross(turn, h), times(total, turn)
+        if slide is not None:
+            f, c = add(f, scaled(m, slide)), add(c, cross(h, slide))
         force = tuple(b + own * column(a) for a, b in zip(f, force, strict=True))
         moment = tuple(b + own * column(a) for a, b in zip(c, moment, strict=True))
-        row = sum(column(a) * b for a, b in zip((*turn, *slide), (*moment, *force), strict=True))
+        row = inner(tuple(map(column, turn)), moment)  # type: ignore[arg-type]
+        row = row if slide is None else row + inner(tuple(map(column, slide)), force)  # type: ignore[arg-type]
         wide = jax.tree.map(column, E)
         before = out_of(wide, force)
         after = add(out_of(wide, moment), cross(wide.p, before))
-        return _gathered(route, (moved(E, total), before, after)), row
+        return _summed(route, (moved(E, total), before, after)), row
 
     zero, wide = jnp.zeros(plan.slots), jnp.zeros((plan.slots, n))
     carry = ((zero,) * 10, (wide,) * 3, (wide,) * 3)
     xs = (E, body.turn, body.slide, body.inertia, own, body.route)
-    upper = jax.lax.scan(inwards, carry, xs, reverse=True)[1].reshape(-1, n)[plan.at]
+    upper = gathered(plan, jax.lax.scan(inwards, carry, xs, reverse=True)[1])
     return upper + upper.T - upper * np.eye(n)
 
 
@@ -226,4 +247,4 @@ def poses(plan: Plan, E: Placements, route: Any) -> Placements:
     one, zero = jnp.ones(plan.slots), jnp.zeros(plan.slots)
     start = Placements((one, zero, zero), (zero, one, zero), (zero, zero, one), (zero, zero, zero))
     found = jax.lax.scan(outwards, start, (E, None if route is None else _opened(route)))[1]
-    return jax.tree.map(lambda v: v.reshape(-1)[plan.at], found)
+    return jax.tree.map(lambda v: gathered(plan, v), found)

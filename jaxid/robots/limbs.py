@@ -80,6 +80,13 @@ def _law(controller: Controller, every: Sequence[str], joints: Sequence[str]) ->
     return Controller(controller.kind, settings)
 
 
+def effects_at(effects: Sequence[str], robot: Any) -> tuple[str, ...]:
+    """Those effects (`dead_zone@NAME_cmd`) that have no place, or one in this limb."""
+    joints = robot.tree.tree.joints
+    at = lambda e: e.partition("@")[2]
+    return tuple(e for e in effects if not at(e) or at(e) in joints or at(e).rsplit("_", 1)[0] in joints)
+
+
 def together(fits: Sequence[Fit], dataset: Dataset) -> Fit:
     """One result of the fits of all limbs."""
     first = fits[0]
