@@ -17,11 +17,11 @@ from jaxid.dataset_geometry import arm_table
 from jaxid.errors import nearest, UsageError
 from jaxid.experiment import Dataset, Experiment, ParameterPrior
 from jaxid.layout import Layout
-from jaxid.robots import match as robots
 from jaxid.mechanism import Mechanism, Signature
 from jaxid.noise import Noise, noise_floor
 from jaxid.parameter import Reference, settings, with_settings
 from jaxid.precision import float64
+from jaxid.robots import match as robots
 from jaxid.samples import Motion
 from jaxid.time_stamps import scattered_stamps, Stamps, with_scatter
 from jaxid.traced import key_of, Traced

@@ -181,8 +181,8 @@ class ModelEntry(_Strict):
     def _apart(self) -> ModelEntry:
         if self.robot is not None and (self.name not in (None, "robot") or self.urdf is not None or self.dh is not None):
             raise ValueError("robot names the file of a robot, beside which name, urdf and dh do not stand: keep one of them")
-        if self.robot is None and (self.joints or self.base is not None):
-            raise ValueError('joints and base belong to a robot: write robot = "robot.xml" (or a URDF)')
+        if self.name not in (None, "robot") and (self.joints or self.base is not None):
+            raise ValueError('joints and base belong to a robot: write robot = "robot.xml" (or a URDF) in place of the name')
         twice = [j for j in self.joints.values() if list(self.joints.values()).count(j) > 1]
         if twice:
             raise ValueError(f"joints names {twice[0]!r} for two channels")

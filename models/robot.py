@@ -10,6 +10,7 @@ from typing import Any, ClassVar
 import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
+from jaxid.models.robot_drive import PositionLaw
 from jaxtyping import Array, Float
 
 from jaxid.arithmetic import sincos
@@ -17,8 +18,7 @@ from jaxid.chain import Chain
 from jaxid.experiment import Dataset
 from jaxid.mechanism import Signature, Staged
 from jaxid.models.effects import ActuatorLag, CoulombFriction, InputDelay, QuadraticDrag, ViscousFriction
-from jaxid.models.robot_drive import PositionLaw
-from jaxid.parameter import constant, param, ParameterSpec, with_fields
+from jaxid.parameter import constant, param, ParameterSpec
 from jaxid.rigid_body import add, cross, inner, scaled
 from jaxid.robots import dynamics
 from jaxid.robots.bodies import BODY, body_of, ten_numbers
@@ -317,7 +317,9 @@ class Robot(Staged):
 
     def outline(self, x, signature):
         """The tree as one line that goes out along each limb and back."""
-        E = dynamics.frames(plan_of(self.parent), self.body(), self.all_joints(x[0] - self.encoder_bias) - np.array(self.reference))
+        E = dynamics.frames(
+            plan_of(self.parent), self.body(), self.all_joints(x[0] - self.encoder_bias) - np.array(self.reference)
+        )
         p = jnp.stack(dynamics.poses(plan_of(self.parent), E, plan_of(self.parent).route).p, -1)
         R = jnp.stack([jnp.stack(row) for row in _turn(self.base_roll, self.base_pitch, self.base_yaw)])
         p = jnp.concatenate([p, jnp.zeros((1, 3))]) @ R.T

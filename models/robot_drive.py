@@ -91,5 +91,3 @@ class PositionLaw(InputEffect):
         new = jnp.stack([self._limited(output), q, last, u, self._integrated(integral, output, u - q, T)])
         kept = jnp.where(now, new, jnp.stack([held, last, before, goal, integral]))
         return kept[0], (elapsed + s.h, jnp.maximum(count, ticks), kept)
-
-

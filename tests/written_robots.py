@@ -33,10 +33,7 @@ def _limb(rng: np.random.Generator, name: str, kinds: list[str], end: str = "") 
 
 
 def _mjcf(world: str, more: str = "") -> str:
-    return (
-        '<mujoco><compiler angle="radian"/><option gravity="0 0 -9.81"/>'
-        f"<worldbody>{world}</worldbody>{more}</mujoco>"
-    )
+    return f'<mujoco><compiler angle="radian"/><option gravity="0 0 -9.81"/><worldbody>{world}</worldbody>{more}</mujoco>'
 
 
 def chain(seed: int = 1) -> str:
@@ -84,7 +81,8 @@ def hand(seed: int = 7) -> str:
     rng = np.random.default_rng(seed)
     fingers = _limb(rng, "thumb", ["hinge"] * 2) + _limb(rng, "index", ["hinge"] * 2)
     equal = "".join(
-        f'<joint joint1="{f}2" joint2="{f}1" polycoef="{c} {r} 0 0 0"/>' for f, c, r in (("thumb", 0.1, 0.8), ("index", -0.2, -1.3))
+        f'<joint joint1="{f}2" joint2="{f}1" polycoef="{c} {r} 0 0 0"/>'
+        for f, c, r in (("thumb", 0.1, 0.8), ("index", -0.2, -1.3))
     )
     return _mjcf(_body(rng, "palm", _joint(rng, "wrist"), fingers), f"<equality>{equal}</equality>")
 

@@ -6,8 +6,6 @@ are a body, and every body has such numbers. (The pseudo-inertia of Wensing, Kim
 
 from __future__ import annotations
 
-
-
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
@@ -72,5 +70,3 @@ def fault(link: str, inertia: np.ndarray) -> str | None:
             f"link {link!r} has principal moments of inertia {listed} kg m^2, of which the largest exceeds the sum of the others"
         )
     return None
-
-

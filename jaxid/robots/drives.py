@@ -143,10 +143,12 @@ def _words(settings: Mapping[str, Any], period: float, kind: str) -> tuple[str, 
     if velocity not in VELOCITIES:
         raise UsageError(f"[controller]: velocity = {velocity!r} is unknown{nearest(str(velocity), VELOCITIES)}")
     if period <= 0 and velocity != "measured":
-        raise UsageError(f"[controller]: a continuous law (sample_time = 0) has no {velocity}: write velocity = \"measured\"")
+        raise UsageError(f'[controller]: a continuous law (sample_time = 0) has no {velocity}: write velocity = "measured"')
     wanted = settings.get("reference_velocity", "none" if period <= 0 or kind == "cascade" else "difference")
     if wanted not in ("none", "difference"):
-        raise UsageError(f"[controller]: reference_velocity = {wanted!r} is unknown{nearest(str(wanted), ('none', 'difference'))}")
+        raise UsageError(
+            f"[controller]: reference_velocity = {wanted!r} is unknown{nearest(str(wanted), ('none', 'difference'))}"
+        )
     if period <= 0 and wanted != "none":
         raise UsageError('[controller]: a continuous law (sample_time = 0) has no difference: write reference_velocity = "none"')
     return velocity, wanted == "difference"

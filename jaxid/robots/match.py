@@ -97,7 +97,8 @@ def driving(dataset: Dataset, tree: Tree) -> Dataset:
     inputs = {c.name for c in dataset.inputs}
     goals = [c for c in dataset.channels if c.role == "auxiliary" and c.name.removesuffix("_cmd") in tree.joints
              and c.name.endswith("_cmd")]  # fmt: skip
-    free = dataset.model is not None and dataset.model.free
+    spec = dataset.model
+    free = spec is not None and spec.free and dataset.controller is None
     if not goals or free or any(n.removesuffix("_tau") in tree.joints or n.removesuffix("_cmd") in tree.joints for n in inputs):
         return dataset
     chosen = {c.name for c in goals}
@@ -112,7 +113,11 @@ def driving(dataset: Dataset, tree: Tree) -> Dataset:
 
     note = "no torque was recorded: the goals drive through the stated law"
     return replace(
-        dataset, channels=moved, experiments=tuple(map(driven, dataset.experiments)), notes=(*dataset.notes, note)
+        dataset,
+        channels=moved,
+        experiments=tuple(map(driven, dataset.experiments)),
+        model=None if spec is None else replace(spec, free=False),
+        notes=(*dataset.notes, note),
     )
 
 
@@ -148,7 +153,9 @@ def matched(robot: Any, dataset: Dataset) -> Chain:
     for what, own, end in (("goal", goals, "_cmd"), ("torque", torques, "_tau")):
         lacking = [j for j in joints if j not in own]
         if own and lacking:
-            raise UsageError(f"no {what} is recorded of {', '.join(lacking)}: add {lacking[0]}{end}, or take the joint's output out")
+            raise UsageError(
+                f"no {what} is recorded of {', '.join(lacking)}: add {lacking[0]}{end}, or take the joint's output out"
+            )
     if not (goals or torques or free):
         raise UsageError(
             f"nothing drives the robot: add goals ({joints[0]}_cmd) or torques ({joints[0]}_tau) as inputs, or say free = true"
@@ -214,5 +221,3 @@ def notes_of(model: Any, dataset: Dataset) -> tuple[str, ...]:
     _, notes = recorded(tree, dataset)
     impossible = [f"{text}: no body has it, the nearest one is simulated" for text in tree.impossible]
     return (*tree.notes, *impossible, *notes)
-
-

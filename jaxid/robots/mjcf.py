@@ -178,7 +178,9 @@ def _refuse_tendons(path: Path, spec: Any) -> None:
     for t in spec.tendons:
         acts = any(np.any(np.asarray(getattr(t, k)) != 0) for k in ("stiffness", "damping", "frictionloss", "armature"))
         if acts or t.name in used or int(t.limited) == 1:
-            raise UsageError(f"{path}: tendon {t.name!r} drives, couples or brakes joints; jaxid takes joints driven by themselves")
+            raise UsageError(
+                f"{path}: tendon {t.name!r} drives, couples or brakes joints; jaxid takes joints driven by themselves"
+            )
     lost = sorted(used - {t.name for t in spec.tendons})
     if lost:
         raise UsageError(f"{path}: tendon {lost[0]!r} is used and stands nowhere")
@@ -213,7 +215,9 @@ class _Reader:
             for j in own:
                 kind = int(m.jnt_type[j])
                 if kind == mj.mjtJoint.mjJNT_FREE:
-                    self.notes.append(f"joint {self.name('JOINT', j)!r} is free: the base is taken as fixed where the file puts it")
+                    self.notes.append(
+                        f"joint {self.name('JOINT', j)!r} is free: the base is taken as fixed where the file puts it"
+                    )
                     continue
                 if kind == mj.mjtJoint.mjJNT_BALL:
                     raise self.refuse(f"joint {self.name('JOINT', j)!r} is a ball joint; jaxid takes hinge and slide joints")
