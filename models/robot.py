@@ -108,7 +108,7 @@ class Robot(Staged):
     axes: tuple[tuple[float, ...], ...] = eqx.field(static=True, default=())
     anchors: tuple[tuple[float, ...], ...] = eqx.field(static=True, default=())
     reference: tuple[float, ...] = eqx.field(static=True, default=())
-    follow: tuple[tuple[float, ...], ...] | None = eqx.field(static=True, default=None)  # q of all joints = follow q + shift
+    coupling: tuple[tuple[float, ...], ...] | None = eqx.field(static=True, default=None)  # all joints = coupling q + shift
     shift: tuple[float, ...] = eqx.field(static=True, default=())
     fitted: tuple[tuple[str, float, float], ...] = eqx.field(static=True, default=())  # number, bounds
     prepared: Any = None
@@ -128,7 +128,7 @@ class Robot(Staged):
         rounded = lambda a: tuple(tuple(float(v) for v in row) for row in a)
         self.axes, self.anchors = rounded(tree.axis), rounded(tree.anchor[list(self.carriers)])
         self.reference, self.shift = tuple(map(float, tree.reference)), tuple(map(float, c))
-        self.follow = rounded(S) if tree.couplings else None
+        self.coupling = rounded(S) if tree.couplings else None
         bodies = np.array([body_of(tree.inertia[k], tree.anchor[k])[0] for k in self.carriers]).reshape(-1, 10)
         for k, name in enumerate(BODY):
             setattr(self, name, bodies[:, k])
@@ -279,13 +279,13 @@ class Robot(Staged):
 
     def all_joints(self, q: Float[Array, " nq"], moves: bool = False) -> Float[Array, " n"]:
         """Positions (rates where it `moves`) of all joints, mimics among them."""
-        if self.follow is None:
+        if self.coupling is None:
             return q
-        S = np.array(self.follow)
+        S = np.array(self.coupling)
         return S @ q if moves else S @ q + np.array(self.shift)
 
     def _leading(self, tau: Float[Array, " n"]) -> Float[Array, " nq"]:
-        return tau if self.follow is None else np.array(self.follow).T @ tau
+        return tau if self.coupling is None else np.array(self.coupling).T @ tau
 
     def _spring(self, q: Float[Array, " n"]) -> Float[Array, " n"]:
         return self.stiffness * (q - self.springref)
@@ -297,9 +297,9 @@ class Robot(Staged):
         E = dynamics.frames(plan, body, q - np.array(self.reference))
         M = dynamics.mass_matrix(plan, body, E) + jnp.diag(jnp.asarray(self.armature))
         bias = dynamics.inverse_dynamics(plan, body, E, base, qd, jnp.zeros_like(qd)) + self._spring(q)
-        if self.follow is None:
+        if self.coupling is None:
             return M, bias
-        S = np.array(self.follow)
+        S = np.array(self.coupling)
         return S.T @ M @ S, S.T @ bias
 
     def inverse(self, q, qd, qdd):

@@ -1,6 +1,7 @@
 """A robot and a recording: channels by joint names, what drives, and which joints are held."""
 
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 import pytest
@@ -9,6 +10,7 @@ import jaxid
 from jaxid import Dataset, UsageError
 from jaxid.binding import resolve_model
 from jaxid.experiment import Controller, DatasetError, ModelSpec
+from jaxid.layout import Layout
 from jaxid.models import Robot
 from jaxid.robots.limbs import limbs_of
 from jaxid.robots.match import prepared
@@ -23,7 +25,7 @@ def wave(k):
     return 0.1 * np.sin(3 * T + k)
 
 
-def recording(joints, ends=("_cmd",), role="inputs", controller=PD, **more):
+def recording(joints, ends=("_cmd",), role="inputs", controller: Any = PD, **more: Any):
     names = [j + e for e in ends for j in joints]
     inputs = {n: wave(k) for k, n in enumerate(names)}
     groups = {"inputs": inputs} if role == "inputs" else {"auxiliary": inputs}
@@ -42,7 +44,7 @@ LEFT, RIGHT = [f"left{k}" for k in (1, 2, 3, 4)], [f"right{k}" for k in (1, 2, 3
 
 def test_joints_go_by_name_in_any_order():
     robot, data = prepared(arms(), recording([*RIGHT[::-1], *LEFT]))
-    chain = resolve_model(robot, data)
+    chain: Any = resolve_model(robot, data)
     assert chain.signature.joints == (*LEFT, *RIGHT)
     assert {e.name for e in chain.effects} == {"viscous_friction", "coulomb_friction", "position_law"}
 
@@ -60,7 +62,7 @@ def test_numbered_channels_follow_the_file_and_the_result_says_so():
 
 def test_joints_that_are_not_recorded_are_held_and_their_bodies_carried():
     robot, data = prepared(arms(), recording(LEFT[:2]))
-    chain = resolve_model(robot, data)
+    chain: Any = resolve_model(robot, data)
     tree = chain.mechanism.tree.tree
     assert tree.joints == ("left1", "left2")
     whole = arms().tree.tree
@@ -89,7 +91,7 @@ def test_goals_alone_drive_and_goals_beside_torques_do_not():
     both = recording(RIGHT, ends=("_cmd", "_tau"))
     with pytest.raises(UsageError, match="both goals .* are inputs"):
         resolve_model(*prepared(arms(), both))
-    chain = resolve_model(*prepared(arms(), recording(RIGHT, ends=("_tau",), controller=None)))
+    chain: Any = resolve_model(*prepared(arms(), recording(RIGHT, ends=("_tau",), controller=None)))
     assert chain.direct and {e.name for e in chain.effects} == {"viscous_friction", "coulomb_friction"}
     with pytest.raises(UsageError, match=r"states no position actuator for right1.*\[controller\]"):
         resolve_model(*prepared(arms(), recording(RIGHT, controller=None)))
@@ -98,7 +100,8 @@ def test_goals_alone_drive_and_goals_beside_torques_do_not():
 def test_the_law_is_stated_by_number_list_or_name():
     def law(**settings):
         controller = Controller("pd", {"kp": 20.0, "kd": 1.5, "sample_time": 0.0, **settings})
-        return resolve_model(*prepared(arms(), recording(RIGHT, controller=controller))).mechanism
+        chain: Any = resolve_model(*prepared(arms(), recording(RIGHT, controller=controller)))
+        return chain.mechanism
 
     assert law(kp=[1.0, 2.0, 3.0]).drive_law.kp == (1.0, 2.0, 3.0)
     named = law(kp={"right3": 3.0, "right1": 1.0, "right2": 2.0}, fit=["kp", "delay"], spread={"kp": 0.5}, delay=0.01)
@@ -126,10 +129,11 @@ def test_limbs_are_cut_apart_with_what_is_stated_of_them():
         robot, recording(joints, controller=replace(PD, settings={**PD.settings, "kp": list(range(1, 13))}), model=spec)
     )
     assert [r.signatures[0].joints for r, _ in limbs] == [tuple(joints[k : k + 3]) for k in (0, 3, 6, 9)]
-    third = limbs[2][1]
+    third: Any = limbs[2][1]
+    first: Any = limbs[0][1]
     assert [c.name for c in third.inputs] == [f"RL{k}_cmd" for k in (1, 2, 3)]
     assert third.controller.settings["kp"] == [7, 8, 9]
-    assert third.model.constants == {"armature@RL2": 0.3, "base_roll": 0.1} and limbs[0][1].model.constants == {"base_roll": 0.1}
+    assert third.model.constants == {"armature@RL2": 0.3, "base_roll": 0.1} and first.model.constants == {"base_roll": 0.1}
 
 
 def write(folder, model, joints=("lift", "elbow"), controller="", roles=("input", "output")):
@@ -155,9 +159,9 @@ def test_a_dataset_names_its_robot(tmp_path):
     folder = write(tmp_path / "a", '[model]\nrobot = "arm.xml"\n[model.base]\nkind = "prescribed"\nroll = 0.2')
     (folder / "arm.xml").write_text(MJCF)
     data = jaxid.load_dataset(folder)
-    chain = resolve_model(None, data)
+    chain: Any = resolve_model(None, data)
     assert chain.signature.joints == ("lift", "elbow") and float(chain.mechanism.base_roll) == 0.2
-    assert "armature@elbow" in (names := [e.name for e in jaxid.layout.Layout(chain).entries]) and "kp@lift" in names
+    assert "armature@elbow" in (names := Layout(chain).names) and "kp@lift" in names
     again = jaxid.load_dataset(jaxid.save_dataset(data, tmp_path / "copy"))
     assert resolve_model(None, again).signature == chain.signature
 

@@ -1,8 +1,9 @@
 """Robots' files: what is read from MJCF and URDF, and what is refused by name."""
 
+import importlib
 import re
+from typing import Any
 
-import mujoco
 import numpy as np
 import pytest
 
@@ -11,6 +12,9 @@ from jaxid.models import Robot
 from jaxid.robots.mjcf import read_mjcf
 from jaxid.robots.urdf_tree import read_urdf_tree
 from written_robots import humanoid, quadruped
+
+
+mujoco: Any = importlib.import_module("mujoco")  # its names are made when it loads
 
 
 INERTIAL = '<inertial pos="0.1 0 0" mass="0.3" diaginertia="1e-3 1e-3 1e-3"/>'

@@ -1,7 +1,7 @@
 """Bodies that can exist: mass, centre of mass and lengths of gyration in place of ten numbers that may contradict each other.
 
-The mass of a body lies about its centre with the covariance G G' (m^2), G lower triangular with a diagonal >= 0: any such numbers
-are a body, and every body has such numbers. (The pseudo-inertia of Wensing, Kim and Slotine 2018 is m [[G G' + c c', c], [c', 1]].)
+The mass of a body lies about its centre with the covariance G G' (m^2), G lower triangular with a diagonal >= 0: any such
+numbers are a body, and every body has such numbers (its pseudo-inertia, Wensing, Kim, Slotine 2018, is m [[G G' + c c', c], [c', 1]]).
 """
 
 from __future__ import annotations

@@ -11,14 +11,12 @@ import numpy as np
 from jaxid.experiment import Controller, Dataset, Experiment
 from jaxid.results import Fit, Score
 from jaxid.robots.drives import NUMBERS
-from jaxid.robots.match import prepared, recorded
+from jaxid.robots.match import is_robot, prepared, recorded
 from jaxid.robots.tree import Tree
 
 
 def limbs_of(model: object, dataset: Dataset) -> list[tuple[Any, Dataset]]:
-    """(robot, dataset) of each limb that a recording shows; one pair, or none for a model that is no robot, is nothing to part."""
-    from jaxid.robots.match import is_robot
-
+    """(robot, dataset) of each limb that a recording shows; none for a model that is no robot."""
     model, dataset = prepared(model, dataset)
     if not is_robot(model):
         return []

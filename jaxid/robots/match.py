@@ -60,8 +60,8 @@ def named(dataset: Dataset, tree: Tree, joints: Mapping[str, str] | None = None)
         if max(places) > len(tree.leading):
             raise UsageError(f"channel {numbered[-1]} has no joint: {tree.file} has {', '.join(tree.leading)}")
         joints = {c: tree.leading[k - 1] for c, k in zip(numbered, places, strict=True)}
-        notes = ["joints by the order of the file, as the recording does not name them: "
-                 + ", ".join(f"{c} = {j}" for c, j in joints.items()) + " (state [model.joints] where that is wrong)"]  # fmt: skip
+        listed = ", ".join(f"{c} = {j}" for c, j in joints.items())
+        notes = [f"joints by the order of the file, as the recording does not name them: {listed} (else state [model.joints])"]
     names = {}
     for channel, joint in joints.items():
         number = channel[1:] if re.fullmatch(r"q\d*", channel) else None
@@ -146,8 +146,8 @@ def matched(robot: Any, dataset: Dataset) -> Chain:
     goals, torques = ([j for j in joints if f"{j}{end}" in inputs] for end in ("_cmd", "_tau"))
     if goals and torques:
         raise UsageError(
-            "both goals (NAME_cmd) and torques (NAME_tau) are inputs: the goal is an input where it drives the model, and auxiliary "
-            'where a torque does; give one of them role = "auxiliary"'
+            "both goals (NAME_cmd) and torques (NAME_tau) are inputs: the goal is an input where it drives the model, and "
+            'auxiliary where a torque does; give one of them role = "auxiliary"'
         )
     free = spec is not None and spec.free
     for what, own, end in (("goal", goals, "_cmd"), ("torque", torques, "_tau")):

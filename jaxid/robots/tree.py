@@ -9,6 +9,7 @@ from __future__ import annotations
 import hashlib
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from typing import Any
 
 import numpy as np
 
@@ -105,12 +106,12 @@ class Tree:
             raise UsageError(f"{self.file}: there is no joint {name!r}{nearest(name, self.joints)}")
         return self.joints.index(name)
 
-    def taken(self, keep: Sequence[int]) -> dict[str, np.ndarray | tuple]:
+    def taken(self, keep: Sequence[int]) -> dict[str, Any]:
         """Per-node fields of the nodes kept."""
         k = list(keep)
         arrays = ("axis", "place", "reference", "inertia", "anchor", "armature", "damping", "frictionloss", "stiffness",
                   "spring", "lower", "upper", "velocity", "effort")  # fmt: skip
-        out: dict[str, np.ndarray | tuple] = {name: getattr(self, name)[k] for name in arrays}
+        out: dict[str, Any] = {name: getattr(self, name)[k] for name in arrays}
         return out | {name: tuple(getattr(self, name)[i] for i in k) for name in ("joints", "links", "slides")}
 
     def locked(self, pose: Mapping[str, float]) -> Tree:
@@ -124,7 +125,7 @@ class Tree:
         keep = [k for k in range(self.n) if k not in held]
         number = {k: i for i, k in enumerate(keep)}
         fields = self.taken(keep)
-        inertia, places, parents = fields["inertia"].copy(), [], []  # type: ignore[union-attr]
+        inertia, places, parents = fields["inertia"].copy(), [], []
         carrier: dict[int, tuple[int, np.ndarray]] = {}  # held node -> (node that carries it or -1, its frame there)
         for k in range(self.n):  # parents stand before their children
             up, T = self.parent[k], self.place[k]
