@@ -153,7 +153,7 @@ def _as_robot_entry(document: Document, open_text: Any) -> ModelEntry | None:
 def _robot(entry: ModelEntry, places: Places, open_text: Any, problems: list[Problem]) -> Geometry | None:
     """The robot's file as text, if it can be read as a robot."""
     from jaxid.robots.match import robot_of
-    from jaxid.robots.mjcf import expanded
+    from jaxid.robots.mjcf_text import expanded
 
     key = ("model", "robot")
     if open_text is None:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
 from functools import lru_cache
 from pathlib import Path
 from typing import Any, ClassVar
@@ -10,19 +9,20 @@ from typing import Any, ClassVar
 import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
-from jaxid.models.robot_drive import PositionLaw
 from jaxtyping import Array, Float
 
 from jaxid.arithmetic import sincos
 from jaxid.chain import Chain
 from jaxid.experiment import Dataset
 from jaxid.mechanism import Signature, Staged
-from jaxid.models.effects import ActuatorLag, CoulombFriction, InputDelay, QuadraticDrag, ViscousFriction
 from jaxid.parameter import constant, param, ParameterSpec
 from jaxid.rigid_body import add, cross, inner, scaled
 from jaxid.robots import dynamics
 from jaxid.robots.bodies import BODY, body_of, ten_numbers
-from jaxid.robots.tree import roll_pitch_yaw, Stated, Tree
+from jaxid.robots.tree import roll_pitch_yaw, Stated, Tree, up_to
+
+from .effects import ActuatorLag, CoulombFriction, InputDelay, QuadraticDrag, ViscousFriction
+from .robot_drive import PositionLaw
 
 
 PLACE = ("x", "y", "z", "roll", "pitch", "yaw")
@@ -135,10 +135,17 @@ class Robot(Staged):
         places = np.array([[*T[:3, 3], *roll_pitch_yaw(T[:3, :3])] for T in tree.place]).reshape(-1, 6)
         for k, name in enumerate(PLACE):
             setattr(self, name, places[:, k])
-        self.armature, self.stiffness, self.springref = tree.armature, tree.stiffness, tree.spring
-        self.encoder_bias, self.cubic_damping = np.zeros(len(leading)), (S**4).T @ tree.damping[:, 2]
-        self.gravity = np.array(tree.gravity, np.float64)
-        self.base_roll = self.base_pitch = self.base_yaw = np.float64(0.0)
+        numbers = {
+            "armature": tree.armature,
+            "stiffness": tree.stiffness,
+            "springref": tree.spring,
+            "encoder_bias": np.zeros(len(leading)),
+            "cubic_damping": (S**4).T @ tree.damping[:, 2],
+            "gravity": np.array(tree.gravity, np.float64),
+            **{f"base_{k}": np.float64(0.0) for k in PLACE[3:]},
+        }
+        for name, value in numbers.items():
+            setattr(self, name, value)
         self.prepared = self.added = self.tilt = self.drive_law = None
         self.fitted = ()
         if driven is None:
@@ -261,11 +268,12 @@ class Robot(Staged):
 
     def base(self) -> dynamics.Base:
         """Gravity in the frame of the tilted base."""
-        R = _turn(self.base_roll, self.base_pitch, self.base_yaw)
+        R = dynamics.turn(self.base_roll, self.base_pitch, self.base_yaw)
         g = jnp.asarray(self.gravity)
         fall = tuple(sum(R[i][k] * g[i] for i in range(3)) for k in range(3))
         if self.tilt is not None:  # v cos - (axis x v) sin + axis (axis . v) (1 - cos)
             angle, axis = self.tilt
+            fall = (fall[0], fall[1], fall[2])
             sine, cosine = sincos(angle)
             along, across = scaled((1 - cosine) * inner(axis, fall), axis), scaled(-sine, cross(axis, fall))
             fall = add(scaled(cosine, fall), add(along, across))
@@ -277,20 +285,20 @@ class Robot(Staged):
     def _worked_out(self) -> tuple[dynamics.Body, dynamics.Base]:
         return (self.body(), self.base()) if self.prepared is None else self.prepared
 
-    def all_joints(self, q: Float[Array, " nq"], moves: bool = False) -> Float[Array, " n"]:
+    def all_joints(self, q: Any, moves: bool = False) -> Any:
         """Positions (rates where it `moves`) of all joints, mimics among them."""
         if self.coupling is None:
             return q
         S = np.array(self.coupling)
         return S @ q if moves else S @ q + np.array(self.shift)
 
-    def _leading(self, tau: Float[Array, " n"]) -> Float[Array, " nq"]:
+    def _leading(self, tau: Any) -> Any:
         return tau if self.coupling is None else np.array(self.coupling).T @ tau
 
     def _spring(self, q: Float[Array, " n"]) -> Float[Array, " n"]:
         return self.stiffness * (q - self.springref)
 
-    def matrices(self, q, qd):
+    def matrices(self, q, qd) -> Any:
         body, base = self._worked_out()
         plan = plan_of(self.parent)
         q, qd = self.all_joints(q - self.encoder_bias), self.all_joints(qd, moves=True)
@@ -321,9 +329,9 @@ class Robot(Staged):
             plan_of(self.parent), self.body(), self.all_joints(x[0] - self.encoder_bias) - np.array(self.reference)
         )
         p = jnp.stack(dynamics.poses(plan_of(self.parent), E, plan_of(self.parent).route).p, -1)
-        R = jnp.stack([jnp.stack(row) for row in _turn(self.base_roll, self.base_pitch, self.base_yaw)])
+        R = jnp.stack([jnp.stack(row) for row in dynamics.turn(self.base_roll, self.base_pitch, self.base_yaw)])
         p = jnp.concatenate([p, jnp.zeros((1, 3))]) @ R.T
-        return p[np.array(_tour(self.parent))]
+        return p[np.array(dynamics.tour(self.parent))]
 
     # ---- where effects of the mechanism act
 
@@ -343,47 +351,12 @@ class Robot(Staged):
 
     def tilted(self, angle: Float[Array, " nq"]) -> Robot:
         """The same on a base turned by angle[0] about the first joint's axis."""
-        R = _turn(*(getattr(self, name)[0] for name in PLACE[3:]))
+        R = dynamics.turn(*(getattr(self, name)[0] for name in PLACE[3:]))
         axis = tuple(sum(R[i][k] * self.axes[0][k] for k in range(3)) for i in range(3))
         return self._with("tilt", (angle[0], axis))
 
     def _with(self, field: str, value: Any) -> Robot:
         return eqx.tree_at(lambda m: getattr(m, field), self, value, is_leaf=lambda x: x is None)
-
-
-def _turn(roll: Any, pitch: Any, yaw: Any) -> tuple[tuple[Any, ...], ...]:
-    """Rows of Rz(yaw) Ry(pitch) Rx(roll)."""
-    (sr, cr), (sp, cp), (sy, cy) = (sincos(jnp.asarray(a)) for a in (roll, pitch, yaw))
-    return (
-        (cy * cp, cy * sp * sr - sy * cr, cy * sp * cr + sy * sr),
-        (sy * cp, sy * sp * sr + cy * cr, sy * sp * cr - cy * sr),
-        (-sp, cp * sr, cp * cr),
-    )
-
-
-def _tour(parent: tuple[int, ...]) -> list[int]:
-    """Nodes in the order of a walk out along every limb and back; -1, the base, begins and ends it."""
-    walk: list[int] = [-1]
-
-    def visit(node: int) -> None:
-        for k, up in enumerate(parent):
-            if up == node:
-                walk.append(k)
-                visit(k)
-                walk.append(node)
-
-    visit(-1)
-    return walk
-
-
-def up_to(tree: Tree, tip: str | None) -> Tree:
-    """The tree with only the joints up to a link free to move."""
-    if tip is None:
-        return tree
-    path = tree.path_to(tip)
-    held = [j for j in tree.leading if j not in path]
-    note = (f"only the joints up to {tip} move; held: {', '.join(held)}",) if held else ()
-    return replace(tree.locked({j: tree.neutral(j) for j in held}), notes=(*tree.notes, *note))
 
 
 def default_tree() -> Tree:

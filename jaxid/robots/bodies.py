@@ -1,7 +1,8 @@
 """Bodies that can exist: mass, centre of mass and lengths of gyration in place of ten numbers that may contradict each other.
 
 The mass of a body lies about its centre with the covariance G G' (m^2), G lower triangular with a diagonal >= 0: any such
-numbers are a body, and every body has such numbers (its pseudo-inertia, Wensing, Kim, Slotine 2018, is m [[G G' + c c', c], [c', 1]]).
+numbers are a body, and every body has such numbers (its pseudo-inertia, Wensing, Kim, Slotine 2018, is
+m [[G G' + c c', c], [c', 1]]).
 """
 
 from __future__ import annotations
@@ -39,7 +40,7 @@ def body_of(inertia: np.ndarray, anchor: np.ndarray) -> tuple[np.ndarray, float]
     S = np.trace(I) / 2 * np.eye(3) - I - m * np.outer(c, c)
     values, vectors = np.linalg.eigh(S)
     least = float(values[0])
-    R = np.linalg.qr((vectors * np.sqrt(np.maximum(values, 0.0) / m)).T, "r")
+    R: np.ndarray = np.linalg.qr((vectors * np.sqrt(np.maximum(values, 0.0) / m)).T, "r")  # type: ignore[assignment]
     G = (R * np.where(np.diag(R) < 0, -1.0, 1.0)[:, None]).T
     return np.array([m, *(c + anchor), G[0, 0], G[1, 0], G[1, 1], G[2, 0], G[2, 1], G[2, 2]]), least
 

@@ -120,7 +120,7 @@ def stated_law(controller: Controller, joints: Sequence[str], period: float) -> 
     if not isinstance(every, int | float) or every < 0:
         raise UsageError(f"[controller]: sample_time is {every!r}; it is a number of seconds, 0 where the law is continuous")
     velocity, rate = _words(settings, float(every), kind)
-    fit = settings.get("fit", ())
+    fit: Any = settings.get("fit", ())
     fit = (fit,) if isinstance(fit, str) else tuple(fit)
     can = (*NEEDED[kind], "saturation", "delay")
     for name in fit:

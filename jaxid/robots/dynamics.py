@@ -103,7 +103,7 @@ def body(
     )
     hinge = np.where(np.array(slides, bool)[:, None], 0.0, axis)
     sliding = axis - hinge
-    a = tuple(hinge[:, k] for k in range(3))
+    a = (hinge[:, 0], hinge[:, 1], hinge[:, 2])
     # R0 K and R0 K K of the axis' cross product matrix K: rows times axis
     first = tuple(cross(row, a) for row in rows)
     second = tuple(cross(row, a) for row in first)
@@ -248,3 +248,28 @@ def poses(plan: Plan, E: Placements, route: Any) -> Placements:
     start = Placements((one, zero, zero), (zero, one, zero), (zero, zero, one), (zero, zero, zero))
     found = jax.lax.scan(outwards, start, (E, None if route is None else _opened(route)))[1]
     return jax.tree.map(lambda v: gathered(plan, v), found)
+
+
+def turn(roll: Any, pitch: Any, yaw: Any) -> tuple[tuple[Any, ...], ...]:
+    """Rows of Rz(yaw) Ry(pitch) Rx(roll)."""
+    (sr, cr), (sp, cp), (sy, cy) = (sincos(jnp.asarray(a)) for a in (roll, pitch, yaw))
+    return (
+        (cy * cp, cy * sp * sr - sy * cr, cy * sp * cr + sy * sr),
+        (sy * cp, sy * sp * sr + cy * cr, sy * sp * cr - cy * sr),
+        (-sp, cp * sr, cp * cr),
+    )
+
+
+def tour(parent: tuple[int, ...]) -> list[int]:
+    """Nodes in the order of a walk out along every limb and back; -1, the base, begins and ends it."""
+    walk: list[int] = [-1]
+
+    def visit(node: int) -> None:
+        for k, up in enumerate(parent):
+            if up == node:
+                walk.append(k)
+                visit(k)
+                walk.append(node)
+
+    visit(-1)
+    return walk

@@ -67,7 +67,7 @@ def _own(numbers: Mapping[str, Any], names: set[str]) -> dict[str, Any]:
 
 
 def _law(controller: Controller, every: Sequence[str], joints: Sequence[str]) -> Controller:
-    settings = dict(controller.settings)
+    settings: dict[str, Any] = dict(controller.settings)
     for key, value in settings.items():
         if key not in (*NUMBERS, "kv"):
             continue

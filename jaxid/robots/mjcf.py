@@ -10,20 +10,25 @@ from __future__ import annotations
 from collections.abc import Iterable
 from pathlib import Path
 from typing import Any
-from xml.etree.ElementTree import Element, tostring
 
 import numpy as np
 
 from jaxid.errors import UsageError
 from jaxid.rigid_body import about_origin
 from jaxid.robots.bodies import fault
+from jaxid.robots.mjcf_text import expanded
 from jaxid.robots.tree import Actuator, Coupling, Tree, turned
 
 
-#: Bytes of a file, of all that it includes, and how deep includes may nest.
-LARGEST, DEEPEST = 4_000_000, 8
 #: What is drawn, touched or sensed, and moves nothing.
 DROPPED = ("geoms", "pairs", "excludes", "skins", "meshes", "hfields", "materials", "textures", "sensors", "cameras", "lights")
+
+
+def library() -> Any:
+    """MuJoCo, whose names are made when it loads."""
+    import mujoco
+
+    return mujoco
 
 
 def read_mjcf(path: str | Path, text: str | None = None) -> Tree:
@@ -33,8 +38,7 @@ def read_mjcf(path: str | Path, text: str | None = None) -> Tree:
     """
     path = Path(path)
     spec = _compilable(path, expanded(path, text))
-    import mujoco
-
+    mujoco = library()
     try:
         model = spec.compile()
     except (ValueError, mujoco.FatalError) as error:
@@ -42,86 +46,9 @@ def read_mjcf(path: str | Path, text: str | None = None) -> Tree:
     return _Reader(path, model).tree()
 
 
-# ---- the text, with its includes
-
-
-def expanded(path: Path, text: str | None = None) -> str:
-    """The MJCF with its includes in place. Raises `UsageError` for what is no MJCF, lies outside its folder, or is too large."""
-    root = _parsed(path, text)
-    if root.tag not in ("mujoco", "mujocoinclude"):
-        raise UsageError(f"{path}: the outermost tag is <{root.tag}>, not <mujoco>; give an MJCF (or name a .urdf)")
-    budget = [LARGEST]
-    _include(root, path, path.parent.resolve(), 0, budget)
-    for tag, what in (("flexcomp", "a flexible body"), ("composite", "a composite body"), ("attach", "another model")):
-        found = next(root.iter(tag), None)
-        if found is not None:
-            raise UsageError(f"{path}: <{tag}> {found.get('name') or found.get('prefix') or ''} is {what}, which is not read")
-    for parent in list(root.iter()):
-        for child in [c for c in parent if c.tag in ("extension", "plugin", "visual", "statistic", "size")]:
-            parent.remove(child)
-        for child in [c for c in parent if parent.tag == "asset"]:
-            if child.tag != "material":  # geoms name them in defaults; they read no file once their texture is gone
-                parent.remove(child)
-            child.attrib.pop("texture", None)
-            for layer in list(child):
-                child.remove(layer)
-    return tostring(root, encoding="unicode")
-
-
-def _parsed(path: Path, text: str | None) -> Element:
-    from xml.etree.ElementTree import ParseError
-
-    from defusedxml import ElementTree
-    from defusedxml.common import DefusedXmlException
-
-    try:
-        if text is None:
-            size = path.stat().st_size
-            if not path.is_file():
-                raise UsageError(f"{path}: not a file")
-            if size > LARGEST:
-                raise UsageError(f"{path}: {size / 1e6:.0f} MB; a robot's file has at most {LARGEST / 1e6:.0f} MB")
-            text = path.read_text(encoding="utf-8-sig")
-        root = ElementTree.fromstring(text)
-    except UnicodeDecodeError as error:
-        raise UsageError(f"{path}: a character that is not UTF-8; save the file as UTF-8") from error
-    except OSError as error:
-        raise UsageError(f"{path}: cannot be read ({error.strerror})") from error
-    except (ParseError, ValueError, RecursionError) as error:
-        if isinstance(error, UsageError):
-            raise
-        if isinstance(error, DefusedXmlException):
-            raise UsageError(f"{path}: declares entities or external content, which is refused; write it without them") from error
-        raise UsageError(f"{path}: not XML ({error})") from error
-    return root
-
-
-def _include(element: Element, path: Path, folder: Path, depth: int, budget: list[int]) -> None:
-    for position, child in reversed(list(enumerate(list(element)))):
-        if child.tag != "include":
-            _include(child, path, folder, depth, budget)
-            continue
-        name = child.get("file") or ""
-        target = folder / name
-        parts = name.replace("\\", "/").split("/")
-        if not name or ".." in parts or Path(name).is_absolute() or not target.resolve().is_relative_to(folder):
-            raise UsageError(f"{path}: includes {name!r}, which lies outside its folder; put it beside the file")
-        if depth >= DEEPEST:
-            raise UsageError(f"{path}: includes {name!r} more than {DEEPEST} files deep; does a file include itself?")
-        root = _parsed(target, None)
-        budget[0] -= target.stat().st_size
-        if budget[0] < 0:
-            raise UsageError(f"{path}: its includes have more than {LARGEST / 1e6:.0f} MB")
-        _include(root, target, folder, depth + 1, budget)
-        element.remove(child)
-        for offset, inner in enumerate(list(root)):
-            element.insert(position + offset, inner)
-
-
 def _compilable(path: Path, text: str) -> Any:
     """The spec without what is drawn, refused where a body's inertia would come from it or cannot be."""
-    import mujoco
-
+    mujoco = library()
     try:
         spec = mujoco.MjSpec.from_string(text)
     except (ValueError, mujoco.FatalError) as error:
@@ -171,8 +98,7 @@ def _fault(body: Any) -> str | None:
 
 
 def _refuse_tendons(path: Path, spec: Any) -> None:
-    import mujoco
-
+    mujoco = library()
     used = {a.target for a in spec.actuators if a.trntype == mujoco.mjtTrn.mjTRN_TENDON}
     used |= {n for e in spec.equalities if e.type == mujoco.mjtEq.mjEQ_TENDON for n in (e.name1, e.name2)}
     for t in spec.tendons:
@@ -190,8 +116,7 @@ class _Reader:
     """Reads a compiled model, whose numbers are all resolved."""
 
     def __init__(self, path: Path, model: Any):
-        import mujoco
-
+        mujoco = library()
         self.path, self.m, self.mj = path, model, mujoco
         self.notes: list[str] = []
 
@@ -264,7 +189,7 @@ class _Reader:
             m.dof_frictionloss[dof].copy(), np.ravel(m.jnt_stiffness[j]).copy(), m.qpos_spring[m.jnt_qposadr[j]].copy(),
             np.where(limited, m.jnt_range[j, 0], -np.inf), np.where(limited, m.jnt_range[j, 1], np.inf),
             np.full(len(j), np.inf), np.array([max(abs(low), abs(high)) for low, high in force]),
-            couplings, actuators, self.poses(number, joints), tuple(float(g) for g in m.opt.gravity), "world", (),
+            couplings, actuators, self.poses(number, joints), tuple(map(float, m.opt.gravity)), "world", (),  # type: ignore[arg-type]
             tuple(dict.fromkeys(self.notes)),
         )  # fmt: skip
         return tree.locked(fixed)
@@ -356,7 +281,7 @@ class _Reader:
     def actuator(self, a: int, j: int) -> Actuator:
         """The law of one actuator at its joint. `other` where it is none of motor, position and velocity."""
         m, mj = self.m, self.mj
-        g = float(m.actuator_gear[a, 0])
+        g, endless = float(m.actuator_gear[a, 0]), (-np.inf, np.inf)
         gain, bias = m.actuator_gainprm[a], m.actuator_biasprm[a]
         affine = int(m.actuator_biastype[a]) == int(mj.mjtBias.mjBIAS_AFFINE)
         b0, b1, b2 = (float(v) for v in bias[:3]) if affine else (0.0, 0.0, 0.0)
@@ -371,13 +296,13 @@ class _Reader:
             kind = "position"
         else:
             kind = "velocity" if b1 == 0 and abs(gain[0] + b2) <= 1e-9 * abs(b2) else "other"
-        force = tuple(map(float, m.actuator_forcerange[a])) if m.actuator_forcelimited[a] else (-np.inf, np.inf)
+        force = tuple(map(float, m.actuator_forcerange[a])) if m.actuator_forcelimited[a] else endless
         low, high = self.joint_force(j)
         force = (max(force[0], min(low / g, high / g)), min(force[1], max(low / g, high / g))) if g else force
-        control = tuple(sorted(float(v) / g for v in m.actuator_ctrlrange[a])) if m.actuator_ctrllimited[a] and g else ()
+        control: Any = sorted(float(v) / g for v in m.actuator_ctrlrange[a]) if m.actuator_ctrllimited[a] and g else endless
         return Actuator(
             self.name("ACTUATOR", a), kind if known else "other", -b1 * g * g, -b2 * g * g, float(gain[0]), b0 * g,
-            (min(force[0] * g, force[1] * g), max(force[0] * g, force[1] * g)), control or (-np.inf, np.inf),
+            (min(force[0] * g, force[1] * g), max(force[0] * g, force[1] * g)), tuple(control),
             float(m.actuator_dynprm[a, 0]) if lagging else 0.0, float(m.actuator_delay[a]),
         )  # fmt: skip
 

@@ -289,3 +289,13 @@ def chain_of_rods(n: int, length: float, mass: float) -> Tree:
         (False,) * n, np.tile([0.0, 1.0, 0.0], (n, 1)), place, zero, np.tile(phi, (n, 1)), np.zeros((n, 3)), zero,
         np.zeros((n, 3)), zero, zero, zero, -endless, endless, endless, endless,
     )  # fmt: skip
+
+
+def up_to(tree: Tree, tip: str | None) -> Tree:
+    """The tree with only the joints up to a link free to move."""
+    if tip is None:
+        return tree
+    path = tree.path_to(tip)
+    held = [j for j in tree.leading if j not in path]
+    note = (f"only the joints up to {tip} move; held: {', '.join(held)}",) if held else ()
+    return replace(tree.locked({j: tree.neutral(j) for j in held}), notes=(*tree.notes, *note))

@@ -53,7 +53,7 @@ def read_urdf_tree(path: str | Path, text: str | None = None) -> Tree:
         str(path), tuple(j.name for j in joints), tuple(j.child for j in joints), parent,
         tuple(j.kind == "prismatic" for j in joints), np.array([j.axis for j in joints]), np.array([T for _, _, T in nodes]),
         zero, np.array(bodies), np.zeros((len(joints), 3)), zero, damping, dissipation[:, 1].copy(), zero, zero,
-        *limits, _couplings(path, joints), base=base,
+        limits[0], limits[1], limits[2], limits[3], _couplings(path, joints), base=base,
         impossible=tuple(f for name, phi in robot.inertia.items() if (f := fault(name, phi))),
     )  # fmt: skip
 
