@@ -57,7 +57,8 @@ class Binding:
 
     def reference(self, effect: type[Effect] | Effect, place: int) -> Reference:
         """Typical magnitudes where an effect acts."""
-        own = self.inputs if effect.location == "input" and self.inputs else self.references
+        at_input = effect.location == "input" and not self.chain.mechanism.behind_law(effect)
+        own = self.inputs if at_input and self.inputs else self.references
         return own[min(place, len(own) - 1)]
 
     def motions_of(self, experiments: Iterable[Experiment]) -> list[Motion] | None:

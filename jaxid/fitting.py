@@ -49,7 +49,8 @@ def fit_seeds(
     the same batches where they can; each fit states its share of the time. `benches` keeps runs from call to call."""
     began = time.perf_counter()
     residual = residual or default_residual(binding)
-    if isinstance(residual, InverseDynamics) and binding.dataset.inputs and not binding.chain.known_torque:
+    known = binding.chain.direct or getattr(binding.chain.mechanism, "drive_law", None) is not None  # or a law tells the torque
+    if isinstance(residual, InverseDynamics) and binding.dataset.inputs and not known:
         raise UsageError(f"inverse_dynamics needs measured torques; the inputs of {binding.chain.mechanism.name} are none")
     simulated = not isinstance(residual, InverseDynamics) and bool(binding.dataset.split("fit"))
     benches = Benches(binding) if benches is None else benches

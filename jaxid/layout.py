@@ -84,7 +84,9 @@ class Layout:
         """(lower, upper, scale) of every number, effects' bounds resolved at their joint or input channel."""
         rows = []
         for e in self.entries:
-            own = inputs if e.owner >= 0 and self.chain.effects[e.owner].location == "input" and inputs else joints
+            effect = self.chain.effects[e.owner] if e.owner >= 0 else None
+            at_input = effect is not None and effect.location == "input" and not self.chain.mechanism.behind_law(effect)
+            own = inputs if at_input and inputs else joints
             r = own[min(e.place, len(own) - 1)]
             rows.append([resolve(b, r) for b in (e.spec.lower, e.spec.upper, e.spec.scale)])
         lower, upper, scale = np.array(rows, np.float64).reshape(-1, 3).T
@@ -117,6 +119,8 @@ def _entries(chain: Chain):
 
 def channel_unit(chain: Chain, effect: Effect | type[Effect], place: int, template: str) -> str:
     """Fills {u} and {y}, the unit of the channel that the effect acts on."""
+    if chain.mechanism.behind_law(effect):
+        return template.replace("{u}", chain.signature.unit("{F}", place))
     ports = chain.signature.inputs if effect.location == "input" else chain.signature.outputs
     own = ports[place][1] if place < len(ports) else ""
     return template.replace("{u}", own).replace("{y}", own)

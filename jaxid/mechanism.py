@@ -70,6 +70,14 @@ class Mechanism(eqx.Module):
         """Joint torque that the inputs make; a mechanism whose inputs are not joint torques has its own law."""
         return u if signature.inputs else jnp.zeros_like(q)
 
+    def behind_law(self, effect: Any) -> bool:
+        """Whether an effect at the inputs acts on the torque that a law makes of a goal, and not on the goal."""
+        return False
+
+    def places(self, effect: Any, signature: Signature) -> tuple[str, ...]:
+        """Names of the places of an effect at the inputs or outputs, one for each channel."""
+        return tuple(n for n, _ in (signature.inputs if effect.location == "input" else signature.outputs))
+
     def nominal_effects(self) -> list[Any]:
         """The built-in effects with what is known of them; by default at their start values."""
         return [kind() for kind, _ in self.builtin]

@@ -27,8 +27,9 @@ from .robot_drive import PositionLaw
 
 PLACE = ("x", "y", "z", "roll", "pitch", "yaw")
 GRAVITY = ("gravity_x", "gravity_y", "gravity_z")
-#: Numbers of a drive that [controller] may have fitted -> number of the law (two, where both limits are one number).
-LAW = {"kp": "kp", "kd": "kd", "kv": "kd", "ki": "ki", "saturation": "highest", "delay": "delay"}
+#: Effects at the inputs that act on the torque where a goal drives; the others act on the goal.
+AT_TORQUE = ("torque_scale", "saturation", "back_emf", "supply_droop")
+
 
 plan_of = lru_cache(dynamics.plan)
 
@@ -56,8 +57,8 @@ class Robot(Staged):
 
     Numbers go by the names of joints and links: armature@JOINT, damping@JOINT, frictionloss@JOINT, mass@LINK, com_x@LINK (in the
     link's frame). Bodies are written so that every value within its bounds is a body that can exist. Fitted by default: armature,
-    damping and dry friction of each joint, and what [controller] names; the bodies are the file's, and those that a dataset names
-    under [model.parameters] are fitted too. On channels `JOINT_cmd` the law of [controller] or of the file's actuators drives.
+    damping and dry friction of each joint, its link's centre of mass across the axis (where gravity shows it), and what
+    [controller] names; numbers that a dataset names under [model.parameters] are fitted too. On channels `JOINT_cmd` the law of [controller] or of the file's actuators drives.
     """
 
     name: ClassVar[str] = "robot"
@@ -219,6 +220,14 @@ class Robot(Staged):
             }
         return [kind(**numbers[kind]) for kind, _ in self.builtin]
 
+    def behind_law(self, effect: Any) -> bool:
+        return self.drive_law is not None and effect.name in AT_TORQUE
+
+    def places(self, effect: Any, signature: Signature) -> tuple[str, ...]:
+        if self.behind_law(effect):
+            return tuple(map(torque, signature.joints))
+        return super().places(effect, signature)
+
     def number_name(self, field: str, place: int) -> str:
         if field == "gravity":
             return GRAVITY[place]
@@ -229,7 +238,7 @@ class Robot(Staged):
 
     def held(self) -> frozenset[str]:
         joints, fitted = self.signatures[0].joints, {name for name, _, _ in self.fitted}
-        out = {f"{field}@{link}" for field in BODY for link in self.links}
+        out = {f"{field}@{link}" for field in BODY for link in self.links} - self.tree.tree.free_moments()
         out |= {f"{field}@{j}" for field in ("encoder_bias", "stiffness", "quadratic_damping") for j in self.joints}
         out |= {"base_roll", "base_pitch"}
         out |= {f"armature@{j}" for j in self.joints if j not in joints}
@@ -246,6 +255,10 @@ class Robot(Staged):
         reach = max(float(np.sum(np.linalg.norm(tree.place[:, :3, 3], axis=1))), 1e-2)
         if field == "mass":
             return spec._replace(upper=10 * total, scale=0.01 * total)
+        if field.startswith("com_"):  # within about the link's own size of where the file has it
+            about = float(getattr(self, field)[place])
+            size = 0.5 * tree.size(self.carriers[place])
+            return spec._replace(lower=about - size, upper=about + size, scale=0.05 * size)
         if field in BODY:
             lower = 0.0 if field in ("gyration_xx", "gyration_yy", "gyration_zz") else -reach
             return spec._replace(lower=lower, upper=reach, scale=0.01 * reach)

@@ -171,6 +171,29 @@ class Tree:
                 total[self.parent[k]] += turned(total[k], self.place[k])
         return out
 
+    def size(self, node: int) -> float:
+        """Length of a link, m: to the next joints, or twice as far as its centre of mass; at least 0.02."""
+        ends = [float(np.linalg.norm(self.place[k][:3, 3])) for k, up in enumerate(self.parent) if up == node]
+        m = float(self.inertia[node][9])
+        com = float(np.linalg.norm(self.inertia[node][6:9])) / m if m > 0 else 0.0
+        return max(0.02, 2 * com, *ends)
+
+    def free_moments(self) -> set[str]:
+        """Numbers com_x@LINK … of first moments that gravity shows: across the axis of a hinge, and not where that stands upright
+        on the base."""
+        out: set[str] = set()
+        turn = [np.eye(3)] * self.n
+        moved = [False] * self.n  # whether a joint before this one turns it
+        down = np.array(self.gravity) / max(float(np.linalg.norm(self.gravity)), 1e-12)
+        for k, up in enumerate(self.parent):
+            turn[k] = (turn[up] if up >= 0 else np.eye(3)) @ self.place[k][:3, :3]
+            moved[k] = up >= 0 and (moved[up] or not self.slides[up])
+            upright = not moved[k] and abs((turn[k] @ self.axis[k]) @ down) > 1 - 1e-6
+            if self.links[k] and not self.slides[k] and not upright and np.any(down):
+                across = np.argsort(np.abs(self.axis[k]))[:2]
+                out |= {f"com_{'xyz'[i]}@{self.links[k]}" for i in across}
+        return out
+
     def neutral(self, joint: str) -> float:
         """Where a joint that nobody moves is held: the first pose of the file, else its reference."""
         k = self.joint(joint)
