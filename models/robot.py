@@ -58,7 +58,8 @@ class Robot(Staged):
     Numbers go by the names of joints and links: armature@JOINT, damping@JOINT, frictionloss@JOINT, mass@LINK, com_x@LINK (in the
     link's frame). Bodies are written so that every value within its bounds is a body that can exist. Fitted by default: armature,
     damping and dry friction of each joint, its link's centre of mass across the axis (where gravity shows it), and what
-    [controller] names; numbers that a dataset names under [model.parameters] are fitted too. On channels `JOINT_cmd` the law of [controller] or of the file's actuators drives.
+    [controller] names; numbers that a dataset names under [model.parameters] are fitted too. On channels
+    `JOINT_cmd` the law of [controller] or of the file's actuators drives.
     """
 
     name: ClassVar[str] = "robot"

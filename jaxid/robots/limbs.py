@@ -116,6 +116,8 @@ def together(fits: Sequence[Fit], dataset: Dataset) -> Fit:
         history=tuple(h for f in fits for h in f.history),
         traces=tuple(t for f in fits for t in f.traces),
         theta=np.zeros(0),
+        stated=tuple(r for f in fits for r in f.stated),
+        per_joint=tuple(r for f in fits for r in f.per_joint),
     )
 
 
