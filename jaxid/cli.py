@@ -13,6 +13,7 @@ from typing import Any, TypeVar
 import click
 
 from jaxid import terminal
+from jaxid.cli_model import MODEL as MODEL
 
 
 SUCCESS, FAILED, BAD_INPUT, INTERRUPTED = 0, 1, 2, 130
@@ -79,7 +80,6 @@ def output_options(command: Callable) -> Callable:
 
 DATASET = click.argument("dataset", type=click.Path())
 OUT = click.option("--out", required=True, type=click.Path(path_type=Path), metavar="DIR", help="Folder for results.")
-MODEL = click.option("--model", metavar="M", help="Model id (see `jaxid models`) or a robot's file; default: the dataset's.")
 WITHOUT = click.option(
     "--without", callback=names, metavar="E,…", help="Built-in effects to leave out; each becomes a candidate."
 )

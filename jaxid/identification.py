@@ -29,9 +29,11 @@ from jaxid.identification_rows import (
     spacing,
 )
 from jaxid.identification_solve import Estimate
+from jaxid.identification_stated import beside_the_file
 from jaxid.layout import Layout
 from jaxid.payload import Payload, payload_by_difference, read_reference
 from jaxid.results import SCHEMA, versions
+from jaxid.robots.arms import as_arm
 from jaxid.torque import drive_gains
 
 
@@ -108,6 +110,8 @@ class Identification:
     wall_time_s: float
     payload: Payload | None = None
     traces: tuple[Any, ...] = field(default=(), compare=False)
+    stated: tuple[dict[str, Any], ...] = ()
+    per_joint: tuple[dict[str, Any], ...] = ()
 
     @property
     def torque_units(self) -> tuple[str, ...]:
@@ -163,6 +167,8 @@ class Identification:
             "friction_laws": [vars(t) for t in self.laws],
             "names": list(self.names),
             "covariance": self.covariance,
+            "stated": list(self.stated),
+            "how_far": {"per_joint": list(self.per_joint)},
         }
         if self.standard is not None:
             out["standard_parameters"] = self.standard
@@ -218,6 +224,7 @@ def identify(
         raise UsageError(f"there is no method {method!r}{nearest(method, METHODS)}")
     if friction not in (*LAWS, "auto"):
         raise UsageError(f"there is no friction law {friction!r}{nearest(friction, (*LAWS, 'auto'))}")
+    model, dataset = as_arm(model, dataset)
     held_out = any(e.split != "fit" for e in dataset.experiments)
     data = dataset if held_out else dataset.with_splits()
     chain = _stated(resolve_model(model, data), data)
@@ -254,6 +261,7 @@ def identify(
         notes=tuple([*data.notes, *_notes(found, names, method, law)]), wall_time_s=time.perf_counter() - began,
         traces=tuple((r.name, r.split, r.t, r.tau, full_rows(r, law, exponent) @ theta) for r in runs),
     )  # fmt: skip
+    result = replace(result, **beside_the_file(arm, base, law, runs, result))
     if before is None:
         return result
     payload = payload_by_difference(result, before, base, np.asarray(arm.prismatic), gain_std)

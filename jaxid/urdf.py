@@ -69,7 +69,7 @@ def read_urdf(path: str | Path, tip: str | None = None, root: str | None = None,
             before = here
             continue
         turn = np.eye(4)
-        turn[:3, :3] = _z_to(j.axis)
+        turn[:3, :3] = z_to(j.axis)
         geometry.append(geometry_of(here @ turn))
         before = np.linalg.inv(turn)
         inertia.append(_turned(_lumped(robot, j.child, on_chain), before))
@@ -287,7 +287,7 @@ def _turned(inertia: np.ndarray, T: np.ndarray) -> np.ndarray:
     return np.array(moved(Placements(x, y, z, p), inertia))
 
 
-def _z_to(axis: np.ndarray) -> np.ndarray:
+def z_to(axis: np.ndarray) -> np.ndarray:
     """The smallest rotation that takes z into the axis; about x where the axis is -z."""
     c = axis[2]
     if c < -1 + 1e-12:

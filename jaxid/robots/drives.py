@@ -61,6 +61,31 @@ class Law:
     def words(self) -> dict[str, Any]:
         return {k: getattr(self, k) for k in ("kind", "velocity", "rate", "period", "control")}
 
+    def torque(self, t: np.ndarray, goal: np.ndarray, q: np.ndarray) -> np.ndarray:
+        """Torque that the law asks for along a recording (t [time], goal and q [time n]), read at its samples."""
+        if self.kind == "pid":
+            raise UsageError(
+                "the torque of a pid law is not known without its integral's start; record the torque, or fit instead"
+            )
+        number = {k: np.array(v) for k, v in self.numbers.items()}
+        wanted = np.zeros_like(q)
+        late = np.stack([np.interp(t - d, t, g) for d, g in zip(self.delay, goal.T, strict=True)], 1)
+        if self.velocity == "measured":
+            speed = np.gradient(q, t, axis=0)
+        else:
+            back = 1 if self.velocity == "difference" else 2
+            step = np.maximum(t - back * self.period, t[0])
+            before = np.stack([np.interp(step, t, x) for x in q.T], 1)
+            speed = (q - before) / (back * self.period)
+        if self.rate:
+            before = np.stack([np.interp(np.maximum(t - self.period, t[0]), t, g) for g in late.T], 1)
+            wanted = (late - before) / self.period
+        if self.kind == "cascade":
+            v = number["kd"] * (number["kp"] * (late - q) + wanted - speed)
+        else:
+            v = number["kp"] * (late - q) + number["kd"] * (wanted - speed)
+        return number["gain"] * np.clip(v + number["offset"], number["lowest"], number["highest"])
+
     def size(self, error: np.ndarray) -> np.ndarray:
         """Torque that position errors [samples n] ask for, 99th percentile."""
         kp = np.abs(np.array(self.kp) * np.array(self.gain) * (np.array(self.kd) if self.kind == "cascade" else 1.0))

@@ -124,14 +124,33 @@ def driving(dataset: Dataset, tree: Tree) -> Dataset:
 def prepared(model: object, dataset: Dataset) -> tuple[object, Dataset]:
     """(model, dataset) where either may mean a robot: its `Robot`, and the dataset under the joints' names. Else as they are."""
     spec = dataset.model
+    tip = getattr(model, "tip", None)  # of a path that the command line was given with one
     if isinstance(model, str) and model.lower().endswith((".xml", ".mjcf")):
-        model = robot_from(model)
+        model = robot_from(model, tip)
+    elif isinstance(model, str) and model.lower().endswith(".urdf"):
+        model = robot_from(model, tip) if tip is not None else _beyond_an_arm(model, dataset)
     elif (model is None or model == "robot") and spec is not None and spec.geometry is not None and spec.geometry.robot:
         model = robot_of(spec.geometry.robot, spec.geometry.file, spec.geometry.tip)
     if not is_robot(model):
         return model, dataset
     tree: Tree = model.tree.tree  # type: ignore[attr-defined]
     return model, driving(named(dataset, tree, spec.joints if spec is not None else None), tree)
+
+
+def _beyond_an_arm(path: str, dataset: Dataset) -> Any:
+    """The `Robot` of a URDF where a serial arm of numbered joints would not do: the recording names joints, goals drive, or the
+    tree branches; else the path."""
+    try:
+        robot = robot_from(path)
+    except UsageError:
+        return path  # `SerialArm.from_urdf` says what is wrong with it
+    tree: Tree = robot.tree.tree
+    names, spec = {c.name for c in dataset.channels}, dataset.model
+    torque = any(c.unit in ("N m", "N", "A") for c in dataset.inputs)
+    chain = all(up == k - 1 for k, up in enumerate(tree.parent))
+    goals = dataset.controller is not None and not torque
+    by_name = bool(names & set(tree.joints)) or (spec is not None and bool(spec.joints))
+    return robot if by_name or goals or not chain else path
 
 
 def matched(robot: Any, dataset: Dataset) -> Chain:
