@@ -57,7 +57,7 @@ def beside_the_file(arm: Any, base: BaseParameters, law: Law, runs: Sequence[Run
     notes = [
         "with the file as it stands the torque of "
         + ", ".join(f"joint {j + 1} is off by {100 * w:.1f} %" for j, w in enumerate(worst)),
-        *_first_moments(rows, n, {k: np.count_nonzero(r) > 1 for k, r in zip(base.names, base.K, strict=True)}),
+        *_first_moments(rows, n, {k: int(np.count_nonzero(r)) > 1 for k, r in zip(base.names, base.K, strict=True)}),
     ]
     return {"stated": tuple(rows), "per_joint": tuple(joints), "notes": (*result.notes, *notes)}
 
