@@ -280,7 +280,7 @@ class Robot(Staged):
         place = jnp.stack([jnp.asarray(getattr(self, k)) for k in PLACE])
         return dynamics.body(plan_of(self.parent), self.slides, np.array(self.axes).reshape(-1, 3), place, self.inertia())
 
-    def base(self) -> dynamics.Base:
+    def standing(self) -> dynamics.Base:
         """Gravity in the frame of the tilted base."""
         R = dynamics.turn(self.base_roll, self.base_pitch, self.base_yaw)
         g = jnp.asarray(self.gravity)
@@ -294,10 +294,10 @@ class Robot(Staged):
         return dynamics.still(fall)  # type: ignore[arg-type]
 
     def prepare(self, h):
-        return eqx.tree_at(lambda m: m.prepared, self, (self.body(), self.base()), is_leaf=lambda x: x is None)
+        return eqx.tree_at(lambda m: m.prepared, self, (self.body(), self.standing()), is_leaf=lambda x: x is None)
 
     def _worked_out(self) -> tuple[dynamics.Body, dynamics.Base]:
-        return (self.body(), self.base()) if self.prepared is None else self.prepared
+        return (self.body(), self.standing()) if self.prepared is None else self.prepared
 
     def all_joints(self, q: Any, moves: bool = False) -> Any:
         """Positions (rates where it `moves`) of all joints, mimics among them."""
