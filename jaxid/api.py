@@ -15,6 +15,7 @@ from jaxid.fitter import AbstractFitter, Progress
 from jaxid.problem import LOSSES
 from jaxid.residual import Residual, RESIDUALS
 from jaxid.results import Diagnosis, Fit
+from jaxid.robots.limbs import each, effects_at, limbs_of
 from jaxid.simulation_result import Simulation
 
 
@@ -38,6 +39,13 @@ def fit(
     `Fit` with `failed` set and a sentence in `stopped_because`. More rows than there is memory for are refused before anything
     is computed.
     """
+    if len(limbs := limbs_of(model, dataset)) > 1:
+        chosen = tuple(effects)
+        work = lambda robot, data: fit(
+            robot, data, fitter=fitter, residual=residual, loss=loss, effects=effects_at(chosen, robot), without=without,
+            seed=seed, budget=budget, progress=progress,
+        )  # fmt: skip
+        return each(limbs, work, dataset)
     refuse_too_large(foreseen("fit", model, dataset))
     binding = bind(model, dataset, effects=effects, without=without)
     return _fit(binding, fitter, residual, loss, seed, budget, progress)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field, replace
-from typing import Any
+from typing import Any, cast
 
 import jax
 import jax.numpy as jnp
@@ -15,13 +15,14 @@ from jaxid import catalogue, samples
 from jaxid.chain import Chain, Effect, neutral
 from jaxid.dataset_geometry import arm_table
 from jaxid.errors import nearest, UsageError
-from jaxid.experiment import Dataset, Experiment
+from jaxid.experiment import Dataset, Experiment, ParameterPrior
 from jaxid.joint_names import in_chain_order, joint_names
 from jaxid.layout import Layout
 from jaxid.mechanism import Mechanism, Signature
 from jaxid.noise import Noise, noise_floor
 from jaxid.parameter import Reference, settings, with_settings
 from jaxid.precision import float64
+from jaxid.robots import match as robots
 from jaxid.samples import Motion
 from jaxid.time_stamps import scattered_stamps, Stamps, with_scatter
 from jaxid.traced import key_of, Traced
@@ -57,7 +58,8 @@ class Binding:
 
     def reference(self, effect: type[Effect] | Effect, place: int) -> Reference:
         """Typical magnitudes where an effect acts."""
-        own = self.inputs if effect.location == "input" and self.inputs else self.references
+        at_input = effect.location == "input" and not self.chain.mechanism.behind_law(effect)
+        own = self.inputs if at_input and self.inputs else self.references
         return own[min(place, len(own) - 1)]
 
     def motions_of(self, experiments: Iterable[Experiment]) -> list[Motion] | None:
@@ -78,6 +80,7 @@ def resolve_model(model: object, dataset: Dataset, without: Iterable[str] = ()) 
     """The chain that a dataset and a user mean: by id, by the path of a URDF, as a mechanism, or as a
     chain; None takes the dataset's."""
     spec = dataset.model
+    model, dataset = robots.prepared(model, dataset)
     if model is None:
         if spec is None or spec.name is None:
             raise UsageError(f"the dataset names no model: give one (there is: {', '.join(catalogue.model_names())})")
@@ -90,9 +93,12 @@ def resolve_model(model: object, dataset: Dataset, without: Iterable[str] = ()) 
     elif isinstance(model, str):
         model = catalogue.model_class(model)()
     constants = spec.constants if spec is not None else {}
+    if robots.is_robot(model):
+        model = cast(Any, model).matched(dataset)
     if isinstance(model, Mechanism):
         model = with_settings(model, constants)
-        dataset = in_chain_order(dataset, joint_names(model))
+        if not robots.is_robot(model):  # its joints are matched already
+            dataset = in_chain_order(dataset, joint_names(model))
         model = Chain(model, signature=_signature(model, dataset), smoothing_velocity=smoothing)
     if not isinstance(model, Chain):
         raise UsageError(f"a model is an id, a mechanism or a chain, not {type(model).__name__}")
@@ -154,6 +160,7 @@ def bind(
     `effects` are added and fitted, `candidates` are put into the chain at their neutral value and stay there. The spread of
     time stamps is read off the recording where that shows it (`time_stamps`), and readings count by it.
     """
+    model, dataset = robots.prepared(model, dataset)
     dataset = dataset.with_splits() if splits else dataset
     if not dataset.experiments and not dataset.responses:
         raise UsageError("the dataset holds no experiment")
@@ -180,11 +187,12 @@ def bind(
     spec = dataset.model
     priors = dict(spec.parameters) if spec is not None else {}
     for name, value in (spec.constants if spec is not None else {}).items():
-        if name != "smoothing_velocity" and name not in settings(chain.mechanism):
+        if name != "smoothing_velocity" and name not in settings(chain.mechanism) and not name.startswith(robots.POSE):
             i = layout.index(name)
             theta[i] = value
             fixed.add(i)
             stated.add(i)
+    priors = {name: ParameterPrior(None, *known) for name, known in chain.mechanism.known().items()} | priors
     for name, prior in priors.items():
         if prior.value is not None:
             theta[layout.index(name)] = prior.value
@@ -242,7 +250,7 @@ def _references(
     """Typical magnitudes of each joint and of each input channel, in the recordings to fit, or in all where none is."""
     fit = dataset.split("fit") or dataset.experiments
     chain, nq = layout.chain, layout.chain.nq
-    iu, _ = samples.columns(dataset, chain)
+    iu, iy = samples.columns(dataset, chain)
     size = [float(np.percentile(np.abs(np.concatenate([e.u[:, i] for e in fit])), 99)) for i in iu] if fit else []
     direct = chain.direct
     if not fit:
@@ -261,5 +269,8 @@ def _references(
         with float64():
             torque = _inertia_program(layout)(theta, q[pick], qdd[pick])
             inertia = np.percentile(np.abs(np.asarray(torque)), 99, axis=0)
+        if (law := getattr(chain.mechanism, "drive_law", None)) is not None:  # what the law asks for says more
+            asked = law.size(np.concatenate([e.u[:, iu[:nq]] for e in fit]) - np.concatenate([e.y for e in fit])[:, iy])
+            inertia = np.maximum(inertia, asked)
         joints = samples.references(fit, used, iu if direct else [], inertia)
     return joints, [joints[min(k, nq - 1)]._replace(torque=max(s, 1e-9)) for k, s in enumerate(size)]

@@ -234,11 +234,12 @@ class Chain(eqx.Module):
         """Names of the locations that an effect's parameters are counted by in this model."""
         if effect.location == "joint":
             return self.signature.joints
-        return tuple(n for n, _ in (self.signature.inputs if effect.location == "input" else self.signature.outputs))
+        return self.mechanism.places(effect, self.signature)
 
     def offers(self, effect: Effect | type[Effect]) -> tuple[str, ...]:
         """Those of its places where an effect makes sense in this model: its candidates in a diagnosis."""
-        return self.places(effect) if effect.offered is None else effect.offered(self.mechanism, self.signature)
+        anywhere = effect.offered is None or self.mechanism.behind_law(effect)
+        return self.places(effect) if anywhere else effect.offered(self.mechanism, self.signature)  # type: ignore[misc]
 
     def _widened(self, effect: Effect) -> Effect:
         n = len(self.places(effect))
@@ -274,7 +275,7 @@ class Chain(eqx.Module):
     def at(self, port: type[Port]) -> list[tuple[int, Port]]:
         """The effects at one port with their positions, in the order in which they act."""
         found = [(i, e) for i, e in enumerate(self.effects) if isinstance(e, port)]
-        return sorted(found, key=lambda pair: pair[1].stage)
+        return sorted(found, key=lambda pair: (self.mechanism.behind_law(pair[1]), pair[1].stage))
 
     def body(self) -> Mechanism:
         """The mechanism with all body effects applied."""
@@ -303,8 +304,7 @@ class Chain(eqx.Module):
     def start(
         self, q: Float[Array, " nq"], qd: Float[Array, " nq"], u: Float[Array, " nu"], body: Mechanism | None = None
     ) -> Carry:
-        """State at the beginning of a run that has seen the input `u` for long; `body` is the mechanism with its effects,
-        prepared, where that has been done."""
+        """State at the beginning of a run that has seen the input `u` for long; `body` the mechanism ready with its effects."""
         body = self.body().prepare(None) if body is None else body
         x = body.start(q, qd)
         y, rate = self.begins(body, q, qd) if self.at(OutputEffect) else (jnp.zeros(0), jnp.zeros(0))

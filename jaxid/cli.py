@@ -14,6 +14,7 @@ from typing import Any
 import click
 
 from jaxid import terminal
+from jaxid.cli_model import MODEL as MODEL
 from jaxid.cli_output import FAILED, Output, SUCCESS, writable_folder
 from jaxid.stopping import INTERRUPTED
 
@@ -80,7 +81,6 @@ def output_options(command: Callable) -> Callable:
 
 DATASET = click.argument("dataset", type=click.Path())
 OUT = click.option("--out", required=True, type=click.Path(path_type=Path), metavar="DIR", help="Folder for results.")
-MODEL = click.option("--model", metavar="M", help="Model id (see `jaxid models`) or a URDF file; default: the dataset's.")
 WITHOUT = click.option(
     "--without", callback=names, metavar="E,…", help="Built-in effects to leave out; each becomes a candidate."
 )

@@ -23,7 +23,7 @@ from jaxid.errors import UsageError
 from jaxid.experiment import Dataset, Experiment
 from jaxid.lane import Lane, over_time
 from jaxid.layout import Layout
-from jaxid.residual import _record, overrides, Residual, RESIDUALS, Runs
+from jaxid.residual import _record, OutputError, overrides, Residual, RESIDUALS, Runs
 from jaxid.samples import Samples
 
 
@@ -120,6 +120,10 @@ class ClosedLoopOutputError(Residual):
         if self.signals not in SIGNALS:
             raise UsageError(f"signals is {self.signals!r}; it is one of {', '.join(SIGNALS)}")
         chain: Chain = layout.chain
+        if getattr(chain.mechanism, "drive_law", None) is not None:  # its free run is the one under the law
+            if self.signals != "outputs":
+                raise UsageError("a robot that its goals drive is compared by its outputs alone")
+            return OutputError().runs(dataset, experiments, layout, noise, motions, step, shape)
         law = law_of(dataset, chain.signature)
         shifted = {"input_delay", "input_hold"} & {e.name for e in chain.effects}
         if shifted:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 import warnings
 from collections.abc import Callable, Iterable
 from dataclasses import replace
@@ -41,6 +42,7 @@ def assemble(
 ):
     """The dataset, or `DatasetError` with every fault of the description, the model and the samples."""
     problems = list(document.problems)
+    document.model = _as_robot_entry(document, open_text)
     problems += expanded_channels(document, places, open_table)
     geometry = _geometry(document, places, open_text, problems)
     info = _model_info(document, places, problems, geometry) if check_model else None
@@ -71,6 +73,8 @@ def assemble(
         notes=tuple([*document.notes, *(note for h in harvests for note in h.notes), *alerts]),
         sha256=sha256(),
     )
+    if check_model and geometry is not None and geometry.robot:
+        return _as_robot(dataset, places)
     try:
         return in_chain_order(dataset, chain)
     except UsageError as error:
@@ -112,20 +116,23 @@ def _origin(header: Header) -> dict[str, Any] | str | None:
 
 def _model_spec(entry: ModelEntry) -> ModelSpec:
     return ModelSpec(
-        name=entry.name,
+        name="robot" if entry.robot is not None else entry.name,
         without=tuple(entry.without),
         free=entry.free,
         constants={k: float(v) for k, v in entry.constants.items()},
         parameters={k: ParameterPrior(p.value, p.lower, p.upper) for k, p in entry.parameters.items()},
         joints=dict(entry.joints),
+        base={} if entry.base is None else entry.base.model_dump(exclude_unset=True),
     )
 
 
 def _geometry(document: Document, places: Places, open_text: Any, problems: list[Problem]) -> Geometry | None:
     """The links that `[model]` states; a URDF is read from the folder and kept as text."""
     entry = document.model
-    if entry is None or (entry.urdf is None and entry.dh is None):
+    if entry is None or (entry.urdf is None and entry.dh is None and entry.robot is None):
         return None
+    if entry.robot is not None:
+        return _robot(entry, places, open_text, problems)
     if entry.dh is not None:
         columns = entry.dh.model_dump(exclude={"convention"}, exclude_none=True)
         return Geometry(convention=entry.dh.convention, columns=columns)
@@ -146,6 +153,57 @@ def _geometry(document: Document, places: Places, open_text: Any, problems: list
         problems.append(places.problem(stated, str(error), "Correct it"))
         return None
     return geometry
+
+
+def _as_robot_entry(document: Document, open_text: Any) -> ModelEntry | None:
+    """The model; a `serial_arm` whose `urdf` is an MJCF, or whose goals are recorded under a stated law and no input is, is read
+    as a robot."""
+    entry, roles = document.model, {c.role for c in document.channels.values()}
+    goals = any(name.endswith("_cmd") for name in document.channels)
+    if entry is None or entry.urdf is None:
+        return entry
+    text = open_text(entry.urdf, ("model", "urdf")) if open_text is not None and entry.urdf.endswith((".xml", ".mjcf")) else ""
+    mjcf = isinstance(text, str) and re.search(r"<\s*mujoco\b", text) is not None
+    driven = document.controller is not None and "input" not in roles and goals and not entry.free
+    if not (mjcf or driven):
+        return entry
+    return entry.model_copy(update={"name": None, "urdf": None, "robot": entry.urdf})
+
+
+def _robot(entry: ModelEntry, places: Places, open_text: Any, problems: list[Problem]) -> Geometry | None:
+    """The robot's file as text, if it can be read as a robot."""
+    from jaxid.robots.match import robot_of
+    from jaxid.robots.mjcf_text import expanded
+
+    key = ("model", "robot")
+    if open_text is None:
+        problems.append(places.problem(key, "a robot's file needs a folder", "Give the model as Robot.from_mjcf(...)"))
+        return None
+    text = open_text(entry.robot, key)
+    if isinstance(text, Problem):
+        problems.append(text)
+        return None
+    try:
+        if not str(entry.robot).lower().endswith(".urdf"):
+            text = expanded(open_text.path(entry.robot), text)
+        robot_of(text, str(entry.robot), entry.tip)
+    except UsageError as error:
+        problems.append(places.problem(key, str(error), "Correct the file, or name another"))
+        return None
+    return Geometry(robot=text, file=str(entry.robot), tip=entry.tip)
+
+
+def _as_robot(dataset: Dataset, places: Places) -> Dataset:
+    """The dataset under the names of its robot's joints. Raises `DatasetError` where they do not go together."""
+    from jaxid.robots.match import prepared
+
+    try:
+        robot: Any
+        robot, dataset = prepared(None, dataset)
+        robot.matched(dataset)
+    except UsageError as error:
+        raise DatasetError([places.problem(("model",), str(error), "Correct [model], [controller] or the channels")]) from None
+    return dataset
 
 
 def _readings(document: Document, places: Places, problems: list[Problem], info: Any) -> list[Reading]:
@@ -170,11 +228,12 @@ def _roles(document: Document, places: Places, *, known_model: bool) -> list[Pro
     problems = []
     roles = [c.role for c in document.channels.values()]
     free = document.model is not None and document.model.free
+    robot = document.model is not None and document.model.robot is not None  # says itself what it lacks
     if "channels" in document.sound:
         if not roles or ("output" not in roles and not known_model):
             message = 'there is no channel with role = "output"' if roles else "there are no channels"
             problems.append(places.problem(("channels",), message, "Add what was measured as [channels.NAME]"))
-        elif "input" not in roles and not free and not known_model and "model" in document.sound:
+        elif "input" not in roles and not free and not known_model and "model" in document.sound and not robot:
             remedy = "Add the channel that drives the motion, or say free = true under [model]"
             problems.append(places.problem(("channels",), 'there is no channel with role = "input"', remedy))
         elif "input" in roles and free:
@@ -217,7 +276,7 @@ def _references(document: Document, places: Places) -> list[Problem]:
 def _model_info(document: Document, places: Places, problems: list[Problem], geometry: Geometry | None) -> Any:
     """What the catalogue knows of the model, with the names of the file checked against it."""
     entry = document.model
-    if entry is None or entry.name is None:
+    if entry is None or entry.name is None or entry.robot is not None:
         return None
     from jaxid import catalogue
 

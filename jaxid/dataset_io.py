@@ -47,7 +47,7 @@ def load_dataset(path: str | os.PathLike[str], *, check_model: bool = True) -> D
         folder_tables.open,
         check_model=check_model,
         sha256=lambda: folder_tables.sha256(content),
-        open_text=folder_tables.text,
+        open_text=folder_tables,
     )
 
 
@@ -105,9 +105,12 @@ class _Folder:
         self.tables[file] = read_table(self.folder / file, file, content, numbered=self.numbered)
         return self.tables[file]
 
-    def text(self, file: str, key: tuple[str | int, ...]) -> str | Problem:
+    def path(self, file: str) -> Path:
+        return self.folder / file
+
+    def __call__(self, file: str, key: tuple[str | int, ...]) -> str | Problem:
         """A file of the folder as text."""
-        content = self._content(file, key, (".urdf", ".xml"))
+        content = self._content(file, key, (".urdf", ".xml", ".mjcf"))
         if isinstance(content, Problem):
             return content
         try:

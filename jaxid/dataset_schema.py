@@ -197,9 +197,19 @@ class LinksEntry(_Strict):
         return self
 
 
+class BaseEntry(_Strict):
+    """`[model.base]` of a robot: how its base stands, rad."""
+
+    kind: Literal["fixed", "prescribed", "free"] = "fixed"
+    roll: FiniteFloat = 0.0
+    pitch: FiniteFloat = 0.0
+    yaw: FiniteFloat = 0.0
+
+
 class ModelEntry(_Strict):
     """`[model]`. `urdf` (a file of the folder, with the `root` and the `tip` of the chain where it has several) or `dh` are the
-    links of a `serial_arm`; `joints` says which joint a channel is of (`q1` and its `tau1`, `q1_cmd` … alike)."""
+    links of a `serial_arm`; `robot` is the file of any robot, MJCF or URDF, with its `base`; `joints` says which joint a channel
+    is of (`q1` and its `tau1`, `q1_cmd` … alike)."""
 
     name: str | None = None
     without: list[str] = []
@@ -210,6 +220,8 @@ class ModelEntry(_Strict):
     tip: str | None = None
     root: str | None = None
     dh: LinksEntry | None = None
+    robot: str | None = None
+    base: BaseEntry | None = None
     joints: dict[str, str] = {}
 
     @field_validator("joints")
@@ -223,6 +235,10 @@ class ModelEntry(_Strict):
 
     @model_validator(mode="after")
     def _apart(self) -> ModelEntry:
+        if self.robot is not None and (self.name not in (None, "robot") or self.urdf is not None or self.dh is not None):
+            raise ValueError("robot names the file of a robot, beside which name, urdf and dh do not stand: keep one of them")
+        if self.name not in (None, "robot") and self.base is not None:
+            raise ValueError('base belongs to a robot: write robot = "robot.xml" (or a URDF) in place of the name')
         both = sorted(set(self.constants) & set(self.parameters))
         if both:
             raise ValueError(f"{both[0]!r} is both known (constants) and to be fitted (parameters)")
@@ -230,8 +246,8 @@ class ModelEntry(_Strict):
             raise ValueError("the links stand in both urdf and dh: keep one of them")
         if (self.urdf is not None or self.dh is not None) and self.name != "serial_arm":
             raise ValueError('urdf and dh are the links of the model "serial_arm": write name = "serial_arm"')
-        if self.urdf is None and (self.tip is not None or self.root is not None):
-            word, what = ("tip", "end") if self.tip is not None else ("root", "beginning")
+        if self.urdf is None and (self.root is not None or (self.tip is not None and self.robot is None)):
+            word, what = ("root", "beginning") if self.root is not None else ("tip", "end")
             raise ValueError(f"{word} names the {what} of a chain in a URDF, and there is no urdf")
         return self
 
@@ -240,8 +256,10 @@ class ControllerEntry(BaseModel):
     """`[controller]`: its kind; gains, sample time and saturation as numbers or lists of numbers; the names of channels."""
 
     model_config = ConfigDict(extra="allow", strict=True, allow_inf_nan=False)
-    __pydantic_extra__: dict[str, FiniteFloat | list[FiniteFloat]]
+    __pydantic_extra__: dict[str, FiniteFloat | list[FiniteFloat] | dict[str, FiniteFloat]]
     kind: str
+    fit: list[str] | None = None
+    spread: dict[str, FiniteFloat] | None = None
     velocity: str | None = None
     reference: str | list[str] | None = None
     reference_velocity: str | None = None

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from jaxid.dataset_time import impossible
-from jaxid.experiment import Dataset
+from jaxid.experiment import Dataset, Geometry
 
 
 def write_files(dataset: Dataset, folder: Path, format: str) -> None:
@@ -44,6 +44,8 @@ def write_files(dataset: Dataset, folder: Path, format: str) -> None:
     links = None if dataset.model is None else dataset.model.geometry
     if links is not None and links.urdf:
         (folder / "arm.urdf").write_text(links.urdf, encoding="utf-8")
+    if links is not None and links.robot:
+        (folder / robot_file(links)).write_text(links.robot, encoding="utf-8")
     (folder / "dataset.toml").write_text(tomlkit.dumps(description), encoding="utf-8")
 
 
@@ -68,6 +70,10 @@ def _header(dataset: Dataset, flagged: set[str]) -> dict[str, Any]:
             entry["parameters"] = {name: _stated(prior.__dict__) for name, prior in model.parameters.items()}
         if (links := model.geometry) is not None and links.urdf:
             entry |= {"urdf": "arm.urdf"} | _stated({"tip": links.tip, "root": links.root})
+        elif links is not None and links.robot:
+            del entry["name"]
+            entry |= {"robot": robot_file(links)} | ({"tip": links.tip} if links.tip is not None else {})
+            entry |= {"base": dict(model.base)} if model.base else {}
         elif links is not None:
             entry["dh"] = {"convention": links.convention, **links.columns}
         entry |= {"joints": dict(model.joints)} if model.joints else {}
@@ -90,6 +96,11 @@ def _header(dataset: Dataset, flagged: set[str]) -> dict[str, Any]:
         for c in dataset.channels
     }
     return top
+
+
+def robot_file(links: Geometry) -> str:
+    """The name under which a robot's file is written."""
+    return "robot.urdf" if links.file.lower().endswith(".urdf") else "robot.xml"
 
 
 def _stated(entry: dict[str, Any]) -> dict[str, Any]:

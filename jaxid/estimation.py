@@ -17,6 +17,8 @@ from jaxid.frequency import FrequencyResponseError
 from jaxid.problem import Problem
 from jaxid.residual import InverseDynamics, MultipleShooting, OutputError, Residual, Runs
 from jaxid.results import EffectEstimate, Estimate, Fit, Score, Trace
+from jaxid.robots import yardstick
+from jaxid.robots.match import is_robot
 from jaxid.uncertainty import Covariance, covariance
 
 
@@ -393,11 +395,16 @@ def assemble(
         traces += make_traces(binding, split, {"fit": predictions})
         if split == "fit" and isinstance(residual, MultipleShooting):
             windowed = window_scores(binding, problem, result.z)
+    rows = yardstick.stated(binding, found)
+    joints: tuple[dict, ...] = ()
+    if is_robot(binding.chain.mechanism):
+        notes += yardstick.sentences(rows, binding.chain.mechanism.tree.tree)  # type: ignore[attr-defined]
+        joints = () if isinstance(residual, InverseDynamics) else yardstick.per_joint(bench, table)
     return Fit(
         binding.chain.mechanism.name, added, fitter, residual.name, problem.loss_name, seed, result.converged, False,
         result.stopped_because, result.loss, own, table, windowed, result.evaluations, wall_time, compile_time,
         binding.dataset.name, binding.dataset.sha256, tuple(notes), groups, tuple(result.history), tuple(traces), theta,
-        result.stalled,
+        result.stalled, rows, joints,
     )  # fmt: skip
 
 

@@ -250,12 +250,13 @@ class Geometry:
     root: str | None = None
     convention: str = "modified"
     columns: dict[str, list[float] | list[bool]] = field(default_factory=dict)
+    robot: str = ""  # the text of a robot's file, MJCF or URDF
 
 
 @dataclass(frozen=True)
 class ModelSpec:
-    """The model a dataset is meant for; `free` is motion without any input, `geometry` that of a `serial_arm`; `joints`: channel
-    of a position -> the name of its joint."""
+    """The model a dataset is meant for; `free` is motion without any input, `geometry` that of a `serial_arm` or a robot, whose
+    `base` is fixed or prescribed; `joints`: channel of a position -> the name of its joint."""
 
     name: str | None = None
     without: tuple[str, ...] = ()
@@ -264,6 +265,7 @@ class ModelSpec:
     parameters: dict[str, ParameterPrior] = field(default_factory=dict)
     geometry: Geometry | None = None
     joints: dict[str, str] = field(default_factory=dict)
+    base: dict[str, Any] = field(default_factory=dict)
 
 
 @dataclass(frozen=True)
@@ -271,7 +273,7 @@ class Controller:
     """The feedback law under which the data were recorded; sample time, saturation and gains stand in `settings`."""
 
     kind: str
-    settings: dict[str, float | list[float] | str | list[str]] = field(default_factory=dict)
+    settings: dict[str, float | list[float] | str | list[str] | dict[str, float]] = field(default_factory=dict)
 
 
 @dataclass(frozen=True)

@@ -57,7 +57,8 @@ def fit_seeds(
     `known` is told of a fit before it is refined."""
     began = time.perf_counter()
     residual = residual or default_residual(binding)
-    if isinstance(residual, InverseDynamics) and binding.dataset.inputs and not binding.chain.direct:
+    told = binding.chain.direct or getattr(binding.chain.mechanism, "drive_law", None) is not None  # or a law tells the torque
+    if isinstance(residual, InverseDynamics) and binding.dataset.inputs and not told:
         raise UsageError(f"inverse_dynamics needs measured torques; the inputs of {binding.chain.mechanism.name} are none")
     simulated = not isinstance(residual, InverseDynamics) and bool(binding.dataset.split("fit"))
     benches = Benches(binding) if benches is None else benches

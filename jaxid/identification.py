@@ -32,10 +32,12 @@ from jaxid.identification_rows import (
     torques,
 )
 from jaxid.identification_solve import Estimate
+from jaxid.identification_stated import beside_the_file
 from jaxid.joint_names import in_chain_order, joint_names, names_of_joints
 from jaxid.layout import Layout
 from jaxid.payload import Payload, payload_by_difference, read_reference
 from jaxid.results import SCHEMA, versions
+from jaxid.robots.arms import as_arm
 from jaxid.torque import drive_gains
 
 
@@ -113,6 +115,8 @@ class Identification:
     payload: Payload | None = None
     traces: tuple[Any, ...] = field(default=(), compare=False)
     labels: tuple[str, ...] = ()  # what tables call the joints: their names, else q1 …
+    stated: tuple[dict[str, Any], ...] = ()
+    per_joint: tuple[dict[str, Any], ...] = ()
 
     @property
     def torque_units(self) -> tuple[str, ...]:
@@ -168,6 +172,8 @@ class Identification:
             "friction_laws": [vars(t) for t in self.laws],
             "names": list(self.names),
             "covariance": self.covariance,
+            "stated": list(self.stated),
+            "how_far": {"per_joint": list(self.per_joint)},
         }
         if self.standard is not None:
             out["standard_parameters"] = self.standard
@@ -223,6 +229,7 @@ def identify(
         raise UsageError(f"there is no method {method!r}{nearest(method, METHODS)}")
     if friction not in (*LAWS, "auto"):
         raise UsageError(f"there is no friction law {friction!r}{nearest(friction, (*LAWS, 'auto'))}")
+    model, dataset = as_arm(model, dataset)
     held_out = any(e.split != "fit" for e in dataset.experiments)
     data = dataset if held_out else dataset.with_splits()
     chain = _stated(resolve_model(model, data), data)
@@ -264,6 +271,7 @@ def identify(
         labels=names_of_joints(arm, data, len(arm.prismatic)),
         traces=tuple((r.name, r.split, r.t, r.tau, own[chosen]) for r, own in zip(runs, predicted, strict=True)),
     )  # fmt: skip
+    result = replace(result, **beside_the_file(arm, base, law, runs, result))
     if before is None:
         return result
     payload = payload_by_difference(result, before, base, np.asarray(arm.prismatic), gain_std)

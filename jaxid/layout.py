@@ -84,7 +84,9 @@ class Layout:
         """(lower, upper, scale) of every number, effects' bounds resolved at their joint or input channel."""
         rows = []
         for e in self.entries:
-            own = inputs if e.owner >= 0 and self.chain.effects[e.owner].location == "input" and inputs else joints
+            effect = self.chain.effects[e.owner] if e.owner >= 0 else None
+            at_input = effect is not None and effect.location == "input" and not self.chain.mechanism.behind_law(effect)
+            own = inputs if at_input and inputs else joints
             r = own[min(e.place, len(own) - 1)]
             rows.append([resolve(b, r) for b in (e.spec.lower, e.spec.upper, e.spec.scale)])
         lower, upper, scale = np.array(rows, np.float64).reshape(-1, 3).T
@@ -99,7 +101,7 @@ def _entries(chain: Chain):
         for k in range(value.size):  # a field is one number, or one per joint: m1 m2 ...
             own = chain.mechanism.spec_of(name, k, spec)._replace(value=float(value.flat[k]))
             where = joints[k] if value.ndim and k < len(joints) else ""
-            yield Entry(f"{name}{k + 1}" if value.ndim else name, -1, name, k, where, own, unit(own.unit, k))
+            yield Entry(chain.mechanism.number_name(name, k) if value.ndim else name, -1, name, k, where, own, unit(own.unit, k))
     ids = {kind.name: names for kind, names in chain.mechanism.builtin}
     for i, effect in enumerate(chain.effects):
         places = chain.places(effect)
@@ -107,7 +109,7 @@ def _entries(chain: Chain):
             short = ids.get(effect.name, {}).get(field)
             for k, place in enumerate(places):
                 if short and "{joint}" in short:
-                    name = short.replace("{joint}", place)
+                    name = short.replace("{joint}", joints[k] if effect.location == "input" and k < len(joints) else place)
                 elif short:
                     name = short if len(places) == 1 else f"{short}{k + 1}"
                 else:
@@ -117,6 +119,8 @@ def _entries(chain: Chain):
 
 def channel_unit(chain: Chain, effect: Effect | type[Effect], place: int, template: str) -> str:
     """Fills {u} and {y}, the unit of the channel that the effect acts on."""
+    if chain.mechanism.behind_law(effect):
+        return template.replace("{u}", chain.signature.unit("{F}", place))
     ports = chain.signature.inputs if effect.location == "input" else chain.signature.outputs
     own = ports[place][1] if place < len(ports) else ""
     return template.replace("{u}", own).replace("{y}", own)

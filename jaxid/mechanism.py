@@ -70,6 +70,14 @@ class Mechanism(eqx.Module):
         """Joint torque that the inputs make; a mechanism whose inputs are not joint torques has its own law."""
         return u if signature.inputs else jnp.zeros_like(q)
 
+    def behind_law(self, effect: Any) -> bool:
+        """Whether an effect at the inputs acts on the torque that a law makes of a goal, and not on the goal."""
+        return False
+
+    def places(self, effect: Any, signature: Signature) -> tuple[str, ...]:
+        """Names of the places of an effect at the inputs or outputs, one for each channel."""
+        return tuple(n for n, _ in (signature.inputs if effect.location == "input" else signature.outputs))
+
     def nominal_effects(self) -> list[Any]:
         """The built-in effects with what is known of them; by default at their start values."""
         return [kind() for kind, _ in self.builtin]
@@ -78,6 +86,14 @@ class Mechanism(eqx.Module):
         """Names of numbers, its own and those of built-in effects, that a fit leaves as they are unless the dataset names them
         under [model.parameters]: what no motion determines beside the others."""
         return frozenset()
+
+    def number_name(self, field: str, place: int) -> str:
+        """Printed name of one number of a field that has one for each joint or link."""
+        return f"{field}{place + 1}"
+
+    def known(self) -> dict[str, tuple[float, float]]:
+        """Bounds, by name, of numbers that this model has fitted though it would hold them."""
+        return {}
 
     def spec_of(self, field: str, place: int, spec: ParameterSpec) -> ParameterSpec:
         """What is known beforehand of one number of a field; a model may set bounds by its size."""
@@ -183,6 +199,27 @@ class Rigid(Mechanism):
         return free.aux + h / 2 * (qd - free.qd) + shift, qd
 
 
+class Staged(Rigid):
+    """Abstract: the scheme of `Rigid` with its stages in a loop, compiled once and not four times: for long recursions."""
+
+    def free(self, h, x, tau):
+        q, v = x
+
+        def stage(carry, c):
+            v_before, a_before, q_sum, v_sum = carry
+            share, weight = c
+            v_here = v + share * h * a_before
+            M, bias = self.matrices(q + share * h * v_before, v_here)
+            W = inverse(M)
+            a = dot(W, tau - bias)
+            return (v_here, a, q_sum + weight * v_here, v_sum + weight * a), W
+
+        zero = jnp.zeros_like(v)
+        shares = jnp.array([[0, 1 / 6], [1 / 2, 1 / 3], [1 / 2, 1 / 3], [1, 1 / 6]])
+        (*_, q_sum, v_sum), W = jax.lax.scan(stage, (v, zero, zero, zero), shares)
+        return Free(v + h * v_sum, h * W[1], q + h * q_sum)
+
+
 class Lagrangian(Rigid):
     """Abstract: a rigid mechanism from its energies; the equation of motion follows by automatic differentiation."""
 
@@ -207,4 +244,4 @@ def joint_count(mechanism: Mechanism | type[Mechanism]) -> int:
     return len(mechanism.signatures[0].joints)
 
 
-__all__ = ["Free", "Lagrangian", "Mechanism", "Rigid", "Signature", "equations_of_motion", "joint_count"]
+__all__ = ["Free", "Lagrangian", "Mechanism", "Rigid", "Signature", "Staged", "equations_of_motion", "joint_count"]

@@ -128,6 +128,8 @@ class Fit:
     traces: tuple[Trace, ...] = ()
     theta: np.ndarray = field(default_factory=lambda: np.zeros(0))  # every number of the model, in the order of its layout
     stalled: bool = False  # ended by a rule of the fitter's own, without having converged
+    stated: tuple[dict[str, Any], ...] = ()  # what a file or the dataset states beside what was fitted
+    per_joint: tuple[dict[str, Any], ...] = ()  # of a robot: each joint's error with the file as it stands
 
     @property
     def state(self) -> str:
@@ -152,6 +154,8 @@ class Fit:
             **{split: {c: s.to_dict() for c, s in rows.items()} for split, rows in self.scores.items()},
             "windowed": {c: s.to_dict() for c, s in self.windowed.items()},
             "correlated": [list(g) for g in self.correlated],
+            "stated": list(self.stated),
+            "how_far": {"per_joint": list(self.per_joint)},
             "evaluations": self.evaluations,
             "wall_time_s": self.wall_time_s,
             "compile_time_s": self.compile_time_s,

@@ -33,7 +33,7 @@ class _Joint:
     axis: np.ndarray
     limits: tuple[float, float, float, float]  # lower, upper, velocity, effort
     dynamics: tuple[float, float]  # damping, friction
-    mimic: bool
+    mimic: tuple[str, float, float] | None  # joint that it follows, offset, ratio
 
 
 @dataclass
@@ -75,7 +75,7 @@ def read_urdf(path: str | Path, tip: str | None = None, root: str | None = None,
             before = here
             continue
         turn = np.eye(4)
-        turn[:3, :3] = _z_to(j.axis)
+        turn[:3, :3] = z_to(j.axis)
         geometry.append(geometry_of(here @ turn))
         before = np.linalg.inv(turn)
         inertia.append(_turned(_lumped(robot, j.child, on_chain), before))
@@ -87,6 +87,20 @@ def read_urdf(path: str | Path, tip: str | None = None, root: str | None = None,
         tuple(j.kind == "prismatic" for j in moving), np.array(inertia), np.zeros(len(moving)), before,
         tuple(j.name for j in moving), *limits, *np.array([j.dynamics for j in moving]).T,
     )  # fmt: skip
+
+
+def read_links(path: Path, text: str | None = None) -> tuple[_Robot, str]:
+    """The links and joints of a URDF, and its root link. Raises `UsageError` for what is no tree."""
+    robot = _read(path, text)
+    root = _root(robot, None, path)
+    reached, edge = {root}, [root]
+    while edge:
+        edge = [j.child for link in edge for j in robot.children(link)]
+        reached |= set(edge)
+    lost = sorted(set(robot.inertia) - reached)
+    if lost:
+        raise UsageError(f"{path}: link {lost[0]!r} does not hang on the root {root!r}: its joints form a closed loop")
+    return robot, root
 
 
 def _read(path: Path, text: str | None = None) -> _Robot:
@@ -231,8 +245,16 @@ def _joint(element: Any, path: Path) -> _Joint:
     return _Joint(
         name, kind, ends[0], ends[1], _origin(element.find("origin"), path, f"joint {name!r}"),
         axis / max(float(np.linalg.norm(axis)), 1e-300), (lower, upper, rates[0], rates[1]),
-        (dissipation[0], dissipation[1]), element.find("mimic") is not None,
+        (dissipation[0], dissipation[1]), _mimic(element.find("mimic"), path, name),
     )  # fmt: skip
+
+
+def _mimic(tag: Any, path: Path, name: str) -> tuple[str, float, float] | None:
+    if tag is None:
+        return None
+    what = f"mimic of joint {name!r}:"
+    ratio, offset = (_number(tag, key, default, path, what) for key, default in (("multiplier", "1"), ("offset", "0")))
+    return _text(tag, "joint", path, f"<mimic> of joint {name!r}"), offset, ratio
 
 
 def _root(robot: _Robot, root: str | None, path: Any) -> str:
@@ -314,7 +336,7 @@ def _turned(inertia: np.ndarray, T: np.ndarray) -> np.ndarray:
     return np.array(moved(Placements(x, y, z, p), inertia))
 
 
-def _z_to(axis: np.ndarray) -> np.ndarray:
+def z_to(axis: np.ndarray) -> np.ndarray:
     """The smallest rotation that takes z into the axis; about x where the axis is -z."""
     c = axis[2]
     if c < -1 + 1e-12:

@@ -9,13 +9,14 @@ from .flexible_link import FlexibleLink
 from .joint import Joint
 from .pendulum import Pendulum
 from .planar_arm import PlanarArm
+from .robot import Robot
 from .serial_arm import SerialArm
 from .servo import Servo
 from .space_manipulator import SpaceManipulator
 from .tracker import Tracker
 
 
-MODELS = (Joint, Pendulum, Servo, Tracker, FlexibleLink, PlanarArm, SerialArm, UR10, UR10e, Panda, SpaceManipulator)
+MODELS = (Joint, Pendulum, Servo, Tracker, FlexibleLink, PlanarArm, SerialArm, UR10, UR10e, Panda, Robot, SpaceManipulator)
 
 __all__ = [
     "MODELS",
@@ -24,6 +25,7 @@ __all__ = [
     "Panda",
     "Pendulum",
     "PlanarArm",
+    "Robot",
     "SerialArm",
     "Servo",
     "SpaceManipulator",

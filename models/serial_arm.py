@@ -6,16 +6,14 @@ from pathlib import Path
 from typing import Any, ClassVar
 
 import equinox as eqx
-import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from jaxid.arithmetic import dot, inverse
 from jaxid.base_parameters import base_parameters, BaseParameters, STANDARD, standard_names
 from jaxid.chain import InputEffect
 from jaxid.kinematics import ArmTable, free_fall, modified_dh, placements
-from jaxid.mechanism import Free, Rigid, Signature
+from jaxid.mechanism import Signature, Staged
 from jaxid.models.effects import ConstantTorque, CoulombFriction, PowerLawFriction
 from jaxid.parameter import constant, param, ParameterSpec, Quantity
 from jaxid.rigid_body import INERTIA, inverse_dynamics, mass_matrix, Placements, poses
@@ -49,7 +47,7 @@ def signatures_of(prismatic: tuple[bool, ...]) -> tuple[Signature, ...]:
     return tuple(Signature(inputs, outputs, joints, prismatic=slides) for inputs in (torques, currents))
 
 
-class AbstractArm(Rigid):
+class AbstractArm(Staged):
     """Abstract: n links in a chain, each with ten inertial parameters about the origin of its frame and a drive inertia.
 
     The frame of joint j stands in the frame before it at Rz(gamma) Tz(b) Rx(alpha) Tx(a) Rz(theta + q) Tz(d), q added to d where
@@ -161,24 +159,6 @@ class AbstractArm(Rigid):
         E, phi = self.placements(q), self.inertia()
         M = mass_matrix(E, self.prismatic, phi) + jnp.diag(jnp.asarray(self.Ia))
         return M, inverse_dynamics(E, self.prismatic, phi, self.free_fall(), qd, jnp.zeros_like(qd))
-
-    def free(self, h, x, tau):
-        """The classical Runge-Kutta scheme of `Rigid`, its stages in a loop: compiled once, not four times."""
-        q, v = x
-
-        def stage(carry, c):
-            v_before, a_before, q_sum, v_sum = carry
-            share, weight = c
-            v_here = v + share * h * a_before
-            M, bias = self.matrices(q + share * h * v_before, v_here)
-            W = inverse(M)
-            a = dot(W, tau - bias)
-            return (v_here, a, q_sum + weight * v_here, v_sum + weight * a), W
-
-        zero = jnp.zeros_like(v)
-        shares = jnp.array([[0, 1 / 6], [1 / 2, 1 / 3], [1 / 2, 1 / 3], [1, 1 / 6]])
-        (*_, q_sum, v_sum), W = jax.lax.scan(stage, (v, zero, zero, zero), shares)
-        return Free(v + h * v_sum, h * W[1], q + h * q_sum)
 
     def inverse(self, q, qd, qdd):
         """Joint torque of a motion [n ...] (any number of samples behind the joints), friction excluded."""

@@ -1,0 +1,100 @@
+"""A limb of a robot as the serial arm that `jaxid identify` works on, with its law's torque where none was recorded."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+
+from jaxid.errors import UsageError
+from jaxid.experiment import Channel, Dataset, Experiment
+from jaxid.kinematics import ArmTable, geometry_of
+from jaxid.robots.match import matched, notes_of, prepared
+from jaxid.robots.tree import Tree, turned
+from jaxid.urdf import z_to
+
+
+def as_arm(model: object, dataset: Dataset) -> tuple[Any, Dataset]:
+    """(serial arm, dataset with q1 … and tau1 …) of a robot's recording; other models and their datasets as they are.
+
+    Raises `UsageError` where the recorded joints are no chain, naming what to choose.
+    """
+    from jaxid.models import SerialArm
+    from jaxid.robots.match import is_robot
+
+    robot: Any
+    robot, dataset = prepared(model, dataset)
+    if not is_robot(robot):
+        return model, dataset
+    chain = matched(robot, dataset)
+    mechanism: Any = chain.mechanism
+    tree: Tree = mechanism.tree.tree
+    arm = SerialArm(table_of(tree))
+    gravity = np.array(tree.gravity)
+    if np.any(np.abs(gravity[:2]) > 1e-9):
+        raise UsageError(f"{tree.file}: gravity is not along z; identify needs an upright world (tilt the base by [model.base])")
+    named = {"gravity": float(-gravity[2]), **{f"base_{k}": float(getattr(mechanism, f"base_{k}")) for k in ("roll", "pitch")}}
+    joints = ", ".join(f"{k + 1} {j}" for k, j in enumerate(tree.joints))
+    note = f"numbers of parameters are joints: {joints}"
+    law = mechanism.drive_law
+    said = (note,) if law is None else (note, f"torque is what the law asked for: {law.text}")
+    spec = dataset.model
+    spec = (
+        None
+        if spec is None
+        else replace(spec, name="serial_arm", geometry=None, constants=named, parameters={}, joints={}, base={})
+    )
+    data = replace(_numbered(dataset, tree, law), model=spec)
+    return arm, replace(data, notes=(*data.notes, *notes_of(robot, dataset), *said))
+
+
+def table_of(tree: Tree) -> ArmTable:
+    """The chain of a tree that has one limb, frames turned so that z is each joint's axis."""
+    if tree.couplings or any(up != k - 1 for k, up in enumerate(tree.parent)):
+        raise UsageError(
+            f"{tree.file}: the recorded joints are {len(tree.limbs())} limbs or branch; identify takes one chain "
+            f"at a time: name its end by --tip (or [model] tip): {', '.join(tree.ends)}"
+        )
+    geometry, inertia, before = [], [], np.eye(4)
+    for k in range(tree.n):
+        turn = np.eye(4)
+        turn[:3, :3] = z_to(tree.axis[k])
+        offset = -tree.reference[k]
+        here = before @ tree.place[k] @ turn
+        geometry.append(geometry_of(here))
+        if tree.slides[k]:
+            geometry[-1] = (*geometry[-1][:2], geometry[-1][2] + offset, *geometry[-1][3:])
+        else:
+            geometry[-1] = (*geometry[-1][:3], geometry[-1][3] + offset, *geometry[-1][4:])
+        before = np.linalg.inv(turn)
+        inertia.append(turned(tree.inertia[k], before))
+    a, alpha, d, theta, b, gamma = np.array(geometry).T
+    return ArmTable(
+        a, alpha, d, theta, b, gamma, tree.slides, np.array(inertia), tree.armature.copy(), before, tree.joints,
+        tree.lower, tree.upper, tree.velocity, tree.effort, tree.damping[:, 0].copy(), tree.frictionloss.copy(),
+    )  # fmt: skip
+
+
+def _numbered(dataset: Dataset, tree: Tree, law: Any) -> Dataset:
+    """The recorded joints as q1 … with their torques as tau1 …, goals as auxiliary q1_cmd …"""
+    slides = tree.slides
+    channels = [Channel(f"q{k + 1}", "output", "m" if s else "rad") for k, s in enumerate(slides)]
+    channels += [Channel(f"tau{k + 1}", "input", "N" if s else "N m") for k, s in enumerate(slides)]
+    outputs, inputs = ([c.name for c in group] for group in (dataset.outputs, dataset.inputs))
+    iy = [outputs.index(j) for j in tree.joints]
+
+    def one(e: Experiment) -> Experiment:
+        y = e.y[:, iy]
+        if law is None:
+            tau = e.u[:, [inputs.index(f"{j}_tau") for j in tree.joints]]
+            goals = {f"q{k + 1}_cmd": e.auxiliary[f"{j}_cmd"] for k, j in enumerate(tree.joints) if f"{j}_cmd" in e.auxiliary}
+        else:
+            goal = e.u[:, [inputs.index(f"{j}_cmd") for j in tree.joints]]
+            tau = law.torque(e.t, goal, y)
+            goals = {f"q{k + 1}_cmd": goal[:, k] for k in range(tree.n)}
+        return replace(e, u=tau, y=y, auxiliary=goals, past=None, initial=None, scatter=None, constants={})
+
+    experiments = tuple(map(one, dataset.experiments))
+    goals = [Channel(n, "auxiliary", "rad") for n in (experiments[0].auxiliary if experiments else {})]
+    return replace(dataset, channels=(*channels, *goals), experiments=experiments, controller=None)

@@ -1,0 +1,218 @@
+"""Drive laws of robots: from `[controller]` of a dataset, or from the actuators of an MJCF file."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+
+from jaxid.errors import nearest, UsageError
+from jaxid.experiment import Controller
+from jaxid.lane import LONGEST_DELAY_S
+from jaxid.robots.tree import Tree
+
+
+#: Numbers of a law per joint, and what they are where nothing is stated.
+NUMBERS = {"kp": 0.0, "kd": 0.0, "ki": 0.0, "gain": 1.0, "saturation": np.inf, "offset": 0.0, "delay": 0.0}
+NEEDED = {"pd": ("kp", "kd"), "pid": ("kp", "ki", "kd"), "cascade": ("kp", "kv")}
+VELOCITIES = ("difference", "averaged_difference", "measured")
+#: Words and lists of [controller] that are no numbers per joint.
+OTHER = ("velocity", "reference_velocity", "sample_time", "fit", "spread", "reference", "disturbance")
+SPREAD = 0.1
+#: A number of the law lies within so many standard deviations of its prior.
+WITHIN = 4.0
+
+
+@dataclass(frozen=True)
+class Law:
+    """A drive law of n joints. `period` s, 0 where it is continuous; `control` limits of the goal; `lag` s of the torque; `fit`
+    names of the numbers that are fitted and `spread` the relative standard deviation of their priors."""
+
+    origin: str
+    kind: str
+    kp: tuple[float, ...]
+    kd: tuple[float, ...]
+    ki: tuple[float, ...]
+    gain: tuple[float, ...]
+    lowest: tuple[float, ...]
+    highest: tuple[float, ...]
+    offset: tuple[float, ...]
+    delay: tuple[float, ...]
+    lag: tuple[float, ...]
+    control: tuple[tuple[float, float], ...] = ()
+    velocity: str = "measured"
+    rate: bool = False
+    period: float = 0.0
+    fit: tuple[str, ...] = ()
+    spread: tuple[tuple[str, float], ...] = field(default=())
+
+    @property
+    def delayed(self) -> bool:
+        return "delay" in self.fit or any(self.delay)
+
+    @property
+    def numbers(self) -> dict[str, np.ndarray]:
+        """Fields of a `PositionLaw`."""
+        return {k: np.array(getattr(self, k)) for k in ("kp", "kd", "ki", "gain", "lowest", "highest", "offset")}
+
+    @property
+    def words(self) -> dict[str, Any]:
+        return {k: getattr(self, k) for k in ("kind", "velocity", "rate", "period", "control")}
+
+    def torque(self, t: np.ndarray, goal: np.ndarray, q: np.ndarray) -> np.ndarray:
+        """Torque that the law asks for along a recording (t [time], goal and q [time n]), read at its samples."""
+        if self.kind == "pid":
+            raise UsageError(
+                "the torque of a pid law is not known without its integral's start; record the torque, or fit instead"
+            )
+        number = {k: np.array(v) for k, v in self.numbers.items()}
+        wanted = np.zeros_like(q)
+        late = np.stack([np.interp(t - d, t, g) for d, g in zip(self.delay, goal.T, strict=True)], 1)
+        if self.velocity == "measured":
+            speed = np.gradient(q, t, axis=0)
+        else:
+            back = 1 if self.velocity == "difference" else 2
+            step = np.maximum(t - back * self.period, t[0])
+            before = np.stack([np.interp(step, t, x) for x in q.T], 1)
+            speed = (q - before) / (back * self.period)
+        if self.rate:
+            before = np.stack([np.interp(np.maximum(t - self.period, t[0]), t, g) for g in late.T], 1)
+            wanted = (late - before) / self.period
+        if self.kind == "cascade":
+            v = number["kd"] * (number["kp"] * (late - q) + wanted - speed)
+        else:
+            v = number["kp"] * (late - q) + number["kd"] * (wanted - speed)
+        return number["gain"] * np.clip(v + number["offset"], number["lowest"], number["highest"])
+
+    def size(self, error: np.ndarray) -> np.ndarray:
+        """Torque that position errors [samples n] ask for, 99th percentile."""
+        kp = np.abs(np.array(self.kp) * np.array(self.gain) * (np.array(self.kd) if self.kind == "cascade" else 1.0))
+        return np.minimum(np.percentile(np.abs(error), 99, axis=0) * kp, np.abs(np.array(self.highest) * np.array(self.gain)))
+
+    def fitted(self, joints: Sequence[str]) -> tuple[tuple[str, float, float], ...]:
+        """(number, lower, upper) of what is fitted; bounds from the spread of the priors."""
+        out = []
+        for name in self.fit:
+            field = {"kv": "kd", "saturation": "highest"}.get(name, name)
+            spread = dict(self.spread).get(name, SPREAD)
+            for joint, value in zip(joints, getattr(self, field), strict=True):
+                if name == "delay" or value == 0 or not np.isfinite(value):
+                    lower, upper = 0.0, LONGEST_DELAY_S if name == "delay" else self._room(name)
+                else:
+                    lower, upper = sorted((value / (1 + WITHIN * spread), value * (1 + WITHIN * spread)))
+                out.append((f"{field}@{joint}", lower, upper))
+        return tuple(out)
+
+    def _room(self, name: str) -> float:
+        """Upper bound of a number that is stated as 0: damping that stops a joint within seconds, an integral within 0.01 s."""
+        kp = max(map(abs, self.kp)) or 1.0
+        return {"kd": kp, "kv": kp, "ki": 100 * kp, "kp": 1e4}.get(name, 1e4)
+
+    @property
+    def text(self) -> str:
+        listed = lambda a: ", ".join(f"{x:g}" for x in dict.fromkeys(a))
+        stated = "; ".join(f"{k} = {listed(a)}" for k, a in (("kp", self.kp), ("kd", self.kd), ("ki", self.ki)) if any(a))
+        when = "continuous" if self.period <= 0 else f"every {self.period:g} s"
+        return f"driven by the {self.kind} law of {self.origin} ({stated}; {when})"
+
+
+def stated_law(controller: Controller, joints: Sequence[str], period: float) -> Law:
+    """The law that a dataset states, for these joints; `period` s between the samples of the recording.
+
+    Raises `UsageError` for an unknown kind or setting, a gain that is missing, and a joint or number that does not exist.
+    """
+    kind, settings = controller.kind, dict(controller.settings)
+    if kind not in NEEDED:
+        raise UsageError(f"there is no controller of kind {kind!r}{nearest(kind, NEEDED)}")
+    allowed = (*NEEDED[kind], *(k for k in NUMBERS if k not in ("kp", "kd", "ki")), *OTHER)
+    for key in settings:
+        if key not in allowed:
+            raise UsageError(f"[controller]: kind {kind!r} has no setting {key!r}{nearest(key, allowed)}")
+    for key in NEEDED[kind]:
+        if key not in settings:
+            raise UsageError(f"[controller]: kind {kind!r} needs {' and '.join(NEEDED[kind])}; {key!r} is missing")
+    number = lambda key: per_joint(settings, key, NUMBERS.get(key, 0.0), joints)
+    saturation, gain, delay = number("saturation"), number("gain"), number("delay")
+    if min(saturation) <= 0 or 0.0 in gain:
+        raise UsageError("[controller]: saturation is positive, gain is not zero")
+    if min(delay) < 0 or max(delay) > LONGEST_DELAY_S:
+        raise UsageError(f"[controller]: delay is {settings['delay']!r}; it is from 0 to {LONGEST_DELAY_S:g} s")
+    if settings.get("disturbance"):
+        raise UsageError("[controller]: a disturbance is not simulated where the goal drives; make the goals auxiliary channels")
+    every = settings.get("sample_time", period)
+    if not isinstance(every, int | float) or every < 0:
+        raise UsageError(f"[controller]: sample_time is {every!r}; it is a number of seconds, 0 where the law is continuous")
+    velocity, rate = _words(settings, float(every), kind)
+    fit: Any = settings.get("fit", ())
+    fit = (fit,) if isinstance(fit, str) else tuple(fit)
+    can = (*NEEDED[kind], "saturation", "delay")
+    for name in fit:
+        if name not in can:
+            raise UsageError(f"[controller]: fit names {name!r}{nearest(name, can)}; it takes {', '.join(can)}")
+    spread = settings.get("spread", {})
+    if not isinstance(spread, Mapping) or not all(k in can and isinstance(v, int | float) and v > 0 for k, v in spread.items()):
+        raise UsageError(f"[controller]: spread is {spread!r}; it holds positive numbers for {', '.join(can)}")
+    n = len(joints)
+    return Law(
+        "[controller]", kind, number("kp"), number("kv" if kind == "cascade" else "kd"), number("ki"), gain,
+        tuple(-s for s in saturation), saturation, number("offset"), delay, (0.0,) * n, (), velocity, rate, float(every), fit,
+        tuple((k, float(v)) for k, v in spread.items()),
+    )  # fmt: skip
+
+
+def _words(settings: Mapping[str, Any], period: float, kind: str) -> tuple[str, bool]:
+    """(velocity, whether the goal's rate enters)."""
+    velocity = settings.get("velocity", "difference" if period > 0 else "measured")
+    if velocity not in VELOCITIES:
+        raise UsageError(f"[controller]: velocity = {velocity!r} is unknown{nearest(str(velocity), VELOCITIES)}")
+    if period <= 0 and velocity != "measured":
+        raise UsageError(f'[controller]: a continuous law (sample_time = 0) has no {velocity}: write velocity = "measured"')
+    wanted = settings.get("reference_velocity", "none" if period <= 0 or kind == "cascade" else "difference")
+    if wanted not in ("none", "difference"):
+        raise UsageError(
+            f"[controller]: reference_velocity = {wanted!r} is unknown{nearest(str(wanted), ('none', 'difference'))}"
+        )
+    if period <= 0 and wanted != "none":
+        raise UsageError('[controller]: a continuous law (sample_time = 0) has no difference: write reference_velocity = "none"')
+    return velocity, wanted == "difference"
+
+
+def per_joint(settings: Mapping[str, Any], key: str, default: float, joints: Sequence[str]) -> tuple[float, ...]:
+    """A number for all joints, a list in their order, or a table by name."""
+    value = settings.get(key, default)
+    if isinstance(value, Mapping):
+        for name in value:
+            if name not in joints:
+                raise UsageError(f"[controller]: {key} names {name!r}{nearest(str(name), joints)}")
+        lacking = [j for j in joints if j not in value]
+        if lacking and key in ("kp", "kd", "ki", "kv"):
+            raise UsageError(f"[controller]: {key} states no number for {', '.join(lacking)}")
+        values = [value.get(j, default) for j in joints]
+    else:
+        values = list(value) if isinstance(value, Sequence) and not isinstance(value, str) else [value] * len(joints)
+    if len(values) != len(joints) or not all(isinstance(v, int | float) and not isinstance(v, bool) and v == v for v in values):
+        raise UsageError(
+            f"[controller]: {key} is {value!r}; it is a number, a list of {len(joints)} (in the order {', '.join(joints)}), or a "
+            "table by joint"
+        )
+    return tuple(float(v) for v in values)
+
+
+def file_law(tree: Tree) -> Law:
+    """The law of the file's position actuators. Raises `UsageError` naming a joint that has none."""
+    joints = tree.leading
+    lacking = [j for j in joints if j not in tree.actuators or tree.actuators[j].kind != "position"]
+    if lacking:
+        raise UsageError(
+            f"{tree.file or 'the robot'} states no position actuator for {', '.join(lacking)}: state the law that turns goals "
+            'into torque under [controller] (kind = "pd", kp, kd), or give torques as NAME_tau'
+        )
+    own = [tree.actuators[j] for j in joints]
+    control = tuple(a.control for a in own)
+    return Law(
+        tree.file or "the file", "pd", tuple(a.kp for a in own), tuple(a.kd for a in own), (0.0,) * len(own),
+        (1.0,) * len(own), tuple(a.force[0] for a in own), tuple(a.force[1] for a in own), tuple(a.offset for a in own),
+        tuple(a.delay for a in own), tuple(a.lag for a in own), control if np.isfinite(control).any() else (),
+    )  # fmt: skip

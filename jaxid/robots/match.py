@@ -1,0 +1,242 @@
+"""A robot and a recording: channels by the joints' names, joints that were not recorded, and what drives the others."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Mapping
+from dataclasses import replace
+from functools import lru_cache
+from typing import Any
+
+import numpy as np
+
+from jaxid.chain import Chain
+from jaxid.errors import nearest, UsageError
+from jaxid.experiment import Dataset, Experiment, ModelSpec
+from jaxid.parameter import with_fields
+from jaxid.robots.drives import file_law, stated_law
+from jaxid.robots.tree import Tree
+
+
+#: Constant under which a dataset states where a joint that it does not record was held.
+POSE = "pose@"
+#: What is recorded of a joint beside its position, by the ending of the channel's name; a numbered channel has the word in front.
+KINDS = {"_cmd": "goal", "_tau": "torque", "_qd": "speed"}
+
+
+@lru_cache(maxsize=32)
+def robot_of(text: str, file: str, tip: str | None = None) -> Any:
+    """The `Robot` of a file's text, MJCF or URDF by its outermost tag."""
+    from jaxid.models import Robot
+
+    urdf = re.search(r"<\s*(robot|mujoco)\b", text)
+    return (Robot.from_urdf if urdf and urdf[1] == "robot" else Robot.from_mjcf)(file, tip=tip, text=text)
+
+
+def robot_from(path: str, tip: str | None = None) -> Any:
+    """The `Robot` of a file by its name's ending."""
+    from jaxid.models import Robot
+
+    return (Robot.from_urdf if path.lower().endswith(".urdf") else Robot.from_mjcf)(path, tip=tip)
+
+
+def is_robot(model: object) -> bool:
+    return getattr(model, "name", "") == "robot" and hasattr(model, "matched")
+
+
+def named(dataset: Dataset, tree: Tree, joints: Mapping[str, str] | None = None) -> Dataset:
+    """The dataset with its channels under the joints' names: as [model.joints] says, else q1 … in the order of the file.
+
+    Raises `UsageError` for a joint that the robot lacks.
+    """
+    notes, have = [], {c.name for c in dataset.channels}
+    joints = dict(joints or {})
+    for joint in joints.values():
+        if joint not in tree.joints:
+            raise UsageError(f"[model.joints] names {joint!r}, no joint of {tree.file}{nearest(joint, tree.joints)}")
+    numbered = sorted((c.name for c in dataset.outputs if re.fullmatch(r"q\d*", c.name)), key=lambda c: int(c[1:] or 1))
+    if not joints and numbered and not have & set(tree.joints):
+        places = [int(c[1:] or 1) for c in numbered]
+        if max(places) > len(tree.leading):
+            raise UsageError(f"channel {numbered[-1]} has no joint: {tree.file} has {', '.join(tree.leading)}")
+        joints = {c: tree.leading[k - 1] for c, k in zip(numbered, places, strict=True)}
+        listed = ", ".join(f"{c} = {j}" for c, j in joints.items())
+        notes = [f"joints by the order of the file, as the recording does not name them: {listed} (else state [model.joints])"]
+    names = {}
+    for channel, joint in joints.items():
+        number = channel[1:] if re.fullmatch(r"q\d*", channel) else None
+        forms = {channel: joint, **{channel + end: joint + end for end in KINDS}}
+        if number is not None:
+            forms |= {f"tau{number}": f"{joint}_tau", f"qd{number}": f"{joint}_qd", f"force{number}": f"{joint}_tau"}
+        names |= {old: new for old, new in forms.items() if old in have and old not in names}
+    if not names:
+        return dataset
+    clash = sorted({new for new in names.values() if new in have and new not in names})
+    if clash:
+        raise UsageError(f"the recording has a channel {clash[0]!r} beside the one that [model.joints] names so: rename one")
+    new = lambda name: names.get(name, name)
+    return replace(
+        dataset,
+        channels=tuple(replace(c, name=new(c.name)) for c in dataset.channels),
+        experiments=tuple(_renamed(e, new) for e in dataset.experiments),
+        notes=(*dataset.notes, *notes),
+    )
+
+
+def _renamed(e: Experiment, new: Any) -> Experiment:
+    return replace(
+        e,
+        auxiliary={new(k): v for k, v in e.auxiliary.items()},
+        initial=None if e.initial is None else {new(k): v for k, v in e.initial.items()},
+        past=None if e.past is None else _renamed(e.past, new),
+    )
+
+
+def driving(dataset: Dataset, tree: Tree) -> Dataset:
+    """The dataset with its goals as inputs where they alone can drive: no torque is an input, and the goals are auxiliary."""
+    inputs = {c.name for c in dataset.inputs}
+    goals = [c for c in dataset.channels if c.role == "auxiliary" and c.name.removesuffix("_cmd") in tree.joints
+             and c.name.endswith("_cmd")]  # fmt: skip
+    spec = dataset.model
+    free = spec is not None and spec.free and dataset.controller is None
+    if not goals or free or any(n.removesuffix("_tau") in tree.joints or n.removesuffix("_cmd") in tree.joints for n in inputs):
+        return dataset
+    chosen = {c.name for c in goals}
+    moved = tuple(replace(c, role="input") if c.name in chosen else c for c in dataset.channels)
+    order = [c.name for c in moved if c.role == "input"]
+    before = [c.name for c in dataset.inputs]
+
+    def driven(e: Experiment) -> Experiment:
+        columns = [e.auxiliary[n] if n in chosen else e.u[:, before.index(n)] for n in order]
+        rest = {k: v for k, v in e.auxiliary.items() if k not in chosen}
+        return replace(e, u=np.stack(columns, 1), auxiliary=rest, past=None if e.past is None else driven(e.past))
+
+    note = "no torque was recorded: the goals drive through the stated law"
+    return replace(
+        dataset,
+        channels=moved,
+        experiments=tuple(map(driven, dataset.experiments)),
+        model=None if spec is None else replace(spec, free=False),
+        notes=(*dataset.notes, note),
+    )
+
+
+def prepared(model: object, dataset: Dataset) -> tuple[object, Dataset]:
+    """(model, dataset) where either may mean a robot: its `Robot`, and the dataset under the joints' names. Else as they are."""
+    spec = dataset.model
+    tip = getattr(model, "tip", None)  # of a path that the command line was given with one
+    if isinstance(model, str) and model.lower().endswith((".xml", ".mjcf")):
+        model = robot_from(model, tip)
+    elif isinstance(model, str) and model.lower().endswith(".urdf"):
+        model = robot_from(model, tip) if tip is not None else _beyond_an_arm(model, dataset)
+    elif (model is None or model == "robot") and spec is not None and spec.geometry is not None and spec.geometry.robot:
+        model = robot_of(spec.geometry.robot, spec.geometry.file, spec.geometry.tip)
+    if not is_robot(model):
+        return model, dataset
+    tree: Tree = model.tree.tree  # type: ignore[attr-defined]
+    return model, driving(named(dataset, tree, spec.joints if spec is not None else None), tree)
+
+
+def _beyond_an_arm(path: str, dataset: Dataset) -> Any:
+    """The `Robot` of a URDF where a serial arm of numbered joints would not do: the recording names joints, goals drive, or the
+    tree branches; else the path."""
+    try:
+        robot = robot_from(path)
+    except UsageError:
+        return path  # `SerialArm.from_urdf` says what is wrong with it
+    tree: Tree = robot.tree.tree
+    names, spec = {c.name for c in dataset.channels}, dataset.model
+    torque = any(c.unit in ("N m", "N", "A") for c in dataset.inputs)
+    chain = all(up == k - 1 for k, up in enumerate(tree.parent))
+    goals = dataset.controller is not None and not torque
+    by_name = bool(names & set(tree.joints)) or (spec is not None and bool(spec.joints))
+    return robot if by_name or goals or not chain else path
+
+
+def matched(robot: Any, dataset: Dataset) -> Chain:
+    """The chain of a robot on a dataset whose channels go by its joints' names.
+
+    Raises `UsageError` where no joint is recorded, goals and torques are both inputs, or some joints lack theirs.
+    """
+    tree: Tree = robot.tree.tree
+    tree, notes = recorded(tree, dataset)
+    spec = dataset.model
+    joints, inputs = tree.leading, {c.name for c in dataset.inputs}
+    goals, torques = ([j for j in joints if f"{j}{end}" in inputs] for end in ("_cmd", "_tau"))
+    if goals and torques:
+        raise UsageError(
+            "both goals (NAME_cmd) and torques (NAME_tau) are inputs: the goal is an input where it drives the model, and "
+            'auxiliary where a torque does; give one of them role = "auxiliary"'
+        )
+    free = spec is not None and spec.free
+    for what, own, end in (("goal", goals, "_cmd"), ("torque", torques, "_tau")):
+        lacking = [j for j in joints if j not in own]
+        if own and lacking:
+            raise UsageError(
+                f"no {what} is recorded of {', '.join(lacking)}: add {lacking[0]}{end}, or take the joint's output out"
+            )
+    if not (goals or torques or free):
+        raise UsageError(
+            f"nothing drives the robot: add goals ({joints[0]}_cmd) or torques ({joints[0]}_tau) as inputs, or say free = true"
+        )
+    out = type(robot)(tree, driven=False)
+    if goals:
+        first = (dataset.split("fit") or dataset.experiments)[0]
+        period = float(np.median(np.diff(first.t)))
+        law = stated_law(dataset.controller, joints, period) if dataset.controller is not None else file_law(tree)
+        out = out.driven_by(law)
+    out = _placed(out, spec)
+    smoothing = spec.constants.get("smoothing_velocity", 0.0) if spec is not None else 0.0
+    return Chain(out, signature=out.signatures[0], smoothing_velocity=smoothing)
+
+
+def recorded(tree: Tree, dataset: Dataset) -> tuple[Tree, tuple[str, ...]]:
+    """The tree with joints that the dataset does not measure held, and what is to be said of it."""
+    outputs = {c.name for c in dataset.outputs}
+    names = [c.name for c in dataset.channels]
+    constants = dataset.model.constants if dataset.model is not None else {}
+    measured = [j for j in tree.leading if j in outputs]
+    if not measured:
+        raise UsageError(
+            f"no channel is a joint of {tree.file or 'the robot'}: its joints are {', '.join(tree.leading)}, the outputs of the "
+            f"recording {', '.join(sorted(outputs)) or 'none'}. Name channels so, or map them under [model.joints]: q1 = "
+            f'"{tree.leading[0]}"'
+        )
+    unknown = sorted(n for n in outputs - set(tree.joints) - {f"{j}_qd" for j in tree.joints})
+    if unknown:
+        raise UsageError(
+            f"output {unknown[0]!r} is no joint of {tree.file or 'the robot'}{nearest(unknown[0], tree.leading)}; map it under "
+            '[model.joints], or give it role = "auxiliary"'
+        )
+    held: dict[str, float] = {}
+    for joint in tree.leading:
+        if joint in measured:
+            continue
+        if f"{joint}_cmd" in names and f"{POSE}{joint}" not in constants and joint not in names:
+            raise UsageError(
+                f"{joint} has a goal and no measured position: record it, or state where it was held under [model.constants]: "
+                f'"{POSE}{joint}" = 0.0'
+            )
+        series = [e.auxiliary[joint] for e in dataset.experiments if joint in e.auxiliary]
+        value = float(np.mean(np.concatenate(series))) if series else tree.neutral(joint)
+        held[joint] = constants.get(f"{POSE}{joint}", value)
+    notes = (f"not recorded and held: {', '.join(f'{j} at {v:.4g}' for j, v in held.items())} (state {POSE}NAME under "
+             "[model.constants] where that is wrong)",) if held else ()  # fmt: skip
+    return tree.locked(held), notes
+
+
+def _placed(robot: Any, spec: ModelSpec | None) -> Any:
+    """The robot on the base that [model.base] states."""
+    base = dict(spec.base) if spec is not None else {}
+    kind = base.pop("kind", "fixed")
+    if kind not in ("fixed", "prescribed"):
+        raise UsageError(f"[model.base] kind = {kind!r}: jaxid simulates a base that is fixed or prescribed (roll, pitch, yaw)")
+    return with_fields(robot, {f"base_{k}": np.float64(v) for k, v in base.items()})
+
+
+def notes_of(model: Any, dataset: Dataset) -> tuple[str, ...]:
+    """What a result says of how a robot and a recording were brought together."""
+    tree: Tree = model.tree.tree
+    _, notes = recorded(tree, dataset)
+    impossible = [f"{text}: no body has it, the nearest one is simulated" for text in tree.impossible]
+    return (*tree.notes, *impossible, *notes)

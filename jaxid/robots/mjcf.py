@@ -1,0 +1,325 @@
+"""Robots from MJCF files, as MuJoCo compiles them: defaults, classes, angles and frames are its own.
+
+A file is a stranger's input. It is parsed without entities; what it includes must lie beside it and be of sensible size; meshes,
+textures and everything else that is drawn are dropped before compiling, so that none is ever read. What a tree of hinge and slide
+joints cannot express is refused by name.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from jaxid.errors import UsageError
+from jaxid.rigid_body import about_origin
+from jaxid.robots.bodies import fault
+from jaxid.robots.mjcf_text import expanded
+from jaxid.robots.tree import Actuator, Coupling, Tree, turned
+
+
+#: What is drawn, touched or sensed, and moves nothing.
+DROPPED = ("geoms", "pairs", "excludes", "skins", "meshes", "hfields", "materials", "textures", "sensors", "cameras", "lights")
+
+
+def library() -> Any:
+    """MuJoCo, whose names are made when it loads."""
+    import mujoco
+
+    return mujoco
+
+
+def read_mjcf(path: str | Path, text: str | None = None) -> Tree:
+    """The tree of a robot in an MJCF file; with `text` that is read, and the path only names it (and its includes' folder).
+
+    A free joint at the root is left out: the base is fixed where the file puts it. Raises `UsageError` naming the element.
+    """
+    path = Path(path)
+    spec = _compilable(path, expanded(path, text))
+    mujoco = library()
+    try:
+        model = spec.compile()
+    except (ValueError, mujoco.FatalError) as error:
+        raise UsageError(f"{path}: MuJoCo does not take it: {' '.join(str(error).split())}") from None
+    return _Reader(path, model).tree()
+
+
+def _compilable(path: Path, text: str) -> Any:
+    """The spec without what is drawn, refused where a body's inertia would come from it or cannot be."""
+    mujoco = library()
+    try:
+        spec = mujoco.MjSpec.from_string(text)
+    except (ValueError, mujoco.FatalError) as error:
+        raise UsageError(f"{path}: MuJoCo does not take it: {' '.join(str(error).split())}") from None
+    if spec.compiler.inertiafromgeom == mujoco.mjtInertiaFromGeom.mjINERTIAFROMGEOM_TRUE:
+        raise UsageError(f'{path}: <compiler inertiafromgeom="true"> takes every inertia from geometry, which is not read; state '
+                         "<inertial> in each body and remove it")  # fmt: skip
+    lacking = [b.name or "a body without a name" for b in spec.bodies if _moves(b) and not b.explicitinertial and _heavy(b)]
+    if lacking:
+        raise UsageError(
+            f"{path}: the inertia of {', '.join(lacking)} comes from geometry, which is not read: add "
+            '<inertial pos="…" mass="…" diaginertia="…"/> to each (MuJoCo prints them: m.body_ipos, m.body_mass, m.body_inertia)'
+        )
+    faults = [f for b in spec.bodies if b.explicitinertial and (f := _fault(b))]
+    if faults:
+        raise UsageError(f"{path}: {'; '.join(faults)}: no body has such an inertia; correct <inertial>")
+    _refuse_tendons(path, spec)
+    for name in DROPPED:
+        for one in list(getattr(spec, name)):
+            spec.delete(one)
+    for one in list(spec.tendons):
+        spec.delete(one)
+    spec.compiler.balanceinertia = False
+    spec.compiler.fusestatic = False
+    spec.compiler.discardvisual = False
+    return spec
+
+
+def _moves(body: Any) -> bool:
+    """Whether a joint carries a body."""
+    while body is not None and body.name != "world":
+        if len(body.joints):
+            return True
+        body = body.parent
+    return False
+
+
+def _heavy(body: Any) -> bool:
+    """Whether its geometry would give a body mass."""
+    return any(not (g.mass == 0 or (np.isnan(g.mass) and g.density == 0)) for g in body.geoms)
+
+
+def _fault(body: Any) -> str | None:
+    full = np.asarray(body.fullinertia, np.float64)
+    xx, yy, zz, xy, xz, yz = full if np.isfinite(full).all() else (*np.asarray(body.inertia, np.float64), 0.0, 0.0, 0.0)
+    return fault(body.name, about_origin(body.mass, np.zeros(3), [xx, xy, xz, yy, yz, zz]))
+
+
+def _refuse_tendons(path: Path, spec: Any) -> None:
+    mujoco = library()
+    used = {a.target for a in spec.actuators if a.trntype == mujoco.mjtTrn.mjTRN_TENDON}
+    used |= {n for e in spec.equalities if e.type == mujoco.mjtEq.mjEQ_TENDON for n in (e.name1, e.name2)}
+    for t in spec.tendons:
+        acts = any(np.any(np.asarray(getattr(t, k)) != 0) for k in ("stiffness", "damping", "frictionloss", "armature"))
+        if acts or t.name in used or int(t.limited) == 1:
+            raise UsageError(
+                f"{path}: tendon {t.name!r} drives, couples or brakes joints; jaxid takes joints driven by themselves"
+            )
+    lost = sorted(used - {t.name for t in spec.tendons})
+    if lost:
+        raise UsageError(f"{path}: tendon {lost[0]!r} is used and stands nowhere")
+
+
+class _Reader:
+    """Reads a compiled model, whose numbers are all resolved."""
+
+    def __init__(self, path: Path, model: Any):
+        mujoco = library()
+        self.path, self.m, self.mj = path, model, mujoco
+        self.notes: list[str] = []
+
+    def name(self, kind: str, index: int) -> str:
+        own = self.mj.mj_id2name(self.m, getattr(self.mj.mjtObj, f"mjOBJ_{kind}"), int(index))
+        return own or f"{kind.lower()}{int(index)}"
+
+    def refuse(self, text: str) -> UsageError:
+        return UsageError(f"{self.path}: {text}")
+
+    def tree(self) -> Tree:
+        m, mj = self.m, self.mj
+        joints, links, parent, slides, axis, place, inertia, anchor, number = [], [], [], [], [], [], [], [], []
+        carrier = {0: (-1, np.eye(4))}  # body -> (node that carries it, its frame there)
+        for b in range(1, m.nbody):
+            node, T = carrier[int(m.body_parentid[b])]
+            T = T @ pose(m.body_pos[b], m.body_quat[b])
+            first = int(m.body_jntadr[b])
+            own = range(first, first + int(m.body_jntnum[b]))
+            here = np.zeros(3)  # origin of the last node in the body's frame
+            for j in own:
+                kind = int(m.jnt_type[j])
+                if kind == mj.mjtJoint.mjJNT_FREE:
+                    self.notes.append(
+                        f"joint {self.name('JOINT', j)!r} is free: the base is taken as fixed where the file puts it"
+                    )
+                    continue
+                if kind == mj.mjtJoint.mjJNT_BALL:
+                    raise self.refuse(f"joint {self.name('JOINT', j)!r} is a ball joint; jaxid takes hinge and slide joints")
+                at = np.eye(4)
+                at[:3, 3] = m.jnt_pos[j] - here
+                parent.append(node)
+                place.append(T @ at)
+                T, here, node = np.eye(4), np.array(m.jnt_pos[j], np.float64), len(joints)
+                joints.append(self.name("JOINT", j))
+                slides.append(kind == mj.mjtJoint.mjJNT_SLIDE)
+                axis.append(m.jnt_axis[j].copy())
+                links.append("")
+                inertia.append(np.zeros(10))
+                anchor.append(here)
+                number.append(j)
+            back = np.eye(4)
+            back[:3, 3] = -here
+            carrier[b] = node, (T @ back)
+            if node >= 0:
+                if parent and len(own) and links[node] == "" and node == len(joints) - 1:
+                    links[node] = self.name("BODY", b)
+                inertia[node] = inertia[node] + turned(self.ten(b), carrier[b][1])
+        if not joints:
+            raise self.refuse("no hinge or slide joint moves anything in it")
+        unmoved = [links[k] or joints[k] for k in range(len(joints)) if not self.carries(k, parent, inertia)]
+        if unmoved:
+            raise self.refuse(f"nothing of mass hangs on {unmoved[0]!r}; state its <inertial>")
+        j, dof = np.array(number), m.jnt_dofadr[number]
+        for k in j:
+            poly = [getattr(m, f)[k] for f in ("jnt_stiffnesspoly", "jnt_springyield") if hasattr(m, f)]
+            if np.any(np.concatenate([np.ravel(p) for p in poly])):
+                raise self.refuse(f"joint {self.name('JOINT', k)!r} has a spring that is not linear, which is not simulated")
+        damping = np.column_stack([m.dof_damping[dof], m.dof_dampingpoly[dof]])[:, :3]
+        limited = m.jnt_limited[j].astype(bool)
+        force = [self.joint_force(k) for k in j]
+        couplings, fixed = self.couplings(joints)
+        self.options()
+        actuators = self.actuators(number)
+        tree = Tree(
+            str(self.path), tuple(joints), tuple(links), tuple(parent), tuple(slides), np.array(axis), np.array(place),
+            m.qpos0[m.jnt_qposadr[j]].copy(), np.array(inertia), np.array(anchor),
+            m.dof_armature[dof] + self.added(number, "actuator_armature"),
+            damping + np.column_stack([self.added(number, "actuator_damping"), np.zeros((len(j), damping.shape[1] - 1))]),
+            m.dof_frictionloss[dof].copy(), np.ravel(m.jnt_stiffness[j]).copy(), m.qpos_spring[m.jnt_qposadr[j]].copy(),
+            np.where(limited, m.jnt_range[j, 0], -np.inf), np.where(limited, m.jnt_range[j, 1], np.inf),
+            np.full(len(j), np.inf), np.array([max(abs(low), abs(high)) for low, high in force]),
+            couplings, actuators, self.poses(number, joints), tuple(map(float, m.opt.gravity)), "world", (),  # type: ignore[arg-type]
+            tuple(dict.fromkeys(self.notes)),
+        )  # fmt: skip
+        return tree.locked(fixed)
+
+    def ten(self, b: int) -> np.ndarray:
+        """Ten numbers of a body about its own frame."""
+        m = self.m
+        R = pose(np.zeros(3), m.body_iquat[b])[:3, :3]
+        I = R @ np.diag(m.body_inertia[b]) @ R.T
+        if m.body_gravcomp[b]:
+            raise self.refuse(f"body {self.name('BODY', b)!r} has gravcomp, a force that is not simulated")
+        return about_origin(m.body_mass[b], m.body_ipos[b], I[np.triu_indices(3)])
+
+    def carries(self, node: int, parent: list[int], inertia: list[np.ndarray]) -> bool:
+        return inertia[node][9] > 0 or any(self.carries(k, parent, inertia) for k, up in enumerate(parent) if up == node)
+
+    def options(self) -> None:
+        o, flags = self.m.opt, int(self.m.opt.disableflags)
+        if o.density or o.viscosity or np.any(o.wind):
+            self.notes.append("the file's fluid (density, viscosity, wind) is not simulated")
+        if flags & int(self.mj.mjtDisableBit.mjDSBL_GRAVITY):
+            raise self.refuse('<flag gravity="disable"> is not read: write <option gravity="0 0 0"/>')
+
+    def joint_force(self, j: int) -> tuple[float, float]:
+        m = self.m
+        return tuple(map(float, m.jnt_actfrcrange[j])) if m.jnt_actfrclimited[j] else (-np.inf, np.inf)  # type: ignore[return-value]
+
+    def couplings(self, joints: list[str]) -> tuple[tuple[Coupling, ...], dict[str, float]]:
+        """Mimic joints, and joints that an equality holds. Raises for closed loops, by name."""
+        m, mj = self.m, self.mj
+        out, fixed = [], {}
+        for e in range(m.neq):
+            if not m.eq_active0[e]:
+                continue
+            name, kind = self.name("EQUALITY", e), int(m.eq_type[e])
+            if kind != mj.mjtEq.mjEQ_JOINT:
+                what = mj.mjtEq(kind).name.removeprefix("mjEQ_").lower()
+                raise self.refuse(f"equality {name!r} ({what}) closes a loop or ties bodies; jaxid takes open trees: cut it open")
+            a, b = int(m.eq_obj1id[e]), int(m.eq_obj2id[e])
+            first = self.name("JOINT", a)
+            c = m.eq_data[e, :5]
+            start = m.qpos0[m.jnt_qposadr[a]]
+            if b < 0:
+                fixed[first] = float(start + c[0])
+                continue
+            if np.any(c[2:]):
+                raise self.refuse(f"equality {name!r} couples {first!r} by a polynomial of degree above 1")
+            second = self.name("JOINT", b)
+            out.append(Coupling(first, second, float(start + c[0] - c[1] * m.qpos0[m.jnt_qposadr[b]]), float(c[1])))
+        followers = [c.follower for c in out]
+        for c in out:
+            if c.leader in followers or followers.count(c.follower) > 1:
+                raise self.refuse(f"joint {c.follower!r} follows {c.leader!r}, which follows another: name the last one in each")
+        return tuple(out), fixed
+
+    def added(self, number: list[int], field: str) -> np.ndarray:
+        """What actuators add to their joints' armature or damping, by the square of the gear."""
+        out, values = np.zeros(len(number)), getattr(self.m, field, None)
+        if values is None:
+            return out
+        for a, j in self.on_joints():
+            if j in number:
+                out[number.index(j)] += float(np.ravel(values[a])[0]) * self.m.actuator_gear[a, 0] ** 2
+        return out
+
+    def on_joints(self) -> Iterable[tuple[int, int]]:
+        """(actuator, joint) of those that act on one joint."""
+        m, trn = self.m, self.mj.mjtTrn
+        for a in range(m.nu):
+            if int(m.actuator_trntype[a]) in (int(trn.mjTRN_JOINT), int(trn.mjTRN_JOINTINPARENT)):
+                yield a, int(m.actuator_trnid[a, 0])
+
+    def actuators(self, number: list[int]) -> dict[str, Actuator]:
+        m = self.m
+        on = dict(self.on_joints())
+        for a in range(m.nu):
+            if a not in on:
+                what = self.mj.mjtTrn(int(m.actuator_trntype[a])).name.removeprefix("mjTRN_").lower()
+                self.notes.append(f"actuator {self.name('ACTUATOR', a)!r} acts on a {what}, not on a joint: left out")
+        out: dict[str, Actuator] = {}
+        for a, j in on.items():
+            if j in number:
+                joint, one = self.name("JOINT", j), self.actuator(a, j)
+                if joint in out and "position" in (one.kind, out[joint].kind):
+                    one = Actuator(f"{out[joint].name} and {one.name}", "several")
+                out[joint] = one
+        return out
+
+    def actuator(self, a: int, j: int) -> Actuator:
+        """The law of one actuator at its joint. `other` where it is none of motor, position and velocity."""
+        m, mj = self.m, self.mj
+        g, endless = float(m.actuator_gear[a, 0]), (-np.inf, np.inf)
+        gain, bias = m.actuator_gainprm[a], m.actuator_biasprm[a]
+        affine = int(m.actuator_biastype[a]) == int(mj.mjtBias.mjBIAS_AFFINE)
+        b0, b1, b2 = (float(v) for v in bias[:3]) if affine else (0.0, 0.0, 0.0)
+        dyn, kinds = int(m.actuator_dyntype[a]), mj.mjtDyn
+        known = int(m.actuator_gaintype[a]) == int(mj.mjtGain.mjGAIN_FIXED) and g != 0
+        known &= int(m.actuator_biastype[a]) in (int(mj.mjtBias.mjBIAS_NONE), int(mj.mjtBias.mjBIAS_AFFINE))
+        lagging = dyn in (int(kinds.mjDYN_FILTER), int(kinds.mjDYN_FILTEREXACT))
+        known &= lagging or dyn == int(kinds.mjDYN_NONE)
+        if b1 == 0 and b2 == 0:
+            kind = "motor"
+        elif b1 < 0 and abs(gain[0] + b1) <= 1e-9 * abs(b1):
+            kind = "position"
+        else:
+            kind = "velocity" if b1 == 0 and abs(gain[0] + b2) <= 1e-9 * abs(b2) else "other"
+        force = tuple(map(float, m.actuator_forcerange[a])) if m.actuator_forcelimited[a] else endless
+        low, high = self.joint_force(j)
+        force = (max(force[0], min(low / g, high / g)), min(force[1], max(low / g, high / g))) if g else force
+        control: Any = sorted(float(v) / g for v in m.actuator_ctrlrange[a]) if m.actuator_ctrllimited[a] and g else endless
+        return Actuator(
+            self.name("ACTUATOR", a), kind if known else "other", -b1 * g * g, -b2 * g * g, float(gain[0]), b0 * g,
+            (min(force[0] * g, force[1] * g), max(force[0] * g, force[1] * g)), tuple(control),
+            float(m.actuator_dynprm[a, 0]) if lagging else 0.0, float(m.actuator_delay[a]),
+        )  # fmt: skip
+
+    def poses(self, number: list[int], joints: list[str]) -> dict[str, dict[str, float]]:
+        m = self.m
+        at = m.jnt_qposadr[number]
+        return {self.name("KEY", k): dict(zip(joints, map(float, m.key_qpos[k][at]), strict=True)) for k in range(m.nkey)}
+
+
+def pose(position: np.ndarray, quaternion: np.ndarray) -> np.ndarray:
+    """[4 4] of a position and a unit quaternion (w x y z)."""
+    w, x, y, z = np.asarray(quaternion, np.float64) / np.linalg.norm(quaternion)
+    T = np.eye(4)
+    T[:3, :3] = [
+        [1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)],
+        [2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x)],
+        [2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)],
+    ]
+    T[:3, 3] = position
+    return T

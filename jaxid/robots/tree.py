@@ -1,0 +1,324 @@
+"""A robot before any data: a tree of hinge and slide joints with the numbers that its file states.
+
+A node is one joint and the body behind it. Its frame has the axes of that body and its origin on the joint, at zero position;
+a body with several joints is a chain of nodes of which the last carries it.
+"""
+
+from __future__ import annotations
+
+import hashlib
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from typing import Any
+
+import numpy as np
+
+from jaxid.errors import nearest, UsageError
+from jaxid.rigid_body import moved, Placements
+
+
+@dataclass(frozen=True)
+class Coupling:
+    """A joint that follows another: q_follower = offset + ratio q_leader."""
+
+    follower: str
+    leader: str
+    offset: float
+    ratio: float
+
+
+@dataclass(frozen=True)
+class Actuator:
+    """What a file states of a joint's drive, at the joint: torque = gear (gain u + bias - kp q' - kd qd'), clipped to `force`.
+
+    `kind` is motor (u is a torque), position (u is a goal) or velocity; `control` clips u. `lag` s, `delay` s.
+    """
+
+    name: str
+    kind: str
+    kp: float = 0.0
+    kd: float = 0.0
+    gain: float = 1.0
+    offset: float = 0.0
+    force: tuple[float, float] = (-np.inf, np.inf)
+    control: tuple[float, float] = (-np.inf, np.inf)
+    lag: float = 0.0
+    delay: float = 0.0
+
+
+@dataclass(frozen=True)
+class Tree:
+    """`parent` -1 is the base; `place` [n 4 4] the node's frame in its parent's at the joint's `reference`; `axis` [n 3] in it.
+
+    `inertia` [n 10] is about the node's origin, `anchor` [n 3] that origin in the frame of the body as the file has it (`links`,
+    "" for a node between two joints of one body). `damping` [n 3]: f = d1 v + d2 v |v| + d3 v^3. Limits are infinite where
+    unknown. `raw` is the inertia as the file states it where no body can have it.
+    """
+
+    file: str
+    joints: tuple[str, ...]
+    links: tuple[str, ...]
+    parent: tuple[int, ...]
+    slides: tuple[bool, ...]
+    axis: np.ndarray
+    place: np.ndarray
+    reference: np.ndarray
+    inertia: np.ndarray
+    anchor: np.ndarray
+    armature: np.ndarray
+    damping: np.ndarray
+    frictionloss: np.ndarray
+    stiffness: np.ndarray
+    spring: np.ndarray
+    lower: np.ndarray
+    upper: np.ndarray
+    velocity: np.ndarray
+    effort: np.ndarray
+    couplings: tuple[Coupling, ...] = ()
+    actuators: Mapping[str, Actuator] = field(default_factory=dict)
+    poses: Mapping[str, Mapping[str, float]] = field(default_factory=dict)
+    gravity: tuple[float, float, float] = (0.0, 0.0, -9.81)
+    base: str = "base"
+    impossible: tuple[str, ...] = ()
+    notes: tuple[str, ...] = ()
+
+    @property
+    def n(self) -> int:
+        return len(self.joints)
+
+    @property
+    def followers(self) -> tuple[str, ...]:
+        return tuple(c.follower for c in self.couplings)
+
+    @property
+    def leading(self) -> tuple[str, ...]:
+        """Joints that move by themselves, in the order of the file."""
+        return tuple(j for j in self.joints if j not in self.followers)
+
+    @property
+    def ends(self) -> tuple[str, ...]:
+        """Links that nothing hangs on."""
+        return tuple(link for k, link in enumerate(self.links) if k not in self.parent)
+
+    def joint(self, name: str) -> int:
+        """Position of a joint by name; raises `UsageError` with the nearest one."""
+        if name not in self.joints:
+            raise UsageError(f"{self.file}: there is no joint {name!r}{nearest(name, self.joints)}")
+        return self.joints.index(name)
+
+    def taken(self, keep: Sequence[int]) -> dict[str, Any]:
+        """Per-node fields of the nodes kept."""
+        k = list(keep)
+        arrays = ("axis", "place", "reference", "inertia", "anchor", "armature", "damping", "frictionloss", "stiffness",
+                  "spring", "lower", "upper", "velocity", "effort")  # fmt: skip
+        out: dict[str, Any] = {name: getattr(self, name)[k] for name in arrays}
+        return out | {name: tuple(getattr(self, name)[i] for i in k) for name in ("joints", "links", "slides")}
+
+    def locked(self, pose: Mapping[str, float]) -> Tree:
+        """The same with these joints (and what follows them) held; their bodies belong to what carries them."""
+        held = {self.joint(name): float(value) for name, value in pose.items()}
+        for c in self.couplings:
+            if c.leader in pose:
+                held[self.joint(c.follower)] = c.offset + c.ratio * float(pose[c.leader])
+        if not held:
+            return self
+        keep = [k for k in range(self.n) if k not in held]
+        number = {k: i for i, k in enumerate(keep)}
+        fields = self.taken(keep)
+        inertia, places, parents = fields["inertia"].copy(), [], []
+        carrier: dict[int, tuple[int, np.ndarray]] = {}  # held node -> (node that carries it or -1, its frame there)
+        for k in range(self.n):  # parents stand before their children
+            up, T = self.parent[k], self.place[k]
+            if up in carrier:
+                up, before = carrier[up]
+                T = before @ T
+            if k in held:
+                carrier[k] = up, T @ motion(self.axis[k], self.slides[k], held[k] - self.reference[k])
+                if up >= 0:
+                    inertia[number[up]] += turned(self.inertia[k], carrier[k][1])
+            else:
+                places.append(T)
+                parents.append(number.get(up, -1))
+        gone = {self.joints[k] for k in held}
+        own = {**fields, "place": np.array(places).reshape(-1, 4, 4), "inertia": inertia, "parent": tuple(parents)}
+        return replace(
+            self,
+            **own,
+            couplings=tuple(c for c in self.couplings if c.follower not in gone and c.leader not in gone),
+            actuators={k: a for k, a in self.actuators.items() if k not in gone},
+            poses={name: {j: v for j, v in p.items() if j not in gone} for name, p in self.poses.items()},
+        )
+
+    def path_to(self, link: str) -> tuple[str, ...]:
+        """Joints between the base and a link."""
+        if link not in self.links:
+            raise UsageError(f"{self.file}: no joint moves a link {link!r}{nearest(link, [n for n in self.links if n])}; "
+                             f"the ends are {', '.join(self.ends)}")  # fmt: skip
+        k, out = self.links.index(link), []
+        while k >= 0:
+            out.append(self.joints[k])
+            k = self.parent[k]
+        return tuple(reversed(out))
+
+    def swung(self) -> np.ndarray:
+        """Inertia about each joint's axis of all that hangs on it at the reference (mass where it slides), [n]."""
+        total, out = self.inertia.copy(), np.zeros(self.n)
+        for k in reversed(range(self.n)):
+            xx, xy, xz, yy, yz, zz = total[k, :6]
+            about = self.axis[k] @ np.array([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]]) @ self.axis[k]
+            out[k] = total[k, 9] if self.slides[k] else about
+            if self.parent[k] >= 0:
+                total[self.parent[k]] += turned(total[k], self.place[k])
+        return out
+
+    def size(self, node: int) -> float:
+        """Length of a link, m: to the next joints, or twice as far as its centre of mass; at least 0.02."""
+        ends = [float(np.linalg.norm(self.place[k][:3, 3])) for k, up in enumerate(self.parent) if up == node]
+        m = float(self.inertia[node][9])
+        com = float(np.linalg.norm(self.inertia[node][6:9])) / m if m > 0 else 0.0
+        return max(0.02, 2 * com, *ends)
+
+    def free_moments(self) -> set[str]:
+        """Numbers com_x@LINK … of first moments that gravity shows: across the axis of a hinge, and not where that stands upright
+        on the base."""
+        out: set[str] = set()
+        turn = [np.eye(3)] * self.n
+        moved = [False] * self.n  # whether a joint before this one turns it
+        down = np.array(self.gravity) / max(float(np.linalg.norm(self.gravity)), 1e-12)
+        for k, up in enumerate(self.parent):
+            turn[k] = (turn[up] if up >= 0 else np.eye(3)) @ self.place[k][:3, :3]
+            moved[k] = up >= 0 and (moved[up] or not self.slides[up])
+            upright = not moved[k] and abs((turn[k] @ self.axis[k]) @ down) > 1 - 1e-6
+            if self.links[k] and not self.slides[k] and not upright and np.any(down):
+                across = np.argsort(np.abs(self.axis[k]))[:2]
+                out |= {f"com_{'xyz'[i]}@{self.links[k]}" for i in across}
+        return out
+
+    def neutral(self, joint: str) -> float:
+        """Where a joint that nobody moves is held: the first pose of the file, else its reference."""
+        k = self.joint(joint)
+        pose: Mapping[str, float] = next(iter(self.poses.values()), {})
+        return float(pose.get(joint, np.clip(self.reference[k], self.lower[k], self.upper[k])))
+
+    def limbs(self) -> tuple[tuple[str, ...], ...]:
+        """Leading joints by limb: what hangs on the base at one joint; couplings join limbs. On a fixed base limbs do not move
+        each other."""
+        root = list(range(self.n))
+        for k, up in enumerate(self.parent):
+            root[k] = root[up] if up >= 0 else k
+        for c in self.couplings:
+            a, b = root[self.joint(c.follower)], root[self.joint(c.leader)]
+            root = [min(a, b) if r in (a, b) else r for r in root]
+        groups: dict[int, list[str]] = {}
+        for k, name in enumerate(self.joints):
+            if name not in self.followers:
+                groups.setdefault(root[k], []).append(name)
+        return tuple(map(tuple, groups.values()))
+
+    def only(self, joints: Sequence[str]) -> Tree:
+        """The limbs of these joints alone; they must be whole limbs."""
+        wanted = {*joints, *(c.follower for c in self.couplings if c.leader in joints)}
+        keep = [k for k, name in enumerate(self.joints) if name in wanted]
+        number = {k: i for i, k in enumerate(keep)}
+        return replace(
+            self,
+            **self.taken(keep),
+            parent=tuple(number[self.parent[k]] if self.parent[k] >= 0 else -1 for k in keep),
+            couplings=tuple(c for c in self.couplings if c.follower in wanted),
+            actuators={k: a for k, a in self.actuators.items() if k in wanted},
+        )
+
+    def follow(self) -> tuple[np.ndarray, np.ndarray]:
+        """(S [n leading], c [n]) with the positions of all joints S q + c."""
+        leading = self.leading
+        S, c = np.zeros((self.n, len(leading))), np.zeros(self.n)
+        for k, name in enumerate(self.joints):
+            if name in leading:
+                S[k, leading.index(name)] = 1.0
+        for one in self.couplings:
+            k = self.joint(one.follower)
+            S[k, leading.index(one.leader)], c[k] = one.ratio, one.offset
+        return S, c
+
+
+class Stated:
+    """A tree as a value that compares and hashes by its content, for static fields of modules."""
+
+    def __init__(self, tree: Tree):
+        self.tree = tree
+        parts = [repr(v) if not isinstance(v, np.ndarray) else v.tobytes().hex() for v in vars(tree).values()]
+        self._key = hashlib.sha256("\n".join(parts).encode()).hexdigest()
+
+    def __eq__(self, other: object) -> bool:
+        return isinstance(other, Stated) and other._key == self._key
+
+    def __hash__(self) -> int:
+        return hash(self._key)
+
+    def __repr__(self) -> str:
+        return f"Stated({self._key})"
+
+
+def turned(inertia: np.ndarray, T: np.ndarray) -> np.ndarray:
+    """Ten numbers of a body, from the frame that stands at T into the frame around it."""
+    x, y, z, p = (tuple(T[:3, k]) for k in range(4))
+    return np.array(moved(Placements(x, y, z, p), inertia))
+
+
+def motion(axis: np.ndarray, slides: bool, q: float) -> np.ndarray:
+    """[4 4] of a joint at position q."""
+    T = np.eye(4)
+    if slides:
+        T[:3, 3] = q * axis
+        return T
+    x, y, z = axis
+    K = np.array([[0, -z, y], [z, 0, -x], [-y, x, 0]])
+    T[:3, :3] = np.eye(3) + np.sin(q) * K + (1 - np.cos(q)) * K @ K
+    return T
+
+
+def roll_pitch_yaw(R: np.ndarray) -> tuple[float, float, float]:
+    """Angles of R = Rz(yaw) Ry(pitch) Rx(roll), accurate at every pitch."""
+    yaw = np.arctan2(R[1, 0], R[0, 0]) if np.hypot(R[1, 0], R[0, 0]) > 1e-12 else 0.0
+    c, s = np.cos(yaw), np.sin(yaw)
+    R = np.array([[c, s, 0], [-s, c, 0], [0, 0, 1]]) @ R
+    pitch = np.arctan2(-R[2, 0], R[0, 0])
+    c, s = np.cos(pitch), np.sin(pitch)
+    R = np.array([[c, 0, -s], [0, 1, 0], [s, 0, c]]) @ R
+    return float(np.arctan2(R[2, 1], R[2, 2])), float(pitch), float(yaw)
+
+
+def rotation(roll: float, pitch: float, yaw: float) -> np.ndarray:
+    """Rz(yaw) Ry(pitch) Rx(roll)."""
+    (cr, cp, cy), (sr, sp, sy) = np.cos([roll, pitch, yaw]), np.sin([roll, pitch, yaw])
+    return np.array(
+        [
+            [cy * cp, cy * sp * sr - sy * cr, cy * sp * cr + sy * sr],
+            [sy * cp, sy * sp * sr + cy * cr, sy * sp * cr - cy * sr],
+            [-sp, cp * sr, cp * cr],
+        ]
+    )
+
+
+def chain_of_rods(n: int, length: float, mass: float) -> Tree:
+    """A planar chain of slender rods (m, kg) hanging down, joints about y."""
+    m, l = mass, length
+    phi = np.array([m * l * l / 3, 0, 0, m * l * l / 3, 0, 1e-4 * m, 0, 0, -m * l / 2, m])
+    place = np.tile(np.eye(4), (n, 1, 1))
+    place[1:, 2, 3] = -l
+    zero, endless = np.zeros(n), np.full(n, np.inf)
+    return Tree(
+        "", tuple(f"joint{k + 1}" for k in range(n)), tuple(f"link{k + 1}" for k in range(n)), tuple(range(-1, n - 1)),
+        (False,) * n, np.tile([0.0, 1.0, 0.0], (n, 1)), place, zero, np.tile(phi, (n, 1)), np.zeros((n, 3)), zero,
+        np.zeros((n, 3)), zero, zero, zero, -endless, endless, endless, endless,
+    )  # fmt: skip
+
+
+def up_to(tree: Tree, tip: str | None) -> Tree:
+    """The tree with only the joints up to a link free to move."""
+    if tip is None:
+        return tree
+    path = tree.path_to(tip)
+    held = [j for j in tree.leading if j not in path]
+    note = (f"only the joints up to {tip} move; held: {', '.join(held)}",) if held else ()
+    return replace(tree.locked({j: tree.neutral(j) for j in held}), notes=(*tree.notes, *note))

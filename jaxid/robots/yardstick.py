@@ -1,0 +1,118 @@
+"""What a robot's file, or a dataset, states beside what the data say; and how far off its joints are as it stands."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+
+from jaxid.robots.tree import Tree
+
+
+#: Numbers that are always in the file, whatever their value.
+ALWAYS = ("mass", "com_x", "com_y", "com_z", "kp", "kd", "lowest", "highest")
+MANY = 3.0  # standard deviations from which a difference is worth a sentence of its own
+
+
+def stated(binding: Any, found: Mapping[int, Any]) -> tuple[dict[str, Any], ...]:
+    """Rows of the table: numbers that a file or the dataset states and the fit determined; `found` by place in the layout."""
+    mechanism = binding.chain.mechanism
+    held = getattr(mechanism, "tree", None)
+    tree: Tree | None = None if held is None else held.tree
+    rows = []
+    for i, estimate in found.items():
+        name = binding.layout.entries[i].name
+        kind, _, place = name.partition("@")
+        value = float(binding.theta[i])
+        if i not in binding.stated and (tree is None or not _states(tree, kind, value)):
+            continue
+        std = estimate.std
+        deviation = (estimate.value - value) / std if std else None
+        link = place if tree is not None and place in tree.links else _link(tree, place)
+        joint = place if tree is None or place in tree.joints else tree.joints[tree.links.index(place)]
+        rows.append(
+            {
+                "joint": joint, "link": link, "parameter": kind, "stated": value, "fitted": estimate.value, "std": std,
+                "unit": estimate.unit, "deviation": deviation,
+                "text": f"{kind.replace('_', ' ')} of {place or mechanism.name}: {estimate.value:.4g} {estimate.unit}, "
+                f"stated {value:.4g}" + (f" ({abs(deviation):.1f} standard deviations)" if deviation is not None else ""),
+            }
+        )  # fmt: skip
+    return tuple(rows)
+
+
+def _states(tree: Tree, kind: str, value: float) -> bool:
+    """Whether the file says this number: a URDF has no armature, and a zero in it is no statement."""
+    return (
+        kind in ALWAYS
+        or value != 0
+        or (not tree.file.lower().endswith(".urdf") and kind in ("armature", "damping", "frictionloss"))
+    )
+
+
+def _link(tree: Tree | None, joint: str) -> str:
+    return tree.links[tree.joints.index(joint)] if tree is not None and joint in tree.joints else ""
+
+
+def sentences(rows: tuple[dict[str, Any], ...], tree: Tree) -> tuple[str, ...]:
+    """What differs from the file, most certain first: one sentence for the first moment of a link, one for each other number."""
+    out: list[tuple[float, str]] = []
+    links = dict.fromkeys(r["link"] for r in rows if r["parameter"].startswith("com_"))
+    for link in links:
+        own = {r["parameter"][-1]: r for r in rows if r["link"] == link and r["parameter"].startswith("com_")}
+        was, now = (np.array([r[k] for r in own.values()]) for k in ("stated", "fitted"))
+        std = np.array([r["std"] if r["std"] else np.nan for r in own.values()])
+        size = float(was @ was)
+        if size < 1e-12 or not np.isfinite(std).all():
+            continue
+        share = float((now - was) @ was / size)
+        doubt = float(np.sqrt(np.sum((was * std) ** 2)) / size)
+        if abs(share) > MANY * doubt and abs(share) > 0.01:
+            more = f"{100 * abs(share):.0f} % {'more' if share > 0 else 'less'}"
+            out.append((abs(share) / doubt, f"link {link} carries {more} first moment than the file says"))
+    for r in rows:
+        if not r["parameter"].startswith("com_") and r["deviation"] is not None and abs(r["deviation"]) > MANY:
+            out.append((abs(r["deviation"]), r["text"]))
+    return tuple(text for _, text in sorted(out, key=lambda one: -one[0]))
+
+
+def as_it_stands(binding: Any) -> tuple[np.ndarray, str]:
+    """(numbers of the model as the file has them, a sentence on its drive)."""
+    from jaxid.robots.drives import file_law
+
+    theta, mechanism = binding.theta.copy(), binding.chain.mechanism
+    tree: Tree = mechanism.tree.tree
+    joints = binding.chain.signature.joints
+    if mechanism.drive_law is None or not all(j in tree.actuators and tree.actuators[j].kind == "position" for j in joints):
+        return theta, "the file as it stands, under the stated law" if mechanism.drive_law else "the file as it stands"
+    law = file_law(tree)
+    for field, values in law.numbers.items():
+        for joint, value in zip(joints, values, strict=True):
+            theta[binding.layout.index(f"{field}@{joint}")] = value
+    return theta, "the file as it stands, under its own actuators"
+
+
+def per_joint(bench: Any, scores: Mapping[str, Mapping[str, Any]]) -> tuple[dict[str, Any], ...]:
+    """Each joint's free-run error (root mean square) with the file as it stands and re-tuned, on every split that was scored."""
+    from jaxid import estimation
+
+    binding = bench.binding
+    theta, text = as_it_stands(binding)
+    out = []
+    for split, table in scores.items():
+        starts = estimation.estimate_starts(bench, split, [theta])
+        before = estimation.scores(bench, split, estimation.free_runs(bench, split, [theta], starts)[0])
+        out += [
+            {
+                "joint": j,
+                "split": split,
+                "as_it_stands": before[j].rmse,
+                "retuned": table[j].rmse,
+                "unit": table[j].unit,
+                "text": text,
+            }
+            for j in table
+            if j in before
+        ]
+    return tuple(out)

@@ -1,0 +1,380 @@
+"""Any robot of an MJCF or URDF file: a tree of hinge and slide joints, driven by torques or by goals."""
+
+from __future__ import annotations
+
+from functools import lru_cache
+from pathlib import Path
+from typing import Any, ClassVar
+
+import equinox as eqx
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float
+
+from jaxid.arithmetic import sincos
+from jaxid.chain import Chain
+from jaxid.experiment import Dataset
+from jaxid.mechanism import Signature, Staged
+from jaxid.parameter import constant, param, ParameterSpec
+from jaxid.rigid_body import add, cross, inner, scaled
+from jaxid.robots import dynamics
+from jaxid.robots.bodies import BODY, body_of, ten_numbers
+from jaxid.robots.tree import roll_pitch_yaw, Stated, Tree, up_to
+
+from .effects import ActuatorLag, CoulombFriction, InputDelay, QuadraticDrag, ViscousFriction
+from .robot_drive import PositionLaw
+
+
+PLACE = ("x", "y", "z", "roll", "pitch", "yaw")
+GRAVITY = ("gravity_x", "gravity_y", "gravity_z")
+#: Effects at the inputs that act on the torque where a goal drives; the others act on the goal.
+AT_TORQUE = ("torque_scale", "saturation", "back_emf", "supply_droop")
+
+
+plan_of = lru_cache(dynamics.plan)
+
+
+def goal(joint: str) -> str:
+    return f"{joint}_cmd"
+
+
+def torque(joint: str) -> str:
+    return f"{joint}_tau"
+
+
+def signature_of(tree: Tree, driven: bool) -> Signature:
+    """Channels of a robot: goals or torques in, joint positions out, by the joints' names."""
+    joints = tree.leading
+    slides = tuple(tree.slides[tree.joints.index(j)] for j in joints)
+    outputs = tuple((j, "m" if s else "rad") for j, s in zip(joints, slides, strict=True))
+    goals = tuple((goal(j), unit) for j, (_, unit) in zip(joints, outputs, strict=True))
+    torques = tuple((torque(j), "N" if s else "N m") for j, s in zip(joints, slides, strict=True))
+    return Signature(goals if driven else torques, outputs, joints, prismatic=slides if any(slides) else ())
+
+
+class Robot(Staged):
+    """A robot from its file: `Robot.from_mjcf("robot.xml")`, `Robot.from_urdf("robot.urdf")`.
+
+    Numbers go by the names of joints and links: armature@JOINT, damping@JOINT, frictionloss@JOINT, mass@LINK, com_x@LINK (in the
+    link's frame). Bodies are written so that every value within its bounds is a body that can exist. Fitted by default: armature,
+    damping and dry friction of each joint, its link's centre of mass across the axis (where gravity shows it), and what
+    [controller] names; numbers that a dataset names under [model.parameters] are fitted too. On channels
+    `JOINT_cmd` the law of [controller] or of the file's actuators drives.
+    """
+
+    name: ClassVar[str] = "robot"
+    source: ClassVar[str] = "Featherstone 2008; joints, drives and dissipation with MuJoCo's meaning"
+    equations: ClassVar[str] = (
+        "M(q) qdd + bias(q, qd) + armature qdd + stiffness (q - springref) + damping qd + frictionloss sign(qd) = tau\n"
+        "tau the recorded torque, or gain clip(kp (goal(t - delay) - q) + kd (rate - qd) + offset, lowest, highest);\n"
+        "recursive Newton-Euler and composite rigid bodies over the tree, mimic joints eliminated"
+    )
+    builtin: tuple[tuple[type, dict[str, str]], ...] = eqx.field(
+        static=True,
+        default=((ViscousFriction, {"coefficient": "damping@{joint}"}), (CoulombFriction, {"level": "frictionloss@{joint}"})),
+    )
+    signatures: tuple[Signature, ...] = eqx.field(static=True, default=())
+
+    mass: Array = param(0.0, 0.0, np.inf, scale=1.0, unit="kg", meaning="mass of the link and of what is fixed to it")
+    com_x: Array = param(0.0, -np.inf, np.inf, scale=1.0, unit="m", meaning="its centre of mass in the link's frame, x")
+    com_y: Array = param(0.0, -np.inf, np.inf, scale=1.0, unit="m", meaning="its centre of mass in the link's frame, y")
+    com_z: Array = param(0.0, -np.inf, np.inf, scale=1.0, unit="m", meaning="its centre of mass in the link's frame, z")
+    gyration_xx: Array = param(0.0, 0.0, np.inf, scale=1.0, unit="m", meaning="spread of its mass about its centre: factor xx")
+    gyration_yx: Array = param(0.0, -np.inf, np.inf, scale=1.0, unit="m", meaning="spread of its mass: factor yx")
+    gyration_yy: Array = param(0.0, 0.0, np.inf, scale=1.0, unit="m", meaning="spread of its mass: factor yy")
+    gyration_zx: Array = param(0.0, -np.inf, np.inf, scale=1.0, unit="m", meaning="spread of its mass: factor zx")
+    gyration_zy: Array = param(0.0, -np.inf, np.inf, scale=1.0, unit="m", meaning="spread of its mass: factor zy")
+    gyration_zz: Array = param(0.0, 0.0, np.inf, scale=1.0, unit="m", meaning="spread of its mass: factor zz")
+    armature: Array = param(0.0, 0.0, np.inf, scale=1.0, unit="{I}", meaning="inertia of the drive, reflected through its gear")
+    encoder_bias: Array = param(0.0, -0.3, 0.3, scale=0.01, unit="{X}", meaning="reading of the encoder at the joint's zero")
+    stiffness: Array = param(0.0, 0.0, np.inf, scale=1.0, unit="{F}/{X}", meaning="spring at the joint")
+    springref: Array = constant(0.0, unit="{X}", meaning="where that spring is at rest")
+    cubic_damping: Array = constant(0.0, unit="{F} s^3/{X}^3", meaning="torque per cube of the speed")
+
+    x: Array = constant(0.0, unit="m", meaning="origin of the joint in the frame of the link before")
+    y: Array = constant(0.0, unit="m")
+    z: Array = constant(0.0, unit="m")
+    roll: Array = constant(0.0, unit="rad", meaning="turn of the joint's frame, Rz(yaw) Ry(pitch) Rx(roll)")
+    pitch: Array = constant(0.0, unit="rad")
+    yaw: Array = constant(0.0, unit="rad")
+    gravity: Array = constant(0.0, unit="m/s^2", meaning="vector of free fall in the world")
+    base_roll: Array = param(0.0, -3.2, 3.2, scale=0.01, unit="rad", meaning="base tilted about the world's x")
+    base_pitch: Array = param(0.0, -3.2, 3.2, scale=0.01, unit="rad", meaning="then about its y")
+    base_yaw: Array = constant(0.0, unit="rad", meaning="then about its z")
+
+    joints: tuple[str, ...] = eqx.field(static=True, default=())  # of all nodes, mimics among them
+    links: tuple[str, ...] = eqx.field(static=True, default=())  # of those nodes that carry a body
+    carriers: tuple[int, ...] = eqx.field(static=True, default=())
+    parent: tuple[int, ...] = eqx.field(static=True, default=())
+    slides: tuple[bool, ...] = eqx.field(static=True, default=())
+    axes: tuple[tuple[float, ...], ...] = eqx.field(static=True, default=())
+    anchors: tuple[tuple[float, ...], ...] = eqx.field(static=True, default=())
+    reference: tuple[float, ...] = eqx.field(static=True, default=())
+    coupling: tuple[tuple[float, ...], ...] | None = eqx.field(static=True, default=None)  # all joints = coupling q + shift
+    shift: tuple[float, ...] = eqx.field(static=True, default=())
+    fitted: tuple[tuple[str, float, float], ...] = eqx.field(static=True, default=())  # number, bounds
+    prepared: Any = None
+    added: Any = None  # ten numbers more at each node
+    tilt: Any = None  # (angle, axis): the base turned further
+    tree: Any = eqx.field(static=True, default=None)  # the file's own numbers: a `Stated`
+    drive_law: Any = eqx.field(static=True, default=None)
+
+    def __init__(self, tree: Tree | None = None, driven: bool | None = None, law: Any = None):
+        tree = default_tree() if tree is None else tree
+        leading = tree.leading
+        S, c = tree.follow()
+        self.tree = Stated(tree)
+        self.joints, self.parent, self.slides = tree.joints, tree.parent, tree.slides
+        self.carriers = tuple(k for k, link in enumerate(tree.links) if link)
+        self.links = tuple(tree.links[k] for k in self.carriers)
+        rounded = lambda a: tuple(tuple(float(v) for v in row) for row in a)
+        self.axes, self.anchors = rounded(tree.axis), rounded(tree.anchor[list(self.carriers)])
+        self.reference, self.shift = tuple(map(float, tree.reference)), tuple(map(float, c))
+        self.coupling = rounded(S) if tree.couplings else None
+        bodies = np.array([body_of(tree.inertia[k], tree.anchor[k])[0] for k in self.carriers]).reshape(-1, 10)
+        for k, name in enumerate(BODY):
+            setattr(self, name, bodies[:, k])
+        places = np.array([[*T[:3, 3], *roll_pitch_yaw(T[:3, :3])] for T in tree.place]).reshape(-1, 6)
+        for k, name in enumerate(PLACE):
+            setattr(self, name, places[:, k])
+        numbers = {
+            "armature": tree.armature,
+            "stiffness": tree.stiffness,
+            "springref": tree.spring,
+            "encoder_bias": np.zeros(len(leading)),
+            "cubic_damping": (S**4).T @ tree.damping[:, 2],
+            "gravity": np.array(tree.gravity, np.float64),
+            **{f"base_{k}": np.float64(0.0) for k in PLACE[3:]},
+        }
+        for name, value in numbers.items():
+            setattr(self, name, value)
+        self.prepared = self.added = self.tilt = self.drive_law = None
+        self.fitted = ()
+        if driven is None:
+            driven = law is not None or all(j in tree.actuators and tree.actuators[j].kind == "position" for j in leading)
+        self.signatures = (signature_of(tree, driven),)
+        own: list[tuple[type, dict[str, str]]] = [
+            (ViscousFriction, {"coefficient": "damping@{joint}"}),
+            (CoulombFriction, {"level": "frictionloss@{joint}"}),
+        ]
+        if np.any(tree.damping[:, 1]):
+            own.append((QuadraticDrag, {"coefficient": "quadratic_damping@{joint}"}))
+        if driven:
+            from jaxid.robots.drives import file_law
+
+            self._drive(file_law(tree) if law is None else law, own)
+        self.builtin = tuple(own)
+
+    def _drive(self, law: Any, own: list) -> None:
+        """Sets a drive law (a `drives.Law`), its numbers and which of them are fitted."""
+        self.drive_law = law
+        own.append((PositionLaw, {k: f"{k}@{{joint}}" for k in ("kp", "kd", "ki", "gain", "lowest", "highest", "offset")}))
+        if law.delayed:
+            own.append((InputDelay, {"delay": "delay@{joint}"}))
+        if any(law.lag):
+            own.append((ActuatorLag, {"time": "timeconst@{joint}"}))
+        self.fitted = law.fitted(self.signatures[0].joints)
+
+    def driven_by(self, law: Any) -> Robot:
+        """The same driven by goals through a law (a `jaxid.robots.drives.Law`)."""
+        return type(self)(self.tree.tree, law=law)
+
+    @classmethod
+    def from_mjcf(cls, path: str | Path, *, tip: str | None = None, text: str | None = None) -> Robot:
+        """The robot of an MJCF file; with `tip` only the joints up to that link move. Needs no meshes.
+
+        Raises `UsageError` for what is not a tree of hinge and slide joints with stated inertias, by name.
+        """
+        from jaxid.robots.mjcf import read_mjcf
+
+        return cls(up_to(read_mjcf(path, text), tip))
+
+    @classmethod
+    def from_urdf(cls, path: str | Path, *, tip: str | None = None, text: str | None = None) -> Robot:
+        """The robot of a URDF file; with `tip` only the joints up to that link move. Raises `UsageError` as `from_mjcf`."""
+        from jaxid.robots.urdf_tree import read_urdf_tree
+
+        return cls(up_to(read_urdf_tree(path, text), tip))
+
+    def matched(self, dataset: Dataset) -> Chain:
+        """The model of a recording: its joints by name, joints that it lacks held, its drive law. See `jaxid.robots.match`."""
+        from jaxid.robots.match import matched
+
+        return matched(self, dataset)
+
+    # ---- what a fit may move
+
+    def nominal_effects(self):
+        tree: Tree = self.tree.tree
+        S, _ = tree.follow()
+        numbers = {
+            ViscousFriction: {"coefficient": (S**2).T @ tree.damping[:, 0]},
+            CoulombFriction: {"level": np.abs(S).T @ tree.frictionloss},
+            QuadraticDrag: {"coefficient": np.abs(S**3).T @ tree.damping[:, 1]},
+        }
+        law = self.drive_law
+        if law is not None:
+            numbers |= {
+                PositionLaw: {**law.numbers, **law.words},
+                InputDelay: {"delay": np.array(law.delay)},
+                ActuatorLag: {"time": np.array(law.lag)},
+            }
+        return [kind(**numbers[kind]) for kind, _ in self.builtin]
+
+    def behind_law(self, effect: Any) -> bool:
+        return self.drive_law is not None and effect.name in AT_TORQUE
+
+    def places(self, effect: Any, signature: Signature) -> tuple[str, ...]:
+        if self.behind_law(effect):
+            return tuple(map(torque, signature.joints))
+        return super().places(effect, signature)
+
+    def number_name(self, field: str, place: int) -> str:
+        if field == "gravity":
+            return GRAVITY[place]
+        if field in BODY:
+            return f"{field}@{self.links[place]}"
+        names = self.signatures[0].joints if field in ("encoder_bias", "cubic_damping") else self.joints
+        return f"{field}@{names[place]}"
+
+    def held(self) -> frozenset[str]:
+        joints, fitted = self.signatures[0].joints, {name for name, _, _ in self.fitted}
+        out = {f"{field}@{link}" for field in BODY for link in self.links} - self.tree.tree.free_moments()
+        out |= {f"{field}@{j}" for field in ("encoder_bias", "stiffness", "quadratic_damping") for j in self.joints}
+        out |= {"base_roll", "base_pitch"}
+        out |= {f"armature@{j}" for j in self.joints if j not in joints}
+        law = ("kp", "kd", "ki", "lowest", "highest", "delay", "timeconst")
+        return frozenset(out | {f"{field}@{j}" for field in law for j in joints} - fitted)
+
+    def known(self):
+        return {name: (lower, upper) for name, lower, upper in self.fitted}
+
+    def spec_of(self, field: str, place: int, spec: ParameterSpec) -> ParameterSpec:
+        """Bounds by the robot's own size."""
+        tree: Tree = self.tree.tree
+        total = max(float(np.sum(tree.inertia[:, 9])), 1e-6)
+        reach = max(float(np.sum(np.linalg.norm(tree.place[:, :3, 3], axis=1))), 1e-2)
+        if field == "mass":
+            return spec._replace(upper=10 * total, scale=0.01 * total)
+        if field.startswith("com_"):  # within about the link's own size of where the file has it
+            about = float(getattr(self, field)[place])
+            size = 0.5 * tree.size(self.carriers[place])
+            return spec._replace(lower=about - size, upper=about + size, scale=0.05 * size)
+        if field in BODY:
+            lower = 0.0 if field in ("gyration_xx", "gyration_yy", "gyration_zz") else -reach
+            return spec._replace(lower=lower, upper=reach, scale=0.01 * reach)
+        if field == "armature":
+            size = max(float(tree.swung()[place]), float(tree.armature[place]))
+            return spec._replace(upper=20 * size, scale=0.1 * size)
+        return spec
+
+    # ---- dynamics
+
+    def inertia(self) -> Float[Array, "n 10"]:
+        """Ten numbers of every node about its joint."""
+        own = ten_numbers(jnp.stack([jnp.asarray(getattr(self, k)) for k in BODY]), np.array(self.anchors).reshape(-1, 3))
+        own = jnp.zeros((len(self.joints), 10)).at[np.array(self.carriers, int)].set(own)
+        return own if self.added is None else own + self.added
+
+    def body(self) -> dynamics.Body:
+        place = jnp.stack([jnp.asarray(getattr(self, k)) for k in PLACE])
+        return dynamics.body(plan_of(self.parent), self.slides, np.array(self.axes).reshape(-1, 3), place, self.inertia())
+
+    def standing(self) -> dynamics.Base:
+        """Gravity in the frame of the tilted base."""
+        R = dynamics.turn(self.base_roll, self.base_pitch, self.base_yaw)
+        g = jnp.asarray(self.gravity)
+        fall = tuple(sum(R[i][k] * g[i] for i in range(3)) for k in range(3))
+        if self.tilt is not None:  # v cos - (axis x v) sin + axis (axis . v) (1 - cos)
+            angle, axis = self.tilt
+            fall = (fall[0], fall[1], fall[2])
+            sine, cosine = sincos(angle)
+            along, across = scaled((1 - cosine) * inner(axis, fall), axis), scaled(-sine, cross(axis, fall))
+            fall = add(scaled(cosine, fall), add(along, across))
+        return dynamics.still(fall)  # type: ignore[arg-type]
+
+    def prepare(self, h):
+        return eqx.tree_at(lambda m: m.prepared, self, (self.body(), self.standing()), is_leaf=lambda x: x is None)
+
+    def _worked_out(self) -> tuple[dynamics.Body, dynamics.Base]:
+        return (self.body(), self.standing()) if self.prepared is None else self.prepared
+
+    def all_joints(self, q: Any, moves: bool = False) -> Any:
+        """Positions (rates where it `moves`) of all joints, mimics among them."""
+        if self.coupling is None:
+            return q
+        S = np.array(self.coupling)
+        return S @ q if moves else S @ q + np.array(self.shift)
+
+    def _leading(self, tau: Any) -> Any:
+        return tau if self.coupling is None else np.array(self.coupling).T @ tau
+
+    def _spring(self, q: Float[Array, " n"]) -> Float[Array, " n"]:
+        return self.stiffness * (q - self.springref)
+
+    def matrices(self, q, qd) -> Any:
+        body, base = self._worked_out()
+        plan = plan_of(self.parent)
+        q, qd = self.all_joints(q - self.encoder_bias), self.all_joints(qd, moves=True)
+        E = dynamics.frames(plan, body, q - np.array(self.reference))
+        M = dynamics.mass_matrix(plan, body, E) + jnp.diag(jnp.asarray(self.armature))
+        bias = dynamics.inverse_dynamics(plan, body, E, base, qd, jnp.zeros_like(qd)) + self._spring(q)
+        if self.coupling is None:
+            return M, bias
+        S = np.array(self.coupling)
+        return S.T @ M @ S, S.T @ bias
+
+    def inverse(self, q, qd, qdd):
+        """Joint torque of a motion [nq], dissipation excluded."""
+        body, base = self._worked_out()
+        plan = plan_of(self.parent)
+        q, qd, qdd = self.all_joints(q - self.encoder_bias), self.all_joints(qd, True), self.all_joints(qdd, True)
+        E = dynamics.frames(plan, body, q - np.array(self.reference))
+        tau = dynamics.inverse_dynamics(plan, body, E, base, qd, qdd)
+        return self._leading(tau + self.armature * qdd + self._spring(q))
+
+    def drive(self, signature, u, q, qd):
+        tau = u[: q.shape[0]] if signature.inputs else jnp.zeros_like(q)
+        return tau - self.cubic_damping * qd**3 if np.any(self.tree.tree.damping[:, 2]) else tau
+
+    def outline(self, x, signature):
+        """The tree as one line that goes out along each limb and back."""
+        E = dynamics.frames(
+            plan_of(self.parent), self.body(), self.all_joints(x[0] - self.encoder_bias) - np.array(self.reference)
+        )
+        p = jnp.stack(dynamics.poses(plan_of(self.parent), E, plan_of(self.parent).route).p, -1)
+        R = jnp.stack([jnp.stack(row) for row in dynamics.turn(self.base_roll, self.base_pitch, self.base_yaw)])
+        p = jnp.concatenate([p, jnp.zeros((1, 3))]) @ R.T
+        return p[np.array(dynamics.tour(self.parent))]
+
+    # ---- where effects of the mechanism act
+
+    def loaded(self, mass: Float[Array, " nq"]) -> Robot:
+        """The same with a point mass at the far end of each joint's link: at the next joint, or at the link's centre of mass."""
+        added = jnp.zeros((len(self.joints), 10))
+        for k, joint in enumerate(self.signatures[0].joints):
+            node = self.joints.index(joint)
+            while node not in self.carriers:
+                node = self.parent.index(node)
+            place, ends = self.carriers.index(node), [i for i, up in enumerate(self.parent) if up == node]
+            com = [getattr(self, name)[place] - a for name, a in zip(BODY[1:4], self.anchors[place], strict=True)]
+            x, y, z = ([getattr(self, name)[ends[0]] for name in PLACE[:3]]) if ends else com
+            own = (y * y + z * z, -x * y, -x * z, x * x + z * z, -y * z, x * x + y * y, x, y, z, 1.0 + 0 * x)
+            added = added.at[node].add(mass[k] * jnp.stack([jnp.asarray(v) for v in own]))
+        return self._with("added", added)
+
+    def tilted(self, angle: Float[Array, " nq"]) -> Robot:
+        """The same on a base turned by angle[0] about the first joint's axis."""
+        R = dynamics.turn(*(getattr(self, name)[0] for name in PLACE[3:]))
+        axis = tuple(sum(R[i][k] * self.axes[0][k] for k in range(3)) for i in range(3))
+        return self._with("tilt", (angle[0], axis))
+
+    def _with(self, field: str, value: Any) -> Robot:
+        return eqx.tree_at(lambda m: getattr(m, field), self, value, is_leaf=lambda x: x is None)
+
+
+def default_tree() -> Tree:
+    """Two joints in a plane, each with a slender link of 0.3 m."""
+    from jaxid.robots.tree import chain_of_rods
+
+    return chain_of_rods(2, 0.3, 0.5)

@@ -1,0 +1,93 @@
+"""The drive of a position-controlled joint: from its goal to its torque, by the law that the recording or the file states."""
+
+from __future__ import annotations
+
+from typing import ClassVar
+
+import equinox as eqx
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array
+
+from jaxid.chain import InputEffect
+from jaxid.parameter import constant, param, Quantity
+
+
+KINDS = ("pd", "pid", "cascade")
+VELOCITIES = ("measured", "difference", "averaged_difference")
+
+
+class PositionLaw(InputEffect):
+    """Goal -> torque. Continuous (`period` 0, as in MuJoCo and Isaac), or sampled every `period` s and held in between.
+
+    `kind` pd: v = kp (goal - q) - kd qd; pid: the same + ki times the integral of the error, which stands still while the output
+    is saturated and the error drives it further; cascade: v = kd (kp (goal - q) - qd). With `rate` the goal's own rate, the
+    difference to its last sample, is taken off qd (sampled laws alone). Torque = gain clip(v + offset, lowest, highest).
+    """
+
+    name: ClassVar[str] = "position_law"
+    stage: ClassVar[int] = 5
+    equation: ClassVar[str] = "tau = gain clip(kp (goal - q) + kd (rate - qd) + ki integral + offset, lowest, highest)"
+    signature: ClassVar[str] = "none: it is stated with the recording or by the robot's file"
+    source: ClassVar[str] = "textbook; MuJoCo's position actuator"
+    excitation: ClassVar[str] = "the same motion under two gains"
+    probes: ClassVar[tuple[dict[str, Quantity | float], ...]] = ()
+    contains: ClassVar[tuple[str, ...]] = ()
+
+    kp: Array = param(0.0, 0.0, np.inf, scale=1.0, unit="{F}/{X}", meaning="torque per position error")
+    kd: Array = param(0.0, 0.0, np.inf, scale=0.1, unit="{F} s/{X}", meaning="torque per speed error")
+    ki: Array = param(0.0, 0.0, np.inf, scale=1.0, unit="{F}/({X} s)", meaning="torque per integral of the position error")
+    gain: Array = constant(1.0, unit="1", meaning="joint torque per unit of the law's output")
+    lowest: Array = param(-np.inf, -np.inf, 0.0, scale=0.1, unit="{F}", meaning="lower limit of the law's output")
+    highest: Array = param(np.inf, 0.0, np.inf, scale=0.1, unit="{F}", meaning="upper limit of the law's output")
+    offset: Array = constant(0.0, unit="{F}", meaning="added to the law's output")
+
+    kind: str = eqx.field(static=True, default="pd")
+    velocity: str = eqx.field(static=True, default="measured")
+    rate: bool = eqx.field(static=True, default=False)
+    period: float = eqx.field(static=True, default=0.0)
+    control: tuple[tuple[float, float], ...] = eqx.field(static=True, default=())
+
+    def start(self, u):
+        if self.period <= 0:
+            return jnp.zeros_like(u) if self.kind == "pid" else ()
+        # time since the start, ticks so far, held torque, last two positions, last goal, integral
+        return jnp.zeros(()), jnp.full((), -1.0), jnp.zeros((5, *u.shape))
+
+    def __call__(self, u, s, z):
+        if self.control:
+            u = jnp.clip(u, *np.array(self.control).T)
+        if self.period > 0:
+            return self._sampled(u, s, z)
+        error = u - s.q
+        output = self._output(error, -s.qd)
+        if self.kind == "pid":
+            return self._limited(output + z), self._integrated(z, output + z, error, s.h)
+        return self._limited(output), z
+
+    def _output(self, error, rate_error):
+        if self.kind == "cascade":
+            return self.kd * (self.kp * error + rate_error) + self.offset
+        return self.kp * error + self.kd * rate_error + self.offset
+
+    def _limited(self, output):
+        return self.gain * jnp.clip(output, self.lowest, self.highest)
+
+    def _integrated(self, integral, output, error, h):
+        winds_up = ((output > self.highest) | (output < self.lowest)) & (output * error > 0)
+        return integral + jnp.where(winds_up, 0.0, self.ki * h * error)
+
+    def _sampled(self, u, s, z):
+        elapsed, ticks, (held, last, before, goal, integral) = z
+        T, q, qd = self.period, s.q - s.h / 2 * s.qd0, s.qd0  # at the step's beginning
+        first = ticks < 0
+        last, before = jnp.where(first, q - T * qd, last), jnp.where(first, q - 2 * T * qd, before)
+        goal = jnp.where(first, u, goal)
+        count = jnp.floor(elapsed / T + 0.5 * jnp.minimum(1.0, s.h / T))
+        now = count > ticks
+        measured = {"measured": qd, "difference": (q - last) / T, "averaged_difference": (q - before) / (2 * T)}[self.velocity]
+        wanted = (u - goal) / T if self.rate else 0.0
+        output = self._output(u - q, wanted - measured) + integral
+        new = jnp.stack([self._limited(output), q, last, u, self._integrated(integral, output, u - q, T)])
+        kept = jnp.where(now, new, jnp.stack([held, last, before, goal, integral]))
+        return kept[0], (elapsed + s.h, jnp.maximum(count, ticks), kept)
