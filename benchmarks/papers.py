@@ -32,7 +32,7 @@ from jaxid.fitter import AbstractFitter  # noqa: E402
 from jaxid.fitting import Benches, fit_seeds  # noqa: E402
 from jaxid.frequency import FrequencyResponseError  # noqa: E402
 from jaxid.problem import Problem  # noqa: E402
-from tests import test_flexible_link as link  # noqa: E402
+from notebooks.twins import flexible_link as link  # noqa: E402
 
 
 # ---- paper 002: one flexible link, DE against GA against PSO

@@ -7,7 +7,7 @@ from typing import ClassVar
 import jax
 import numpy as np
 
-from jaxid.fitter import AbstractFitter, AbstractPopulation, Course, Log
+from jaxid.fitter import AbstractFitter, AbstractPopulation, Course, Log, same
 from jaxid.fitters.lm import problem_clip, search
 from jaxid.fitters.shade import Shade
 from jaxid.objective import AbstractProblem
@@ -18,8 +18,8 @@ class Hybrid(AbstractFitter):
     """A population, then bounded Levenberg-Marquardt on its `descents` best distinct points and on the start values, all as one
     batch; recommended where nothing is known of the start. Works on every loss.
 
-    The population takes at most `share` of what is left of the budget. Every round starts anew, until one ends in the lowest
-    minimum so far once more, or after `rounds`.
+    The population takes at most `share` of what is left of budget and time; the rest is for the descents. Every round starts
+    anew, until one ends in the lowest minimum so far once more, or after `rounds`.
     """
 
     name: ClassVar[str] = "hybrid"
@@ -35,26 +35,27 @@ class Hybrid(AbstractFitter):
     def minimise(self, problem, starts, key, budget=None, progress=None, seconds=None):
         log = Log(problem, self.name, budget, seconds, progress)
         given = [problem_clip(problem, z) for z in starts]
-        best, lowest, converged, stopped = given[0], np.inf, False, ""
+        best, lowest, converged, stopped, stalled = given[0], np.inf, False, "", False
         for number in range(self.rounds):
             if number and log.left < 2 * self.population.popsize:
                 break
-            most = None if budget is None else max(1, int(self.share * log.left / self.population.popsize))
-            searching = self.population.searching(problem, given, jax.random.fold_in(key, number), log, most=most)
-            course, _, why = answered(searching, problem)
-            ends = [(course.best[0], False, why)]
+            with log.shared(self.share):
+                course, _, why, stuck = answered(
+                    self.population.searching(problem, given, jax.random.fold_in(key, number), log), problem
+                )
+            ends = [(course.best[0], False, why, stuck)]
             if not log.exhausted:
                 points = basins(problem, course, self.descents) + given
                 (path,), _ = search([[(problem, z) for z in points]], self.iterations, self.tolerance, [log])
-                ends.append((path.z, path.converged, path.stopped))
-            losses = problem.losses(np.array([z for z, _, _ in ends]))
+                ends.append((path.z, path.converged, path.stopped, False))
+            losses = problem.losses(np.array([z for z, *_ in ends]))
             k = int(np.argmin(losses))
-            again = number > 0 and abs(losses[k] - lowest) <= 1e-6 * lowest + 1e-300
+            again = number > 0 and same(float(losses[k]), lowest)
             if losses[k] < lowest:
-                lowest, (best, converged, stopped) = float(losses[k]), ends[k]
+                lowest, (best, converged, stopped, stalled) = float(losses[k]), ends[k]
             if again or log.exhausted:
                 break
-        return log.minimum(best, converged, log.exhausted or stopped)
+        return log.minimum(best, converged, log.exhausted or stopped, stalled and not log.exhausted)
 
 
 def basins(problem: AbstractProblem, course: Course, count: int) -> list[np.ndarray]:

@@ -12,7 +12,7 @@ from jaxid import forked as _forked  # noqa: F401  it has to be there when a pro
 
 
 if _TYPE_CHECKING:
-    from jaxid import fitters as fitters, models as models
+    from jaxid import fitters as fitters, models as models, runtime as runtime
     from jaxid.api import compare as compare, diagnose as diagnose, fit as fit, simulate as simulate
     from jaxid.chain import Chain as Chain
     from jaxid.comparison import Comparison as Comparison
@@ -50,6 +50,7 @@ _HOME = {
     "identify": "jaxid.identification",
     "load_dataset": "jaxid.dataset_io",
     "models": None,
+    "runtime": None,
     "save_dataset": "jaxid.dataset_io",
     "simulate": "jaxid.api",
 }

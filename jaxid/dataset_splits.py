@@ -12,6 +12,8 @@ from jaxid.experiment import Dataset, Experiment
 
 TAIL = 0.3
 GUARD_SAMPLES, GUARD_S = 20, 0.1
+#: A run whose first time stamp (s) is later than this is spoken of by the time since its start.
+LATE = 1e4
 #: What a part knows of the samples before it, by time (s) and at most so many: an effect that remembers starts from them.
 #: Validation runs are simulated for every hypothesis, report runs for a few.
 PAST = {"validation": (5.0, 1000), "report": (60.0, 20_000)}
@@ -63,7 +65,7 @@ def _cut(runs: list[Experiment], first: str, second: str, share: float, rule: st
         everything = start + len(run.whole) - len(run)
         cut.append(run.piece(start, len(run), name=f"{base}#{second}", split=second, past=everything))
         told.append(
-            f"{base} cut at {run.t[stop]:.6g} s, {start - stop} samples ({run.t[start] - run.t[stop]:.3g} s) left out, "
+            f"{base} cut {_place(run, stop)}, {start - stop} samples ({run.t[start] - run.t[stop]:.3g} s) left out, "
             f"{len(run) - start} samples for {second}"
         )
     if told:
@@ -78,6 +80,11 @@ def _forgetful(run: Experiment) -> Experiment:
     longest, most = PAST[run.split]
     n = min(int(np.sum(past.t >= run.t[0] - longest)), most)
     return replace(run, past=past.piece(len(past) - n, len(past), name=past.name, split=past.split)) if n < len(past) else run
+
+
+def _place(run: Experiment, stop: int) -> str:
+    """Where a run is cut; of clocks that count from 1970 or from when a machine was switched on nobody wants to read."""
+    return f"at {run.t[stop]:.6g} s" if abs(run.t[0]) < LATE else f"{run.t[stop] - run.t[0]:.6g} s after its start"
 
 
 def _after_guard(run: Experiment, stop: int) -> int:

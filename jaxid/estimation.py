@@ -387,6 +387,7 @@ def assemble(
         binding.chain.mechanism.name, added, fitter, residual.name, problem.loss_name, seed, result.converged, False,
         result.stopped_because, result.loss, own, table, windowed, result.evaluations, wall_time, compile_time,
         binding.dataset.name, binding.dataset.sha256, tuple(notes), groups, tuple(result.history), tuple(traces), theta,
+        result.stalled,
     )  # fmt: skip
 
 

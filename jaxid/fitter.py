@@ -8,7 +8,8 @@ from __future__ import annotations
 
 import abc
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass, field, fields
 from typing import Any, ClassVar, NamedTuple
 
@@ -42,6 +43,7 @@ class Minimum:
     evaluations: int
     history: list[tuple[int, float]] = field(default_factory=list)  # (evaluations, best loss so far)
     seconds: list[float] = field(default_factory=list)
+    stalled: bool = False  # ended by a rule of its own and not by a limit, yet without having converged
 
     @property
     def failed(self) -> bool:
@@ -110,6 +112,19 @@ class Log:
             return "the budget of evaluations is used up"
         return "the time is up" if self.limit is not None and self.elapsed >= self.limit else ""
 
+    @contextmanager
+    def shared(self, share: float) -> Iterator[None]:
+        """Leaves a part of the search this share of what is left of budget and time, and what comes after it the rest."""
+        whole = self.budget, self.limit
+        if self.budget is not None:
+            self.budget = self.evaluations + int(share * self.left)
+        if self.limit is not None:
+            self.limit = self.elapsed + share * (self.limit - self.elapsed)
+        try:
+            yield
+        finally:
+            self.budget, self.limit = whole
+
     def add(self, evaluations: int, loss: float, at: float | None = None) -> None:
         """`loss` is the best of so many more evaluations, finished at `at` seconds (default: now)."""
         self.evaluations += evaluations
@@ -121,12 +136,13 @@ class Log:
         if self.progress:
             self.progress(self.name, done, total, f"loss {self.best:.6g}")
 
-    def minimum(self, z: np.ndarray, converged: bool, stopped: str) -> Minimum:
+    def minimum(self, z: np.ndarray, converged: bool, stopped: str, stalled: bool = False) -> Minimum:
         """The result; its loss is computed by the one program that all fitters share."""
         loss = self.problem.loss(z)
         if loss >= PENALTY:
-            converged, stopped = False, "the simulation diverges at every candidate; give other start values or narrower bounds"
-        return Minimum(z, loss, converged, stopped, self.evaluations, self.history, self.seconds)
+            converged = stalled = False
+            stopped = "the simulation diverges at every candidate; give other start values or narrower bounds"
+        return Minimum(z, loss, converged, stopped, self.evaluations, self.history, self.seconds, stalled)
 
 
 def sampling_box(problem: AbstractProblem, guess: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -146,12 +162,15 @@ def sampling_box(problem: AbstractProblem, guess: np.ndarray) -> tuple[np.ndarra
 
 
 class Course(NamedTuple):
-    """A population search between generations: the method's own state, the best candidate that each slot has had, and the loss
-    at the last improvement with the number of generations since."""
+    """A population search between generations: the method's own state, the best candidate that each slot has had, the loss of the
+    best start (infinite without one), and the lowest loss that the search found itself at its last gain, with the generations
+    since. A start is no gain: beside a good one all that a population finds is worse for long, and it is on its way all the same.
+    """
 
     state: Any
     points: Any  # [pop dim]
     losses: Any  # [pop]
+    given: Any
     mark: Any
     since: Any
 
@@ -160,7 +179,35 @@ class Course(NamedTuple):
         i = int(np.argmin(np.asarray(self.losses)))
         return np.asarray(self.points)[i], float(np.asarray(self.losses)[i])
 
+    @property
+    def contracted(self) -> bool:
+        """Whether at least half of the population has come to the same loss."""
+        return same(float(np.median(np.asarray(self.losses))), self.best[1])
 
+    @property
+    def improved(self) -> bool:
+        """Whether the search found anything that is better than its starts."""
+        return self.best[1] < float(self.given)
+
+
+def same(loss: float, other: float) -> bool:
+    """Whether two losses are those of one minimum."""
+    return abs(loss - other) <= SAME * abs(other) + 1e-300
+
+
+class Ended(NamedTuple):
+    """How a run of a population method ended."""
+
+    course: Course
+    converged: bool
+    stopped: str
+    stalled: bool
+
+
+#: A population has collapsed where it extends over less than this share of the narrowest bounds.
+COLLAPSED = 1e-9
+#: Two losses that differ by less than this share are those of one minimum.
+SAME = 1e-6
 #: Simulated steps of a generation above which its blocks of candidates run on all cores, one call a generation; below, a
 #: second of generations is one program.
 LARGE = 30_000
@@ -171,9 +218,10 @@ CHUNK = 256
 class AbstractPopulation(AbstractFitter):
     """Abstract: a population method in four pure functions over the search vectors z; bounds are kept by the base.
 
-    `popsize` and `generations` are fields of every final class. A search ends when it has not gained a relative `tolerance` for
-    `stall` generations (0: never) or the population has collapsed to one point, and starts anew at most `restarts` times, until
-    two in a row end in the same minimum.
+    `popsize` and `generations` are fields of every final class. A search ends when its own candidates have not gained a relative
+    `tolerance` for `stall` generations (0: never) or the population has collapsed to one point, and starts anew at most
+    `restarts` times, until two in a row end in the same minimum. It has converged if the population has contracted to a loss
+    below that of every start.
     """
 
     popsize: eqx.AbstractVar[int]
@@ -238,20 +286,23 @@ class AbstractPopulation(AbstractFitter):
     def _minimising(
         self, problem: AbstractProblem, starts: Sequence[np.ndarray], key: PRNGKeyArray, log: Log
     ) -> Searching[Minimum]:
-        best, converged, stopped = (np.clip(starts[0], problem.lower, problem.upper), float("inf")), False, ""
+        found: Ended | None = None
         fitter: AbstractPopulation = self
         for attempt in range(self.restarts + 1):
             if log.exhausted or (attempt and log.left < 2 * fitter.popsize):
                 break
             own = starts if attempt == 0 else starts[:1]
-            course, converged, stopped = yield from fitter.searching(problem, own, jax.random.fold_in(key, attempt), log)
-            agree = abs(course.best[1] - best[1]) <= 1e-6 * abs(best[1]) + 1e-300
-            best = min(best, course.best, key=lambda pair: pair[1])
-            if attempt and agree and converged:
-                stopped = f"restarts end in the same minimum ({stopped})"
+            ended = yield from fitter.searching(problem, own, jax.random.fold_in(key, attempt), log)
+            agree = found is not None and same(ended.course.best[1], found.course.best[1]) and ended.converged
+            if found is None or ended.course.best[1] < found.course.best[1] or agree:
+                found = ended
+            if agree:
+                found = ended._replace(stopped=f"restarts end in the same minimum ({ended.stopped})")
                 break
             fitter = fitter.again()
-        return log.minimum(best[0], converged, stopped)
+        if found is None:
+            return log.minimum(np.clip(starts[0], problem.lower, problem.upper), False, log.exhausted)
+        return log.minimum(found.course.best[0], found.converged, found.stopped, found.stalled)
 
     def searching(
         self,
@@ -261,10 +312,9 @@ class AbstractPopulation(AbstractFitter):
         log: Log,
         course: Course | None = None,
         most: int | None = None,
-    ) -> Searching[tuple[Course, bool, str]]:
-        """One run of the method until a stopping rule holds: (course, converged, why it stopped). With a `course` it goes on
-        from there; `most` generations, if that is less than the method's own. Every evaluation is counted in the log. `answered`
-        takes it to its end."""
+    ) -> Searching[Ended]:
+        """One run of the method until a stopping rule holds. With a `course` it goes on from there; `most` generations, if that
+        is less than the method's own. Every evaluation is counted in the log. `answered` takes it to its end."""
         now = (yield from self._begin(problem, starts, key, log)) if course is None else course
         wanted = self.generations if most is None else min(self.generations, most)
         generations = int(min(wanted, log.left // self.cost(problem)))
@@ -280,11 +330,12 @@ class AbstractPopulation(AbstractFitter):
             done += count
             log.show(done, generations)
             if self.stall and int(now.since) >= self.stall:
-                return now, True, f"no gain in {self.stall} generations"
-            if spread <= 1e-9 * float(np.max(problem.upper - problem.lower)):
-                return now, True, "the population has collapsed to one point"
+                return _ended(now, now.contracted, f"no gain in {self.stall} generations")
+            if spread <= COLLAPSED * float(np.min(problem.upper - problem.lower)):
+                return _ended(now, True, "the population has collapsed to one point")
         full = generations < wanted
-        return now, False, log.exhausted or ("the budget of evaluations is used up" if full else "all generations done")
+        why = log.exhausted or ("the budget of evaluations is used up" if full else "all generations done")
+        return Ended(now, False, why if now.improved else f"{why}; {UNIMPROVED}", False)
 
     def _begin(self, problem: AbstractProblem, starts: Sequence[np.ndarray], key: PRNGKeyArray, log: Log) -> Searching[Course]:
         """First population: the starts, and random points of the sampling box. With less budget than that, the rest of it is
@@ -299,13 +350,16 @@ class AbstractPopulation(AbstractFitter):
         count = int(min(self.popsize, log.left))
         losses[:count] = yield points[:count]
         log.add(count, float(losses.min()))
-        return self.course(problem, k1, points, losses)
+        return self.course(problem, k1, points, losses, len(guesses))
 
-    def course(self, problem: AbstractProblem, key: PRNGKeyArray, points: np.ndarray, losses: np.ndarray) -> Course:
-        """A course that begins with this evaluated population."""
+    def course(
+        self, problem: AbstractProblem, key: PRNGKeyArray, points: np.ndarray, losses: np.ndarray, starts: int = 0
+    ) -> Course:
+        """A course that begins with this evaluated population, of which so many at the front are starts."""
         with float64():
             program = problem.compiled((*self._settings, "init"), self.init, key, points, losses, own=False)
-            return Course(program(key, points, losses), points, losses, np.float64(losses.min()), np.int32(0))
+            given, own = losses[:starts].min(initial=np.inf), losses[starts:].min(initial=np.inf)
+            return Course(program(key, points, losses), points, losses, np.float64(given), np.float64(own), np.int32(0))
 
     def _several(
         self, problem: AbstractProblem, course: Course, key: PRNGKeyArray, first: int, count: int, log: Log
@@ -333,6 +387,16 @@ class AbstractPopulation(AbstractFitter):
             course, spread = programs("tell", _selection, course, candidates, losses)
         log.add(self.offspring, float(np.min(losses)))
         return course, float(spread)
+
+
+UNIMPROVED = "never improved on its start"
+
+
+def _ended(course: Course, contracted: bool, why: str) -> Ended:
+    """A search that ended by a rule of its own; it converged where the population contracted to what it found itself."""
+    if not course.improved:
+        return Ended(course, False, f"{UNIMPROVED} ({why})", True)
+    return Ended(course, contracted, why if contracted else f"{why}, but the population has not contracted", not contracted)
 
 
 class _Programs:
@@ -366,12 +430,13 @@ def _selection(fitter: AbstractPopulation) -> Callable[..., tuple[Course, Array]
         better = losses < course.losses[:n]
         points = course.points.at[:n].set(jnp.where(better[:, None], candidates, course.points[:n]))
         lowest = course.losses.at[:n].min(losses)
-        best = jnp.min(lowest)
+        best = jnp.min(losses)
         gained = best < course.mark - fitter.tolerance * jnp.abs(course.mark)
         course = Course(
             state,
             points,
             lowest,
+            course.given,
             jnp.where(gained, best, course.mark),
             jnp.where(gained, 0, course.since + 1).astype(course.since.dtype),
         )
@@ -388,7 +453,7 @@ def _advance(fitter: AbstractPopulation, losses: Callable[[Array, Any], Array]) 
         def go_on(carry):
             i, course, _, spread = carry
             fresh = course.since < fitter.stall if fitter.stall else True
-            return (i < count) & fresh & (spread > 1e-9 * jnp.max(upper - lower))
+            return (i < count) & fresh & (spread > COLLAPSED * jnp.min(upper - lower))
 
         def generation(carry):
             i, course, series, _ = carry

@@ -61,16 +61,15 @@ def follow(
         own = jax.random.fold_in(key, number)
         log = Log(problem, fitter.name)
         if course is None:
-            course, converged, stopped = answered(fitter.searching(problem, starts, own, log), problem)
+            ended = answered(fitter.searching(problem, starts, own, log), problem)
         else:
             points = carried(np.asarray(course.points), names, problem)
             losses = problem.losses(points)
             log.add(len(points), float(losses.min()))
             course = online.course(problem, jax.random.fold_in(own, 1), points, losses)
-            going_on = online.searching(problem, starts, own, log, course, generations)
-            course, converged, stopped = answered(going_on, problem)
-        names = problem.names
-        yield log.minimum(course.best[0], converged, stopped)
+            ended = answered(online.searching(problem, starts, own, log, course, generations), problem)
+        course, names = ended.course, problem.names
+        yield log.minimum(course.best[0], ended.converged, ended.stopped, ended.stalled)
 
 
 def carried(points: np.ndarray, names: Sequence[str], problem: AbstractProblem) -> np.ndarray:

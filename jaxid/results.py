@@ -127,6 +127,12 @@ class Fit:
     history: tuple[tuple[int, float], ...] = ()  # (evaluations, best loss so far)
     traces: tuple[Trace, ...] = ()
     theta: np.ndarray = field(default_factory=lambda: np.zeros(0))  # every number of the model, in the order of its layout
+    stalled: bool = False  # ended by a rule of the fitter's own, without having converged
+
+    @property
+    def state(self) -> str:
+        """`converged`, `stalled`, `failed`, or `budget`: a limit of evaluations, iterations or time ended it."""
+        return "failed" if self.failed else "converged" if self.converged else "stalled" if self.stalled else "budget"
 
     def to_dict(self) -> dict[str, Any]:
         return {
@@ -138,6 +144,7 @@ class Fit:
             "residual": self.residual,
             "loss_name": self.loss_name,
             "seed": self.seed,
+            "state": self.state,
             "converged": self.converged,
             "stopped_because": self.stopped_because,
             "loss": self.loss,
@@ -296,7 +303,7 @@ class ChannelGap:
 
 @dataclass(frozen=True)
 class HowFar:
-    """Gaps on report data, as multiples of the noise floor (1 = down to the noise).
+    """Gaps on report data, as multiples of the noise floor (1 = down to the noise; nan, null in JSON, where these stand still).
 
     `shrinkage` is that of all report data; `shrinkage_interval_95` that of one further run like them, made of `interval_from`:
     "runs", or "blocks" of fewer than eight runs, which do not know how runs differ.
@@ -314,6 +321,7 @@ class HowFar:
     per_run: tuple[Share, ...] = ()
     per_regime: tuple[Share, ...] = ()
     interval_from: str = ""
+    split: str = "report"  # of the data: "validation" where none is kept for the report
 
     def to_dict(self) -> dict[str, Any]:
         return {
@@ -325,6 +333,7 @@ class HowFar:
             "shrinkage_interval_95": None if self.shrinkage_interval_95 is None else list(self.shrinkage_interval_95),
             "interval_reason": self.interval_reason,
             "interval_from": self.interval_from,
+            "split": self.split,
             "per_channel": {k: v.to_dict() for k, v in self.per_channel.items()},
             "per_experiment": [s.to_dict() for s in self.per_run],
             "per_regime": [s.to_dict() for s in self.per_regime],

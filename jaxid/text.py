@@ -47,6 +47,8 @@ def percent(fraction: float | None) -> str:
         return "–"
     if fraction < -1:
         return "below −100 %"
+    if fraction > 10:
+        return f"{number(100 * fraction)} %"
     rest = min(abs(fraction), abs(1 - abs(fraction)))
     if 0 < rest < 5e-5 and fraction > 0.5:
         return "over 99.99 %" if fraction < 1 else "100 %"
@@ -109,8 +111,19 @@ def where_sentence(finding: Finding) -> str:
     )
 
 
-def which_sentence(which: Which) -> str:
+#: Up to so many times the noise a gap is near it.
+NEAR = 1.5
+
+
+def measured(how_far: HowFar) -> bool:
+    """Whether there is anything on which a gap could be measured."""
+    return math.isfinite(how_far.gap_retuned) or not math.isnan(how_far.gap_before)
+
+
+def which_sentence(which: Which, how_far: HowFar | None = None) -> str:
     """The verdict in plain words."""
+    if how_far is not None and not measured(how_far):
+        return which.text or "Nothing can be judged: the data kept for it stand still."
     names = listed(effect_with_parameters(e) for e in which.effects)
     if which.verdict == "named":
         return f"The model lacks {names}."
@@ -118,6 +131,8 @@ def which_sentence(which: Which) -> str:
         return f"The model lacks {names}, and something more that no known effect explains."
     if which.verdict == "none":
         return "Nothing is missing: the model already reaches the noise."
+    if how_far is not None and which.text and max(how_far.gap_before, how_far.gap_retuned) <= NEAR:
+        return which.text
     return "There is a gap, and no known effect explains most of it."
 
 
@@ -129,25 +144,52 @@ def confusable_sentence(which: Which) -> str:
 
 def how_far_sentence(how_far: HowFar, verdict: str) -> str:
     """The gaps in multiples of the noise."""
+    if not measured(how_far):
+        return f"No gap is given: {one_line(how_far.interval_reason).rstrip('.')}."
     before, retuned, after = (times(g) for g in (how_far.gap_before, how_far.gap_retuned, how_far.gap_after))
     if verdict == "none":
-        return f"What is left is {before} times the noise; 1 is the noise itself."
+        stated = f"; as it was stated, {before}" if before != retuned else ""
+        away = (
+            f" The {how_far.split} data go where the data that were fitted leave numbers of the model open; within what is known "
+            "of these it reaches the noise there too."
+        )
+        return (
+            f"What is left, its own numbers retuned, is {retuned} times the noise; 1 is the noise itself{stated}."
+            f"{away if not how_far.gap_retuned <= NEAR else ''}"
+        )
     if verdict == "unknown":
-        return f"The gap is {before} times the noise, {retuned} after retuning the model's own parameters."
-    return f"The gap falls from {before} to {after} times the noise ({retuned} if the old parameters are retuned alone)."
+        worse = before != retuned and not how_far.gap_retuned <= how_far.gap_before
+        led = " Retuned to the data that were fitted it is further from these than as it was stated." if worse else ""
+        return f"The gap is {before} times the noise, {retuned} after retuning the model's own parameters.{led}"
+    course = "falls" if how_far.gap_after < how_far.gap_before else "does not fall, but goes"
+    return f"The gap {course} from {before} to {after} times the noise ({retuned} if the old parameters are retuned alone)."
+
+
+def unused(how_far: HowFar) -> str:
+    """What the data of the gap were not used for."""
+    return (
+        "data never fitted nor chosen on" if how_far.split == "report" else f"{how_far.split} data, which also chose the effect"
+    )
 
 
 def shrinkage_sentence(how_far: HowFar, verdict: str) -> str:
     """The share of the gap that is closed with its interval, or why there is none."""
-    if verdict == "unknown":
+    if verdict == "unknown" or not measured(how_far):
         return ""
     if how_far.shrinkage is None:
         return f"No shrinkage is given: {one_line(how_far.interval_reason).rstrip('.')}." if how_far.interval_reason else ""
-    head = f"{percent(how_far.shrinkage)} of the gap is closed on data never fitted nor chosen on"
+    head = f"{percent(how_far.shrinkage)} of the gap is closed on {unused(how_far)}"
     if how_far.shrinkage_interval_95 is None:
         reason = one_line(how_far.interval_reason).rstrip(".").removeprefix("no interval: ")
         return f"{head} (no interval: {reason})." if reason else f"{head}."
     return f"{head} (in a further run like these {interval(how_far)})."
+
+
+def telling(how_far: HowFar) -> list[str]:
+    """Channels, those first in which most happens: the error that goes or stays, against the noise."""
+    size = lambda g: max(abs(g.rmse_before - g.rmse_after), g.rmse_retuned, g.rmse_after) / max(g.noise, 1e-300)
+    order = {name: size(gap) for name, gap in how_far.per_channel.items()}
+    return sorted(order, key=lambda name: -order[name] if math.isfinite(order[name]) else -math.inf)
 
 
 def interval(how_far: HowFar) -> str:
@@ -162,11 +204,11 @@ def channel_sentence(how_far: HowFar, name: str, verdict: str) -> str:
     """A channel's error in its unit."""
     gap = how_far.per_channel[name]
     unit = one_line(gap.unit)
-    after = f" → {number(gap.rmse_after)}" if verdict in ("named", "partly") else ""
-    return (
-        f"{one_line(name)}: rms error {number(gap.rmse_before)}{after} {unit}"
-        f" (noise {number(gap.noise, 2)} {unit}, {one_line(gap.noise_source)})"
-    )
+    before, retuned, after = number(gap.rmse_before), number(gap.rmse_retuned), number(gap.rmse_after)
+    course = f"{before} → {after} {unit}" if verdict in ("named", "partly") else f"{before} {unit}"
+    if verdict not in ("named", "partly") and retuned != before:
+        course += f", {retuned} {unit} retuned"
+    return f"{one_line(name)}: rms error {course} (noise {number(gap.noise, 2)} {unit}, {one_line(gap.noise_source)})"
 
 
 def table(header: Sequence[str], rows: Sequence[Sequence[str]]) -> str:
@@ -192,11 +234,11 @@ def wrapped(sentence: str, first: str = "", others: str = "") -> str:
 def diagnosis_text(diagnosis: Diagnosis) -> str:
     """About ten lines: where, which, how far, what next."""
     which, how_far = diagnosis.which, diagnosis.how_far
-    channels = list(how_far.per_channel)[:3]
+    channels = telling(how_far)[:3]
     parts = [
         f"{one_line(diagnosis.dataset)}, model {one_line(diagnosis.model)}",
         "" if which.verdict == "none" else paragraph("WHERE", (where_sentence(f) for f in diagnosis.where[:2])),
-        paragraph("WHICH", [which_sentence(which), confusable_sentence(which)]),
+        paragraph("WHICH", [which_sentence(which, how_far), confusable_sentence(which)]),
         paragraph(
             "HOW FAR",
             [
@@ -221,7 +263,7 @@ def parameter_rows(fit: Fit) -> list[tuple[str, Estimate]]:
 def fit_text(fit: Fit) -> str:
     """Parameters, scores and cost of a fit."""
     names = [fit.model, *(effect_name(e) for e in fit.effects)]
-    state = "failed" if fit.failed else "converged" if fit.converged else "not converged"
+    state = fit.state if fit.state in ("failed", "converged") else "not converged"
     parts = [
         wrapped(
             f"{fit.dataset}, model {listed(names)}: {fit.fitter} on {fit.residual}, {state} ({fit.stopped_because}),"

@@ -11,7 +11,7 @@ from pathlib import Path
 SMALL = os.environ.get("JAXID_NOTEBOOKS") == "small"
 ROOT = next(p for p in Path(__file__).resolve().parents if (p / "examples" / "servo_pendulum").is_dir())
 EXAMPLE = ROOT / "examples" / "servo_pendulum"
-sys.path[:0] = [str(ROOT), str(ROOT / "tests")]  # the twins of benchmarks/ and tests/ are separately written equations
+sys.path.insert(0, str(ROOT))  # the twins in notebooks/ and benchmarks/ are separately written equations
 
 #: Candidates of a diagnosis: None is the whole library.
 CANDIDATES = ("dead_zone", "input_delay", "stribeck_friction", "quadratic_drag") if SMALL else None

@@ -34,7 +34,7 @@ from benchmarks.papers import link_data, PAPER_LINK
 from jaxid import fitters
 from jaxid.experiment import Dataset, Experiment
 from jaxid.frequency import FrequencyResponseError
-from tests import test_flexible_link as twin
+from notebooks.twins import flexible_link as twin
 
 
 data = link_data()

@@ -15,7 +15,7 @@
 #
 # A payload changes what an arm's motors have to do. The paper identifies the arm with and without it, takes the difference of the
 # parameters, and reports a mass of 3.5242 kg for a true one of 3.5256 kg: 0.04 %. Here the same experiment is done many times on a
-# twin: Pinocchio computes the torques, with the paper's friction and the noise level that its own Table II states.
+# twin: the recursion of Newton and Euler, written apart from jaxid, computes the torques, with the paper's friction and the noise level that its own Table II states.
 
 # %%
 from jaxid.runtime import prepare
@@ -25,13 +25,13 @@ prepare()
 
 import matplotlib.pyplot as plt
 import numpy as np
-import pinocchio as pin
 from budget import PAYLOADS
 
 import jaxid
 from jaxid.models import UR10
 from jaxid.precision import float64
 from jaxid.rigid_body import about_origin
+from notebooks.twins.serial_arm import torques
 
 
 LEVEL = np.array([10.0037, 0.0, 5.1803, 2.7800, 2.0115, 1.7533])  # N m, Table VI
@@ -40,25 +40,6 @@ EXPONENT = np.array([0.5758, 0.2723, 0.6093, 0.9995, 0.8031, 0.7209])
 NOISE = np.array([3.7817, 4.1789, 3.0339, 1.7334, 1.0670, 0.9896])  # N m, Table II
 MASS = 3.5256
 LOAD = about_origin(MASS, [0, 0, 0.0296], [0.0064, 0, 0, 0.0064, 0, 0.0045])
-
-
-def pinocchio_arm(load: np.ndarray | None = None) -> pin.Model:
-    """The paper's modified Denavit-Hartenberg table with the bodies that jaxid ships, drive inertias as armatures."""
-    arm, model, parent = UR10(), pin.Model(), 0
-    with float64():
-        bodies, drives = np.array(arm.inertia()), np.array(arm.Ia)
-    if load is not None:
-        bodies[-1] += load
-    for j, (xx, xy, xz, yy, yz, zz, hx, hy, hz, m) in enumerate(bodies):
-        turn = pin.SE3(pin.utils.rotate("x", float(arm.alpha[j])), np.zeros(3))
-        place = (
-            turn * pin.SE3(np.eye(3), np.array([float(arm.a[j]), 0, 0])) * pin.SE3(np.eye(3), np.array([0, 0, float(arm.d[j])]))
-        )
-        parent = model.addJoint(parent, pin.JointModelRZ(), place, f"joint {j + 1}")
-        body = pin.Inertia.FromDynamicParameters(np.array([m, hx, hy, hz, xx, xy, yy, xz, yz, zz]))
-        model.appendBodyToJoint(parent, body, pin.SE3.Identity())
-    model.armature = drives
-    return model
 
 
 # %% [markdown]
@@ -82,9 +63,14 @@ def motion(seed: int) -> tuple[np.ndarray, ...]:
 
 
 def torque(path: tuple[np.ndarray, ...], load: np.ndarray | None = None) -> np.ndarray:
-    model = pinocchio_arm(load)
-    data, (_, q, qd, qdd) = model.createData(), path
-    rigid = np.array([pin.rnea(model, data, *state) for state in zip(q, qd, qdd, strict=True)])
+    """By the paper's modified Denavit-Hartenberg table with the bodies that jaxid ships."""
+    arm = UR10()
+    with float64():
+        bodies, drives, table = np.array(arm.inertia()), np.array(arm.Ia), [np.array(x) for x in (arm.alpha, arm.a, arm.d)]
+    if load is not None:
+        bodies[-1] += load
+    _, q, qd, qdd = path
+    rigid = torques(table[0], table[1], table[2], bodies, drives, (q, qd, qdd))
     return rigid + (LEVEL + VISCOUS * np.abs(qd) ** EXPONENT) * np.sign(qd)
 
 

@@ -474,3 +474,35 @@ def test_a_model_that_all_but_diverges_says_nothing_on_the_way():
         warnings.simplefilter("error")
         trial = next_trial(path)
     assert np.isfinite(trial).all() and trial[1] < 0
+
+
+def test_a_good_start_does_not_end_a_population_before_it_has_searched():
+    """All of a population is worse than a good start for many generations; it goes on, and past it."""
+    problem, _ = valley()
+    start = np.array([1.001, 1.002])
+    found = [DifferentialEvolution(stall=20).minimise(problem, [start], jax.random.key(seed)) for seed in (0, 1)]
+    assert all(f.loss < 1e-3 * problem.loss(start) and f.converged for f in found)
+    assert not np.array_equal(found[0].z, found[1].z)
+
+
+@pytest.mark.parametrize("kind", [DifferentialEvolution, ParticleSwarm, GeneticAlgorithm])
+def test_a_population_that_never_improved_on_its_start_says_so(kind):
+    problem, lowest = valley()
+    for stall in (3, 60):
+        found = kind(stall=stall).minimise(problem, [np.ones(2)], jax.random.key(0))
+        assert found.loss == lowest and not found.converged and "never improved on its start" in found.stopped_because
+
+
+def test_a_population_that_ends_without_contracting_has_stalled():
+    problem, _ = waves()
+    found = DifferentialEvolution(stall=2, F=(0.9, 0.9)).minimise(problem, [np.array([3.9, 4.0])], jax.random.key(0))
+    assert found.stalled and not found.converged and not found.failed and "contracted" in found.stopped_because
+
+
+@pytest.mark.parametrize("budget", [40, 90, 400])
+def test_the_descent_of_hybrid_gets_its_share(budget):
+    problem, _ = valley()
+    start = np.array([-1.5, 1.9])
+    alone = Hybrid().population.minimise(problem, [start], jax.random.key(0), budget)
+    found = Hybrid().minimise(problem, [start], jax.random.key(0), budget)
+    assert found.evaluations <= budget and found.loss < alone.loss

@@ -7,6 +7,7 @@ from pathlib import Path
 import numpy as np
 
 import jaxid
+from jaxid.text import percent
 
 
 ROOT = Path(__file__).resolve().parents[1]
@@ -16,10 +17,23 @@ BLOCKS = re.findall(r"```python\n(.*?)```", (ROOT / "README.md").read_text(), re
 def test_first_block_goes_from_data_to_a_diagnosis(tmp_path, monkeypatch, capsys):
     shutil.copytree(ROOT / "examples" / "servo_pendulum", tmp_path / "my_robot")
     monkeypatch.chdir(tmp_path)
-    exec(BLOCKS[0], {})
+    made: dict = {}
+    exec(BLOCKS[0], made)
     told = capsys.readouterr().out
     assert "named" in told and "dead_zone" in told
     assert (tmp_path / "report.html").stat().st_size > 10_000
+    the_picture_shows(made["diagnosis"])
+
+
+def the_picture_shows(diagnosis: jaxid.Diagnosis) -> None:
+    """The README's first picture is of these numbers; docs/make_picture.py makes it anew."""
+    picture = (ROOT / "docs" / "_static" / "gap.svg").read_text()
+    words = re.findall(r"<text[^>]*>([^<]*)</text>", picture)
+    labels = [float(w) for w in words if re.fullmatch(r"[\d.]+(e[+-]?\d+)?", w)]
+    far = diagnosis.how_far
+    for gap in (far.gap_before, far.gap_retuned, far.gap_after):
+        assert any(abs(label / gap - 1) < 0.02 for label in labels), f"{gap:.4g} is not in the picture: make it anew"
+    assert f"{percent(far.shrinkage)} of the gap closed" in words
 
 
 def test_the_recipes_for_a_model_and_an_effect_fit():

@@ -12,11 +12,12 @@ import numpy as np
 from jaxid import catalogue
 from jaxid.binding import bind, Binding, JITTER, resolve_model
 from jaxid.diagnosis import how_far as shrinking, timing, where as location
-from jaxid.diagnosis.choice import ALIKE, WHITE
+from jaxid.diagnosis.choice import WHITE
 from jaxid.diagnosis.evidence import held_out, inflation, knowledge, worth
 from jaxid.diagnosis.hypothesis import Candidate, candidates, check_asked, Hypothesis, possible, Search
 from jaxid.diagnosis.next_experiment import advice, rivals_of
 from jaxid.diagnosis.unseen import Look, Looker
+from jaxid.diagnosis.verdict import astray, judge, not_reached, SEEN, standing_still, upheld, withheld
 from jaxid.diagnosis.which import Searcher
 from jaxid.errors import UsageError
 from jaxid.estimation import (
@@ -34,19 +35,13 @@ from jaxid.fitter import Minimum, Progress
 from jaxid.fitters import descend, LevenbergMarquardt
 from jaxid.interim import Interim
 from jaxid.residual import InverseDynamics, MultipleShooting, OutputError, Residual
-from jaxid.results import Diagnosis, EffectEstimate, Fit, Ranked, Which
+from jaxid.results import Diagnosis, EffectEstimate, Fit, HowFar, Ranked, Which
 from jaxid.runtime import Interrupted
-from jaxid.text import number, times
+from jaxid.text import number, percent, times
 from jaxid.time_stamps import scattered_stamps, with_scatter
 from jaxid.uncertainty import covariance
 
 
-#: Shares of the gap (mean square above the floor, validation data) that the verdicts need.
-NAMED, PARTLY = 0.97, 0.5
-#: Gap of the re-tuned model on report data, times the noise, above which they can withdraw a verdict.
-SEEN = 1.2
-#: What is `named` closes that share of the gap on fit and report data too, or leaves no more than so many times the noise there.
-LEFT = 1.5
 #: Free runs in which a difference at the start (rad, m) grows by more than this are not trusted where they find no answer, or one
 #: that leaves so many times the noise.
 SENSITIVE, DIFFERENCE, REMAINDER = 50.0, 1e-7, 10.0
@@ -65,6 +60,7 @@ class Question:
     seed: int
     progress: Progress | None
     known: Interim  # is told what is known before the end
+    still: tuple[str, ...] = ()  # of "validation" and "report": what stands still, so that nothing can be judged on it
 
 
 def run_diagnosis(
@@ -107,11 +103,12 @@ def _run(
     if not binding.dataset.experiments:
         raise UsageError("a diagnosis needs recorded runs; this dataset holds frequency responses alone: fit it")
     own = residual or default_residual(binding)
+    still = standing_still(binding)
     stamps = {}
     if any(k.name == JITTER for k in library):
         names = [n for n, _ in binding.chain.signature.outputs]
         stamps = {c: s for c, s in scattered_stamps(binding.dataset, binding.noise).items() if c in names}
-    if stamps and not isinstance(own, InverseDynamics):
+    if stamps and not still and not isinstance(own, InverseDynamics):
         scatter = timing.Scatter(stamps, binding)
         readings = with_scatter(dataset, stamps, binding.noise)
         stamped = bind(model, readings, without=without, candidates=library).with_stamps(stamps)
@@ -119,11 +116,11 @@ def _run(
         found, _ = _diagnosed(Question(stamped, own, others, max_effects, seed, progress, known), scatter)
         if found.which.verdict == "named":
             return dataclasses.replace(found, wall_time_s=time.perf_counter() - began)
-    question = Question(binding, own, allowed, max_effects, seed, progress, known)
+    question = Question(binding, own, allowed, max_effects, seed, progress, known, still)
     found, grown = _diagnosed(question)
     verdict = found.which.verdict
     doubtful = verdict in ("unknown", "partly") or (verdict == "named" and found.how_far.gap_after > REMAINDER)
-    if residual is None and grown > SENSITIVE and doubtful:
+    if residual is None and grown > SENSITIVE and doubtful and not still:
         known.tell(found)
         try:
             again, _ = _diagnosed(dataclasses.replace(question, residual=MultipleShooting(), known=Interim(silent=True)))
@@ -159,42 +156,54 @@ def _diagnosed(question: Question, scatter: timing.Scatter | None = None) -> tup
     if progress:
         progress("how far", 0, 1, "report data")
 
+    repeated = any(n.source == "repeatability" for n in binding.noise.values())
     before, note = _before(binding, search.nominal)
     alike = scatter.bench(bench) if scatter else bench
-    measure = lambda after: shrinking.measure(bench, residual, before, search.nominal.theta, after, verdict, note, alike)
-    how_far = measure(final.theta)
-    if named and binding.experiments("report"):
+
+    def measure(verdict: str, after: np.ndarray) -> HowFar:
+        return shrinking.measure(bench, residual, before, search.nominal.theta, after, verdict, note, alike, question.still)
+
+    how_far = measure(verdict, final.theta)
+    if "validation" in question.still:
+        verdict, text = "unknown", withheld(question.still)
+    elif named and binding.experiments("report") and "report" not in question.still:
         judged, judged_text = verdict, text
-        verdict, text = upheld(verdict, text, how_far.gap_retuned, how_far.gap_after, search.several)
+        far = how_far
+        verdict, text = upheld(verdict, text, far.gap_retuned, far.gap_after, search.several, far.gap_before)
         # Unless the model follows the fit runs and what they leave open can account for it, where it is not better without; what
         # is `partly` there has to hold as it is.
-        if judged == "named" and verdict != judged and how_far.gap_retuned > SEEN:
+        if judged == "named" and verdict != judged and far.gap_retuned > SEEN:
             told = [knowledge(h.path) for h in (search.nominal, final)]
-            seen = held_out(
-                bench,
-                "report",
-                [search.nominal.theta, final.theta],
-                residual,
-                told,
-                [None, final.path if final.fit_loss <= WHITE else None],
-            )
+            follow = [None, final.path if final.fit_loss <= WHITE else None]
+            seen = held_out(bench, "report", [search.nominal.theta, final.theta], residual, told, follow)
             gaps = [float(np.sqrt(max(held.loss, 0.0))) for held in seen]
-            verdict, text = upheld(judged, judged_text, gaps[0], gaps[1], search.several)
+            verdict, text = upheld(judged, judged_text, gaps[0], gaps[1], search.several, far.gap_before)
             if verdict == judged:
                 text += (
-                    f" The report data are {times(how_far.gap_after)} times the noise away, but go where fit and validation data "
+                    f" The report data are {times(far.gap_after)} times the noise away, but go where fit and validation data "
                     "leave numbers of the model open; within what is known of these it holds there too."
                 )
+            if verdict == judged and far.gap_after >= min(far.gap_retuned, far.gap_before):
+                verdict, text = upheld(judged, judged_text, far.gap_retuned, far.gap_after, search.several, far.gap_before)
         if verdict == "unknown":
-            named, final, seen_with = (), search.nominal, how_far.gap_after
-            how_far = measure(final.theta)
+            named, final = (), search.nominal
             verdict, plain = judge(Search(final, final))
             if verdict == "none":  # the gap was one next to the noise
                 text = (
                     f"{plain} {' and '.join(map(str, chosen.effects))} would follow fit and validation data more closely, but "
-                    f"leaves {times(seen_with)} times the noise of the report data, {times(how_far.gap_retuned)} without: not "
+                    f"leaves {times(far.gap_after)} times the noise of the report data, {times(far.gap_retuned)} without: not "
                     "claimed."
                 )
+        how_far = how_far if verdict == judged else measure(verdict, final.theta)
+    if verdict == "none" and binding.experiments("report") and "report" not in question.still:
+        if astray(how_far.per_run, how_far.per_regime, how_far.gap_retuned):
+            # Scatter between repeated runs is taken up whole by a refit to report runs: that would show nothing.
+            follow = [None if repeated else final.path]
+            within = held_out(bench, "report", [final.theta], residual, [knowledge(final.path)], follow)[0]
+            places = astray(*shrinking.parts(bench, residual, "report", within), within.gap_settled)
+            if places or within.gap_settled > SEEN:
+                verdict, text = "unknown", not_reached(places, how_far.gap_retuned)
+                how_far = measure(verdict, final.theta)
     estimates = _effect_estimates(binding, final, named)
     final_fit = _fit(bench, final, residual, seed, compile_time, time.perf_counter() - began)
     mates = search.confusable if named else []
@@ -202,7 +211,7 @@ def _diagnosed(question: Question, scatter: timing.Scatter | None = None) -> tup
     ranking = (*(scatter.ranked(bench, residual, search.nominal) if scatter else ()), *_ranked(search))
     by_torque = isinstance(residual, InverseDynamics)
     looked, pair, stopped = Look(), search.rivals, None
-    if verdict in ("none", "unknown"):
+    if verdict in ("none", "unknown") and not question.still:
         pool = candidates(bench, question.allowed, by_torque) if verdict == "none" else []
         try:
             looked = Looker(bench, residual, search.nominal).look([c for c in pool if c.effect != JITTER])
@@ -213,7 +222,9 @@ def _diagnosed(question: Question, scatter: timing.Scatter | None = None) -> tup
         pair = (search.nominal, looked.rival) if looked.rival else None
     rivals = None if by_torque or pair is None else rivals_of(bench, pair)
     which = Which(verdict, estimates if named else (), tuple(EffectEstimate(c.effect, c.location) for c in mates), ranking, text)
-    advised = advice(verdict, [c.effect for c in named], [c.effect for c in mates], rivals, looked.unseen)
+    advised = advice(
+        verdict, [c.effect for c in named], [c.effect for c in mates], rivals, looked.unseen, repeated, question.still
+    )
     found = Diagnosis(
         binding.chain.mechanism.name, binding.dataset.name, binding.dataset.sha256, seed, residual.name, findings, which,
         how_far, advised, time.perf_counter() - began,
@@ -278,7 +289,9 @@ def _search(question: Question) -> tuple[Bench, Fit, Search, float]:
     searcher = Searcher(bench, residual, nominal, progress)
     offer = lambda search: question.known.offer(lambda: _so_far(question, bench, first(), search, began))
     offer(Search(searcher.nominal, searcher.nominal))
-    search = searcher.run(candidates(bench, question.allowed, searcher.by_torque), question.max_effects, offer)
+    blind = "validation" in question.still  # nothing to choose by
+    pool = [] if blind else candidates(bench, question.allowed, searcher.by_torque)
+    search = searcher.run(pool, 0 if blind else question.max_effects, offer)
     bench = searcher.bench
     compile_time = sum(b.compile_time() for b in (*searcher.benches, bench))
     path = search.nominal.path
@@ -300,62 +313,6 @@ def _so_far(question: Question, bench: Bench, nominal: Fit, search: Search, bega
         Which("unknown", (), (), ranking, text), how_far, "Let the diagnosis run to its end.", time.perf_counter() - began,
         nominal, nominal, _traces(bench, residual, search.nominal, search.nominal, ()), pictures, rows, binding.dataset.notes,
     )  # fmt: skip
-
-
-def judge(search: Search) -> tuple[str, str]:
-    """Verdict and its sentence. A wrong name costs a user more than an honest `unknown`."""
-    nominal, chosen = search.nominal.validation, search.chosen.validation
-    samples_ = nominal.count
-    floor = 1 + 4 * np.sqrt(2 / max(1, samples_)) + 0.06
-    if not search.chosen.effects:
-        if nominal.loss <= floor and search.nominal.fit_loss <= 1 + 4 * np.sqrt(2 / search.nominal.path.count) + 0.06:
-            return "none", "The model reaches the noise floor on data that were not fitted: there is no gap."
-        gap = np.sqrt(max(nominal.loss, search.nominal.fit_loss))
-        return "unknown", f"There is a gap ({times(gap)} times the noise), and no effect of the library explains it."
-    closed = (nominal.loss - chosen.loss) / max(nominal.loss - 1, 1e-12)
-    names = " and ".join(str(c) for c in search.chosen.effects)
-    left = np.sqrt(max(chosen.loss, 1.0))
-    each = ", ".join(f"without {c} {gap:.3g}" for c, gap in search.without)
-    each = f" What each contributes: {each} times the noise." if each else ""
-    # Several that leave more than the noise may together only come close to something else.
-    close = search.several and max(left, np.sqrt(search.chosen.fit_loss)) > LEFT
-    followed = 1 - (search.chosen.fit_loss - 1) / max(search.nominal.fit_loss - 1, 1e-12)
-    closed_on_both = closed >= NAMED and (followed >= NAMED or search.chosen.fit_loss <= LEFT**2)
-    if chosen.loss <= max(floor, 1.1) or (closed_on_both and not close):
-        return "named", f"The model lacks {names}; with it {times(left)} times the noise is left on validation data.{each}"
-    if closed >= PARTLY:
-        return "partly", (
-            f"The model lacks {names}, which explains {np.floor(100 * closed):.0f} % of the gap on validation data; a clear "
-            f"remainder ({times(left)} times the noise) stays unexplained.{each}"
-        )
-    if search.chosen.fit_loss <= 1.1 < search.nominal.fit_loss:
-        return "partly", (
-            f"The model lacks {names}: with it the fit runs are followed down to the noise. The validation runs go where the fit "
-            f"runs do not: there {100 * closed:.0f} % of the gap is explained and {times(left)} times the noise is left."
-        )
-    return "unknown", (
-        f"No effect explains most of the gap: the best, {names}, explains {100 * closed:.0f} % of it and leaves "
-        f"{times(left)} times the noise."
-    )
-
-
-def upheld(verdict: str, text: str, retuned: float, after: float, several: bool = False) -> tuple[str, str]:
-    """A verdict and its sentence once the report data have been seen, where the model re-tuned and the one with the effects leave
-    so many times the noise (`several` of them). They choose nothing, but what does not hold on them is not claimed."""
-    room = retuned**2 > ALIKE  # beyond what is known of the noise
-    if retuned <= SEEN and (after < retuned or not (room or after**2 > ALIKE * retuned**2)):
-        return verdict, text
-    if after >= retuned:
-        return "unknown", (
-            f"{text} On the report data that model is {times(after)} times the noise away, {times(retuned)} without: it is not "
-            "claimed."
-        )
-    closed = shrinking.shrink(retuned**2, after**2)
-    if verdict == "named" and several and after > LEFT:
-        return "partly", f"{text} On the report data {times(after)} times the noise is left."
-    if verdict == "named" and (closed < PARTLY or (closed < NAMED and after > LEFT)):
-        return "partly", f"{text} On the report data it explains {100 * closed:.0f} % of the gap."
-    return verdict, text
 
 
 def _before(binding: Binding, nominal: Hypothesis) -> tuple[np.ndarray, str]:
@@ -437,8 +394,8 @@ def _ranked(search: Search) -> list[Ranked]:
         gap = float(np.sqrt(max(h.validation.loss, 0.0)))
         evidence = worth(h.validation, nominal.validation, inflation(h.validation))
         beside = f" beside {' and '.join(str(c) for c in h.effects[:-1])}" if len(h.effects) > 1 else ""
-        change = 100 * (1 - gap / max(np.sqrt(max(nominal.validation.loss, 1e-300)), 1e-300))
-        words = f"{abs(change):.1f} % {'smaller' if change >= 0 else 'larger'} than the nominal model's"
+        share = shrinking.closed(nominal.validation.loss, h.validation.loss)
+        words = "closes nothing of the gap" if not share else f"closes {percent(share)} of the gap"
         out.append(
             Ranked(
                 last.effect,
@@ -446,7 +403,7 @@ def _ranked(search: Search) -> list[Ranked]:
                 gap,
                 float(h.bic),
                 float(evidence),
-                f"{last}{beside}: validation gap {words}",
+                f"{last}{beside}: {words} on validation data",
             )
         )
     return out

@@ -41,6 +41,11 @@ class HeldOut:
         total = np.concatenate([r.ravel() for r in self.residual])
         return float(np.sqrt(np.mean(total**2))) if total.size else float("nan")
 
+    @property
+    def gap_settled(self) -> float:
+        """The same after the own uncertainty of starts and parameters is taken out."""
+        return float(np.sqrt(max(self.loss, 0.0)))
+
 
 #: What the fit runs tell about the free numbers of a model: their positions, and J'J [size size] in search scale.
 Knowledge = tuple[Sequence[int], np.ndarray]

@@ -2,13 +2,16 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+from dataclasses import replace
+
 import numpy as np
 from scipy.special import stdtrit
 
-from jaxid.diagnosis.breakdown import by_regime, by_run
+from jaxid.diagnosis.breakdown import by_regime, by_run, Share
 from jaxid.diagnosis.evidence import held_out, HeldOut, memory
 from jaxid.estimation import Bench
-from jaxid.residual import InverseDynamics, Residual
+from jaxid.residual import InverseDynamics, MultipleShooting, Residual
 from jaxid.results import ChannelGap, HowFar
 from jaxid.samples import columns
 from jaxid.text import times
@@ -29,15 +32,25 @@ def measure(
     verdict: str,
     note: str,
     alike: Bench,
+    still: Sequence[str] = (),
 ) -> HowFar:
-    """Gaps of three parameter vectors on the report runs: as stated, re-tuned without the effect, with the effect; of the free
-    run, or of the torque where that is what was compared. `alike` is the bench on which all readings count alike, before it is
-    known that their time stamps scatter; else `bench` itself."""
+    """Gaps of three parameter vectors on the report runs: as stated, re-tuned without the effect, with the effect; of what was
+    compared: free runs, windows or torques. `alike` is the bench on which all readings count alike, before it is known that
+    their time stamps scatter; else `bench` itself. Splits that stand `still` have no gap; without any other there is none."""
     b = bench.binding
-    split = "report" if b.experiments("report") else "validation"
+    splits = [s for s in ("report", "validation") if b.experiments(s) and s not in still]
+    if not splits:
+        nothing = float("nan")
+        reason = "what is kept for choosing and reporting stands still: there is no gap to measure on it"
+        return HowFar(nothing, nothing, nothing, 1.0, None, None, reason, {}, reason)
+    split = splits[0]
     by_torque = isinstance(residual, InverseDynamics)
-    stated = held_out(alike, split, [before, retuned, after], residual if by_torque else None)
-    runs = stated if alike is bench else [*stated[:2], *held_out(bench, split, [after])]
+    stated = held_out(alike, split, [before, retuned, after], residual)
+    runs = stated if alike is bench else [*stated[:2], *held_out(bench, split, [after], residual)]
+    if isinstance(residual, MultipleShooting):
+        note += " Gaps are over windows of the runs, each with its own start, as models were compared."
+    if still:
+        note += f" The {' and '.join(still)} runs stand still and tell nothing."
     gaps = [r.gap for r in runs]
     per_channel = {}
     compared = bench.runs(residual, split) if by_torque else None
@@ -68,21 +81,53 @@ def measure(
     elif gaps[0] <= 1.0:
         reason = "the gap was at the noise floor on report data before any effect was added"
     else:
-        shrinkage = shrink(gaps[0] ** 2, gaps[2] ** 2)
-        interval, made_of, reason = interval_of_further_run(runs[0], runs[2])
+        exact = shrink(gaps[0] ** 2, gaps[2] ** 2)
+        if exact < 0:
+            reason = f"on {split} data the gap does not shrink"
+        else:
+            shrinkage = min(exact, 1.0)
+            interval, made_of, reason = interval_of_further_run(runs[0], runs[2])
+            interval = interval and (interval[0], min(interval[1], 1.0))
     text = (
         f"gap on {split} data: {times(gaps[0])} times the noise before, {times(gaps[1])} after re-tuning the old parameters alone"
     )
     text += f", {times(gaps[2])} with the effects added" if verdict in ("named", "partly") else ""
+    by_runs = by_run(bench, split, [whole_runs(bench, residual, split, r) for r in runs])
     return HowFar(
         gaps[0], gaps[1], gaps[2], 1.0, shrinkage, interval, reason, per_channel, f"{text}. {note}".strip(),
-        by_run(bench, split, runs), by_regime(bench, split, runs), made_of,
+        by_runs, by_regime(bench, split, runs), made_of, split,
     )  # fmt: skip
+
+
+def whole_runs(bench: Bench, residual: Residual, split: str, held: HeldOut) -> HeldOut:
+    """What is held out window by window, run by run."""
+    if not isinstance(residual, MultipleShooting):
+        return held
+    runs = bench.runs(residual, split)
+    of = [runs.record(number).experiment for number in runs.records]
+    if len(of) != len(held.residual):
+        return held
+    return replace(
+        held, residual=[np.concatenate([r for r, k in zip(held.residual, of, strict=True) if k == n]) for n in sorted(set(of))]
+    )
+
+
+def parts(bench: Bench, residual: Residual, split: str, held: HeldOut) -> tuple[tuple[Share, ...], tuple[Share, ...]]:
+    """Gaps of one model run by run and regime by regime after the own uncertainty of starts and numbers is taken out."""
+    settled = replace(held, residual=held.settled)
+    whole = whole_runs(bench, residual, split, settled)
+    return by_run(bench, split, [whole] * 3), by_regime(bench, split, [settled] * 3)
 
 
 def shrink(before: float, after: float) -> float:
     """Share of the gap that is closed; arguments are mean squares in units of the noise."""
     return 1 - (after - 1) / (before - 1)
+
+
+def closed(before: float, after: float) -> float:
+    """The same as a part of the whole, 0 to 1: 0 where nothing is closed, or where there is no gap."""
+    share = shrink(before, after) if before > 1 else 0.0
+    return float(np.clip(np.nan_to_num(share, nan=0.0), 0.0, 1.0))
 
 
 def interval_of_further_run(before: HeldOut, after: HeldOut) -> tuple[tuple[float, float] | None, str, str]:

@@ -43,10 +43,23 @@ def words(h: Hypothesis) -> str:
 
 
 def advice(
-    verdict: str, named: Sequence[str], mates: Sequence[str], rivals: Rivals | None = None, unseen: Sequence[Unseen] = ()
+    verdict: str,
+    named: Sequence[str],
+    mates: Sequence[str],
+    rivals: Rivals | None = None,
+    unseen: Sequence[Unseen] = (),
+    repeated: bool = False,
+    still: Sequence[str] = (),
 ) -> str:
-    """Sentences a person can act on; effects by id."""
-    text = _advice(verdict, named, mates, unseen)
+    """Sentences a person can act on; effects by id. `repeated`: the recording holds repeats of a run, which gave the noise;
+    `still`: splits in which nothing moves."""
+    if still:
+        kept = " and ".join(still)
+        return (
+            f"What is kept as {kept} data has to move: record another run, state in dataset.toml the split of runs that move, or "
+            "cut the standstill off with window_s, so that the parts of one run fall where it moves."
+        )
+    text = _advice(verdict, named, mates, unseen, repeated)
     open_ = any(not u.absorbed for u in unseen) if verdict == "none" else verdict != "named" or mates
     if rivals is None or not rivals.recorded.top.any() or not open_:
         return text
@@ -54,7 +67,7 @@ def advice(
     return f'{text} The option --next DIR designs the input that best tells "{a}" from "{b}", and writes it to be played.'
 
 
-def _advice(verdict: str, named: Sequence[str], mates: Sequence[str], unseen: Sequence[Unseen]) -> str:
+def _advice(verdict: str, named: Sequence[str], mates: Sequence[str], unseen: Sequence[Unseen], repeated: bool) -> str:
     if verdict == "none":
         text = "No further experiment is needed for this model: it reaches the noise floor on data that were not fitted."
         others = [u for u in unseen if not u.absorbed]
@@ -71,8 +84,15 @@ def _advice(verdict: str, named: Sequence[str], mates: Sequence[str], unseen: Se
         parts = [f"for {name}: {catalogue.effect_class(name).excitation}" for name in wanted]
         return "To tell apart what the data leave open, record " + "; ".join(parts) + "."
     if verdict == "named":
-        return "No further experiment is needed to separate causes; repeat one run to learn the repeatability of the machine."
+        repeat = "" if repeated else "; repeat one run to learn the repeatability of the machine"
+        return f"No further experiment is needed to separate causes{repeat}."
+    repeat = "Record" if repeated else "Repeat one run unchanged (repeatability), record"
+    rest = (
+        "Something remains that no effect of the library explains."
+        if verdict == "partly"
+        else "What is missing is not known yet."
+    )
     return (
-        "Something remains that no effect of the library explains. Repeat one run unchanged (repeatability), record slow "
-        "ramps through zero speed, a standstill under several loads, and one run each at half and full speed."
+        f"{rest} {repeat} slow ramps through zero speed, a standstill under several loads, and one run each at half and full "
+        "speed."
     )

@@ -14,12 +14,13 @@ from dataclasses import dataclass
 import numpy as np
 
 from jaxid import samples
+from jaxid.dataset_splits import LATE
 from jaxid.estimation import Bench, free_runs
 from jaxid.experiment import Experiment
 from jaxid.problem import Problem
 from jaxid.residual import InverseDynamics, OutputError, Runs
 from jaxid.results import Finding, MissingForce, Regime
-from jaxid.text import times
+from jaxid.text import number, percent, times
 
 
 #: Simulated repetitions for the null of every regime.
@@ -243,7 +244,9 @@ def findings(
     unit = b.chain.signature.unit("{F}")
     energy_of = lambda j, masks: _excess(found, j, masks, given.get(joints[j]))
     looked = [j for j, joint in enumerate(joints) if joint in only or not only]
-    total = sum(energy_of(j, None) for j in looked) or 1e-300
+    total = sum(energy_of(j, None) for j in looked)
+    if not total > 0:
+        return []  # no more than noise
     out = []
     for j in looked:
         joint = joints[j]
@@ -256,7 +259,9 @@ def findings(
             energy = energy_of(j, inside)
             lift = row.ratio / max(row.null[1], 1e-9) if row.supplied is None else row.supplied
             if row.stands_out and energy > 0.05 * total:
-                scored_rows.append((lift * np.sqrt(energy / total), energy / total, row.regime, inside))
+                # Elsewhere there may be less than noise, which is no reason to see more than all of it here.
+                share = min(1.0, energy / total)
+                scored_rows.append((lift * np.sqrt(share), share, row.regime, inside))
         scored_rows.sort(key=lambda r: -r[0])
         if not scored_rows:
             every = [np.ones(len(m.force), bool) for m in found]
@@ -274,8 +279,8 @@ def findings(
             spread = "is alike in all situations" if regime == "everywhere" else f"lies {_WORDS[regime]}"
             noise = f"{times(above)} times what noise would show there{', yet it adds up' if above < 1 else ''}"
             text = (
-                f"{joint}: {100 * share:.0f} % of the missing force {spread} ({strength:.3g} {unit} rms, {noise}); "
-                f"worst from {window[0]:.4g} to {window[1]:.4g} s of {experiment}"
+                f"{joint}: {percent(share)} of the missing force {spread} ({number(strength)} {unit} rms, {noise}); "
+                f"worst {when(window, found, experiment)}"
             )
             channel = joint if joint in outputs else outputs[min(j, len(outputs) - 1)]
             out.append(Finding(channel, place, regime, window, float(share), above, text))
@@ -332,12 +337,23 @@ def output_findings(
             strength = energy[until] - energy[np.arange(len(e.t))]
             k = int(np.argmax(strength))
             rms = float(np.sqrt(strength[k] / max(1, until[k] - k)))
-            share = float(strength[k] / max(energy[-1], 1e-300))
+            share = float(np.clip(strength[k] / energy[-1], 0.0, 1.0)) if np.isfinite(energy[-1]) and energy[-1] > 0 else 0.0
             window = (float(e.t[k]), float(e.t[until[k] - 1]))
             above = rms / float(b.sigma[c])
-            text = f"{name}: the free run is worst from {window[0]:.4g} to {window[1]:.4g} s of {e.name} ({rms:.3g} {unit} rms)"
+            text = f"{name}: the free run is worst {during(window, e)} ({number(rms)} {unit} rms)"
             out.append(Finding(name, locations.get(name, name), "time_window", window, share, above, text))
     return sorted(out, key=lambda f: -f.times_noise_floor)[:3]
+
+
+def when(window: tuple[float, float], found: Sequence[Missing], name: str) -> str:
+    return during(window, next(m.experiment for m in found if m.experiment.name == name))
+
+
+def during(window: tuple[float, float], e: Experiment) -> str:
+    """A window of a run in words: in its own time, or from its start where its clock began long before."""
+    if abs(e.t[0]) < LATE:
+        return f"from {window[0]:.5g} to {window[1]:.5g} s of {e.name}"
+    return f"from {window[0] - e.t[0]:.5g} to {window[1] - e.t[0]:.5g} s after the start of {e.name}"
 
 
 def pictures(bench: Bench, before: Sequence[Missing], after: Sequence[Missing]) -> list[MissingForce]:

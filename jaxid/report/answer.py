@@ -26,11 +26,17 @@ def section(diagnosis: Diagnosis) -> Section:
             "which": which_card(diagnosis),
             "far": far_card(diagnosis),
             "remark": how_far.text[:1].upper() + how_far.text[1:],
-            "picture": None if which.verdict == "none" else gap_picture(how_far, which.verdict),
+            "picture": None if which.verdict == "none" or not text.measured(how_far) else gap_picture(how_far, which.verdict),
             "effects_added": bool(which.effects),
-            "channels": list(how_far.per_channel.items()),
+            "channels": [(name, how_far.per_channel[name]) for name in text.telling(how_far)],
+            "measured": f"Measured on {how_far.split} data, {_used(how_far)}. " if text.measured(how_far) else "",
         },
     )
+
+
+def _used(how_far: HowFar) -> str:
+    report = how_far.split == "report"
+    return "which were neither fitted nor used for choosing" if report else "which were not fitted, but chose the effect"
 
 
 def words(effect: EffectEstimate) -> str:
@@ -42,6 +48,8 @@ def headline(diagnosis: Diagnosis) -> str:
     names = text.listed(words(e) for e in which.effects)
     if which.verdict == "none":
         return "Nothing is missing: the model reaches the noise."
+    if not text.measured(diagnosis.how_far):
+        return "Nothing can be judged: the data kept for it stand still."
     if which.verdict == "unknown":
         return "There is a gap that no known effect explains."
     rest = ", and something more that no known effect explains" if which.verdict == "partly" else ""
@@ -50,7 +58,9 @@ def headline(diagnosis: Diagnosis) -> str:
 
 
 def where_card(diagnosis: Diagnosis) -> tuple[str, list[str]]:
-    if diagnosis.which.verdict == "none" or not diagnosis.where:
+    if diagnosis.which.verdict != "none" and not diagnosis.where:
+        return "In no one place", ["No joint, direction or time holds more of it than chance would put there."]
+    if diagnosis.which.verdict == "none":
         return "Nowhere above the noise", ["What the simulation misses is no more than noise."]
     first = diagnosis.where[0]
     sentences = [text.where_sentence(f) for f in diagnosis.where[:2]]
@@ -83,15 +93,19 @@ def which_card(diagnosis: Diagnosis) -> tuple[str, list[str]]:
 
 def far_card(diagnosis: Diagnosis) -> tuple[str, list[str]]:
     how_far, verdict = diagnosis.how_far, diagnosis.which.verdict
-    if how_far.shrinkage is None or not diagnosis.which.effects:
-        fact = f"{text.times(how_far.gap_before)} × the noise"
+    if not text.measured(how_far):
+        fact = "Not measured"
+    elif how_far.shrinkage is None or not diagnosis.which.effects:
+        last = how_far.gap_retuned if verdict == "none" else how_far.gap_after if diagnosis.which.effects else how_far.gap_before
+        fact = f"{text.times(last)} × the noise"
     else:
         fact = f"{text.percent(how_far.shrinkage)} of the gap closed"
     sentences = [text.how_far_sentence(how_far, verdict)]
     if how_far.shrinkage is None or verdict == "unknown":
         sentences.append(text.shrinkage_sentence(how_far, verdict))
     elif how_far.shrinkage_interval_95 is None:
-        sentences.append(f"No interval: {how_far.interval_reason.rstrip('.').removeprefix('no interval: ')}.")
+        if how_far.interval_reason:
+            sentences.append(f"No interval: {how_far.interval_reason.rstrip('.').removeprefix('no interval: ')}.")
     else:
         sentences.append(f"In a further run like these: {text.interval(how_far)}.")
     return fact, [s for s in sentences if s]
@@ -138,7 +152,7 @@ def draw_gap(axes: Axes, how_far: HowFar, verdict: str) -> Axes:
     axes.set_xlim(*((low / 1.25, longest * (longest / floor) ** 0.1) if logarithmic else (0.0, 1.12 * longest)))
     axes.tick_params(axis="y", length=0)
     axes.spines["left"].set_visible(False)
-    axes.set_xlabel("gap on report data, in multiples of the noise" + (" (logarithmic)" if logarithmic else ""))
+    axes.set_xlabel(f"gap on {how_far.split} data, in multiples of the noise" + (" (logarithmic)" if logarithmic else ""))
     if logarithmic:
         plot.plain_log(axes.xaxis)
     return axes

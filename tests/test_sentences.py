@@ -1,0 +1,187 @@
+"""No sentence against a number of the same result: over random searches, report data and results."""
+
+from __future__ import annotations
+
+import json
+import re
+from dataclasses import replace
+from types import SimpleNamespace
+from typing import Any
+
+import numpy as np
+from hypothesis import given, settings, strategies as st
+
+from jaxid import text
+from jaxid.diagnosis.breakdown import Share
+from jaxid.diagnosis.hypothesis import Search
+from jaxid.diagnosis.next_experiment import advice
+from jaxid.diagnosis.verdict import astray, judge, level, NAMED, PARTLY, SEEN, upheld
+from jaxid.report import answer, write_diagnosis
+from jaxid.results import ChannelGap, EffectEstimate, Estimate, Finding, finite, HowFar, Ranked, Which
+from report_sample import sample_diagnosis, sample_fit
+
+
+many = settings(max_examples=150, deadline=None)
+losses = st.one_of(st.floats(0.3, 4.0), st.floats(0.0, 300.0).map(lambda x: 10.0**x))
+gaps = st.one_of(st.floats(0.3, 3.0), st.floats(-1.0, 150.0).map(lambda x: 10.0**x))
+SAMPLE = sample_diagnosis(samples=200)
+
+
+def hypothesis(fit_loss: float, loss: float, *effects: str) -> Any:
+    """What a verdict sees of a hypothesis that leaves these mean squares of fit and validation runs."""
+    path, held = SimpleNamespace(count=4000), SimpleNamespace(loss=loss, count=4000)
+    return SimpleNamespace(effects=effects, size=len(effects), fit_loss=fit_loss, path=path, validation=held)
+
+
+def check_numbers(words: str) -> None:
+    """Shares of 0 to 100 %, and nothing with more digits than a person reads."""
+    assert "nan" not in words.lower().split() and "inf" not in words.lower().split()
+    for share in re.findall(r"(?<!below −)([-−]?[\d.]+(?:e[+-]?\d+)?) %", words):
+        assert 0.0 <= float(share.replace("−", "-")) <= 100.0, words
+    assert not re.search(r"\d{8,}", words), words
+
+
+@many
+@given(losses, losses, losses, losses, st.lists(st.tuples(losses, losses), max_size=3), st.booleans())
+def test_verdicts_by_fit_and_validation_data(fit0, loss0, fit1, loss1, others, several):
+    nominal, chosen = hypothesis(fit0, loss0), hypothesis(fit1, loss1, "drag at q")
+    tried = [hypothesis(a, b, f"effect {k} at q") for k, (a, b) in enumerate(others)]
+    for search in (Search(nominal, nominal, tried), Search(nominal, chosen, [chosen, *tried], several=several)):
+        verdict, words = judge(search)
+        check_numbers(words)
+        left, before = search.chosen.validation.loss, nominal.validation.loss
+        share = 1 - (left - 1) / (before - 1) if before > 1 else 0.0
+        if verdict == "none":
+            assert max(fit0, loss0) <= level(4000)
+        elif verdict == "named":
+            assert left <= level(4000) or share >= NAMED
+        elif verdict == "partly":
+            assert share >= PARTLY or fit1 <= 1.1 < fit0
+        best = min((h.validation.loss for h in search.tried), default=np.inf)
+        if verdict == "unknown" and best < min(left, before):  # the ranking's first is not passed over in silence
+            assert "On validation data alone" in words
+
+
+@many
+@given(st.sampled_from(["named", "partly"]), gaps, gaps, gaps, st.booleans())
+def test_verdicts_hold_on_report_data(verdict, before, retuned, after, several):
+    found, words = upheld(verdict, "The model lacks drag.", retuned, after, several, before)
+    check_numbers(words)
+    if found in ("named", "partly"):
+        at_noise = retuned <= SEEN and after**2 <= 1.02 * max(1.02, retuned**2)
+        assert after < min(before, retuned) or at_noise
+    else:
+        assert "not claimed" in words and text.times(after) in words
+
+
+@many
+@given(st.lists(st.tuples(st.sampled_from(["run_1", "forward", "backward", "late"]), gaps), min_size=1, max_size=4))
+def test_nothing_is_missing_only_where_every_run_and_direction_is_near_the_noise(parts):
+    runs = [Share(name, "", 100, gap, gap, gap) for name, gap in parts if name == "run_1"]
+    regimes = [Share(name, "q", 100, gap, gap, gap) for name, gap in parts if name != "run_1"]
+    found = astray(runs, regimes, max(gap for _, gap in parts))
+    told = [gap for name, gap in parts if name != "late"] or [max(gap for _, gap in parts)]
+    assert bool(found) == any(gap > 1.5 for gap in told)
+
+
+@st.composite
+def results(draw) -> Any:
+    """A diagnosis as the schema allows it."""
+    verdict = draw(st.sampled_from(["named", "partly", "none", "unknown"]))
+    still = verdict == "unknown" and draw(st.booleans())
+    before, retuned, after = (np.nan if still else draw(gaps) for _ in range(3))
+    if verdict in ("named", "partly"):
+        after = draw(st.floats(0.5, 1.0)) * min(before, retuned)
+    else:
+        after = retuned
+    shrink = 1 - (after**2 - 1) / (before**2 - 1) if before > 1 and verdict != "none" else np.nan
+    shrinkage = min(float(shrink), 1.0) if np.isfinite(shrink) and shrink >= 0 else None
+    low = draw(st.floats(-1e9, 1.0))
+    interval = (min(low, shrinkage), 1.0) if shrinkage is not None and draw(st.booleans()) else None
+    reason = "" if interval else "no interval: too few blocks" if shrinkage is not None else "there is no gap to shrink"
+    noise = st.floats(-9, 3).map(lambda x: 10.0**x)
+    channels = {}
+    for k in range(0 if still else draw(st.integers(1, 6))):
+        n = draw(noise)
+        channels[f"tau{k + 1}"] = ChannelGap("N m", n * draw(gaps), n * draw(gaps), n * draw(gaps), n, "stated")
+    split = draw(st.sampled_from(["report", "validation"]))
+    far = HowFar(before, retuned, after, 1.0, shrinkage, interval, reason, channels, "", interval_from="runs", split=split)
+    value = Estimate(draw(gaps), draw(st.none() | gaps), "N m", 0.0, 1e6)
+    effects = (EffectEstimate("quadratic_drag", "q", {"drag": value}),) if verdict in ("named", "partly") else ()
+    ranking = (Ranked("quadratic_drag", "q", draw(gaps), 1.0, 1.0, "quadratic_drag at q: closes 3 % of the gap"),)
+    where = ()
+    if verdict != "none" and draw(st.booleans()):
+        where = (Finding("q", "q", "forward", (0.1, 0.6), draw(st.floats(0.0, 1.0)), draw(gaps), ""),)
+    repeated = draw(st.booleans())
+    text_ = "What is kept stands still: nothing can be judged on it." if still else ""
+    advised = advice(verdict, [e.effect for e in effects], [], repeated=repeated, still=("report",) if still else ())
+    which = Which(verdict, effects, (), ranking, text_)
+    found = replace(SAMPLE, which=which, how_far=far, where=where, next_experiment=advised)
+    return found, repeated, still
+
+
+@many
+@given(results())
+def test_sentences_of_a_diagnosis_agree_with_its_numbers(drawn):
+    found, repeated, still = drawn
+    far, verdict = found.how_far, found.which.verdict
+    cards = [
+        answer.headline(found),
+        *(w for c in (answer.where_card, answer.which_card, answer.far_card) for w in _flat(c(found))),
+    ]
+    terminal = " ".join(text.diagnosis_text(found).split())
+    for words in (*cards, terminal):
+        check_numbers(words.replace("with 95 % probability", ""))
+    json.dumps(finite(found.to_dict()), allow_nan=False)
+    everything = " ".join([*cards, terminal])
+    assert ("Nothing is missing" in everything) == (verdict == "none")
+    assert ("Nowhere above the noise" in everything) == (verdict == "none")
+    if still:
+        assert "There is a gap" not in everything and "nothing can be judged" in everything.lower() and "–" not in terminal
+        return
+    sentence = text.how_far_sentence(far, verdict)
+    assert ("falls" in sentence) == (verdict in ("named", "partly"))
+    if verdict == "none":
+        assert f"is {text.times(far.gap_retuned)} times the noise" in sentence
+        assert ("go where the data that were fitted leave" in sentence) == (far.gap_retuned > 1.5)
+        assert answer.far_card(found)[0] == f"{text.times(far.gap_retuned)} × the noise"
+    if (
+        verdict == "unknown"
+        and far.gap_retuned > 1.001 * far.gap_before
+        and text.times(far.gap_retuned) != text.times(far.gap_before)
+    ):
+        assert "further from these than as it was stated" in sentence
+    shown = [n for n in far.per_channel if f"{n}: rms error" in terminal]
+    change = lambda g: max(abs(g.rmse_before - g.rmse_after), g.rmse_retuned, g.rmse_after) / g.noise
+    assert len(shown) == min(3, len(far.per_channel))
+    assert max(change(g) for g in far.per_channel.values()) == max(change(far.per_channel[n]) for n in shown)
+    assert not (repeated and "repeat one run" in found.next_experiment.lower())
+    assert ("never fitted nor chosen on" in everything) <= (far.split == "report")
+
+
+def _flat(card: tuple[str, list[str]]) -> list[str]:
+    return [card[0], *card[1]]
+
+
+def test_a_page_without_a_gap_is_written(tmp_path):
+    """Nothing moves in the data kept for the report."""
+    nothing = float("nan")
+    far = HowFar(nothing, nothing, nothing, 1.0, None, None, "what is kept stands still", {}, "what is kept stands still")
+    found = replace(SAMPLE, which=Which("unknown", (), (), (), "It stands still."), how_far=far, where=())
+    page = write_diagnosis(found, tmp_path / "report.html").read_text()
+    assert "Nothing can be judged" in page and "nan" not in re.sub(r"<[^>]*>", " ", page).split()
+
+
+@many
+@given(st.sampled_from(["converged", "stalled", "failed", "budget"]), losses, gaps)
+def test_the_state_of_a_fit_is_said(state, loss, relative):
+    fit = sample_fit(samples=50)
+    score = replace(fit.scores["fit"]["q"], nrmse=relative, relative_error=relative)
+    fit = replace(
+        fit, converged=state == "converged", failed=state == "failed", stalled=state == "stalled", loss=loss,
+        scores={"fit": {"q": score}},
+    )  # fmt: skip
+    content = json.loads(json.dumps(finite(fit.to_dict()), allow_nan=False))
+    assert content["state"] == state and content["converged"] == (state == "converged")
+    words = text.fit_text(fit)
+    assert ("not converged" in words) == (state in ("stalled", "budget")) and not re.search(r"\d{12,}", words)
