@@ -221,8 +221,8 @@ class Searcher:
         if chosen.effects and (needless or at_floor(self.nominal)):  # freed of a local minimum on the way
             chosen, mates = self.nominal, {}
         several = not self.by_torque and len(chosen.effects) > 1
-        rivals, known = rivals_among(list(self.known.values()), chosen, list(mates.values())), self._stale | self.known
-        return Search(self.nominal, chosen, self.tried, list(mates), rivals, several, without_each(chosen, known))
+        rivals, fitted = rivals_among(list(self.known.values()), chosen, list(mates.values())), self._stale | self.known
+        return Search(self.nominal, chosen, self.tried, list(mates), rivals, several, without_each(chosen, fitted))
 
     def _beside(self, chosen: Hypothesis, pool: Sequence[Candidate], room: int) -> list[Hypothesis]:
         """Refits of the chosen hypothesis with more in it, `room` effects at most; after the first choice also of two others,
