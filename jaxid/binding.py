@@ -16,6 +16,7 @@ from jaxid.chain import Chain, Effect, neutral
 from jaxid.dataset_geometry import arm_table
 from jaxid.errors import nearest, UsageError
 from jaxid.experiment import Dataset, Experiment
+from jaxid.joint_readings import all_read, with_speeds
 from jaxid.layout import Layout
 from jaxid.mechanism import Mechanism, Signature
 from jaxid.noise import Noise, noise_floor
@@ -23,6 +24,7 @@ from jaxid.parameter import Reference, settings, with_settings
 from jaxid.precision import float64
 from jaxid.samples import Motion
 from jaxid.time_stamps import scattered_stamps, Stamps, with_scatter
+from jaxid.torque import drive_torque
 from jaxid.traced import key_of, Traced
 
 
@@ -94,6 +96,7 @@ def resolve_model(model: object, dataset: Dataset, without: Iterable[str] = ()) 
         model = Chain(model, signature=_signature(model, dataset), smoothing_velocity=smoothing)
     if not isinstance(model, Chain):
         raise UsageError(f"a model is an id, a mechanism or a chain, not {type(model).__name__}")
+    _check_drive(model)
     if set(constants) & set(settings(model.mechanism)):
         model = model.with_mechanism(with_settings(model.mechanism, constants))
     out = [*(spec.without if spec is not None else ()), *without]
@@ -106,10 +109,21 @@ def resolve_model(model: object, dataset: Dataset, without: Iterable[str] = ()) 
     return model.without(*out)
 
 
+def _check_drive(chain: Chain) -> None:
+    """Without a law of its own each input is the torque of the joint of its number, and there is one for each."""
+    nu, nq = len(chain.signature.inputs), chain.nq
+    if nu not in (0, nq) and type(chain.mechanism).drive is Mechanism.drive:
+        raise UsageError(
+            f"{nu} input{'s' * (nu > 1)}, {nq} joint{'s' * (nq > 1)}: write `drive` in {type(chain.mechanism).__name__}, the law that "
+            "makes joint torques of inputs, as in `def drive(self, signature, u, q, qd): return jnp.stack([...])`, one entry a joint"
+        )
+
+
 def _signature(mechanism: Mechanism, dataset: Dataset) -> Signature:
     inputs, outputs = {c.name for c in dataset.inputs}, {c.name for c in dataset.outputs}
     free = dataset.model is not None and dataset.model.free
     for s in mechanism.signatures:
+        s = with_speeds(s, {c.name: c.unit for c in dataset.outputs})
         if outputs >= {n for n, _ in s.outputs} and (free or inputs >= {n for n, _ in s.inputs}):
             return s
     wanted = "; or ".join(
@@ -197,7 +211,7 @@ def bind(
         free += [i for p in places for i in layout.of_effect(kind.name, p) if i not in free]
 
     motions: dict[str, Motion] = {}
-    if set(chain.signature.joints) <= set(names):
+    if all_read(chain):
         motions = {e.name: samples.motion(dataset, e, chain, sigma) for e in dataset.experiments}
     references, inputs = _references(dataset, layout, theta, motions)
     lower, upper, scale = layout.boxes(references, inputs)
@@ -242,6 +256,7 @@ def _references(
     iu, _ = samples.columns(dataset, chain)
     size = [float(np.percentile(np.abs(np.concatenate([e.u[:, i] for e in fit])), 99)) for i in iu] if fit else []
     direct = chain.direct
+    law = bool(iu) and not direct
     if not fit:
         omega = np.concatenate([r.omega for r in dataset.responses])
         joints = [Reference(1.0, 1.0, 1.0, 2 * np.pi / float(omega.min()), np.pi / float(omega.max()))] * nq
@@ -250,6 +265,10 @@ def _references(
         step = float(np.median(np.diff(fit[0].t)))
         duration = max(float(e.t[-1] - e.t[0]) for e in fit)
         torque = size if direct and size else [1.0] * nq
+        if law:
+            u = np.concatenate([e.u[:, iu] for e in fit])
+            driven = drive_torque(layout, theta, u, np.zeros((len(u), 2 * nq)))
+            torque = [s or 1.0 for s in np.percentile(np.abs(driven), 99, axis=0)]
         joints = [Reference(torque[min(j, len(torque) - 1)], 1.0, 1.0, duration, step) for j in range(nq)]
     else:
         used = [motions[e.name] for e in fit]
@@ -258,5 +277,9 @@ def _references(
         with float64():
             torque = _inertia_program(layout)(theta, q[pick], qdd[pick])
             inertia = np.percentile(np.abs(np.asarray(torque)), 99, axis=0)
+        if law:
+            parts = zip(fit, used, strict=True)
+            driven = [drive_torque(layout, theta, e.u[:, iu], np.concatenate([m.q, m.qd], 1)) for e, m in parts]
+            inertia = np.maximum(inertia, np.percentile(np.abs(np.concatenate(driven)), 99, axis=0))
         joints = samples.references(fit, used, iu if direct else [], inertia)
     return joints, [joints[min(k, nq - 1)]._replace(torque=max(s, 1e-9)) for k, s in enumerate(size)]

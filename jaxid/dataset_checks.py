@@ -237,10 +237,14 @@ def _fits_model(document: Document, readings: list[Reading], places: Places, inf
     """Whether the channels contain one signature of the model; the closest signature is the one to speak of."""
     if "channels" not in document.sound or not readings or document.model is None:
         return []
+    from jaxid.joint_readings import with_speeds
+
     free = document.model.free
     have = {r.name: r for r in readings}
     best: list[Problem] | None = None
+    speeds = {r.name: r.conversion.si for r in readings if r.entry.role == "output"}
     for signature in info.signatures:
+        signature = with_speeds(signature, speeds)
         found = _signature_faults(have, signature, free, places, info.name)
         if best is None or len(found) < len(best):
             best = found

@@ -260,7 +260,7 @@ def torque_scores(
     missing = np.concatenate(problem.predictions(problem.z(theta)))
     from jaxid.torque import measured_torque
 
-    drive = measured_torque(bench.binding.dataset, runs)
+    drive = measured_torque(bench.binding.dataset, runs, theta)
     for c, (name, unit) in enumerate(runs.channels):
         out[name] = score(drive[:, c], missing[:, c], unit)
     return out
@@ -271,7 +271,7 @@ def torque_traces(bench: Bench, residual: Residual, split: str, thetas: dict[str
     from jaxid.torque import measured_torque
 
     runs = bench.runs(residual, split)
-    drive = measured_torque(bench.binding.dataset, runs)
+    drive = measured_torque(bench.binding.dataset, runs, list(thetas.values())[-1])
     problems = {label: bench.problem(residual, split, [], theta) for label, theta in thetas.items()}
     missing = {label: p.predictions(p.z(thetas[label])) for label, p in problems.items()}
     out, first = [], 0

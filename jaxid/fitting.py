@@ -12,7 +12,6 @@ import numpy as np
 from jaxid import samples
 from jaxid.added_effects import probe_starts
 from jaxid.binding import Binding
-from jaxid.errors import UsageError
 from jaxid.estimation import assemble, Bench, default_residual, start_values
 from jaxid.fitter import AbstractFitter, Minimum, Progress
 from jaxid.fitters import LevenbergMarquardt
@@ -57,8 +56,6 @@ def fit_seeds(
     `known` is told of a fit before it is refined."""
     began = time.perf_counter()
     residual = residual or default_residual(binding)
-    if isinstance(residual, InverseDynamics) and binding.dataset.inputs and not binding.chain.direct:
-        raise UsageError(f"inverse_dynamics needs measured torques; the inputs of {binding.chain.mechanism.name} are none")
     simulated = not isinstance(residual, InverseDynamics) and bool(binding.dataset.split("fit"))
     benches = Benches(binding) if benches is None else benches
     compiled = benches.compile_time()

@@ -17,6 +17,7 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from jaxid.errors import UsageError
+from jaxid.joint_readings import joint_readings, sizes
 from jaxid.lanes import over_lanes
 from jaxid.objective import (
     AbstractProblem,
@@ -105,15 +106,26 @@ class Problem(AbstractProblem):
         self._data: Data | None = None
 
     def _start_reach(self) -> np.ndarray:
-        """How far an unknown start may lie from its guess: a fifth of the travel, the travel per tenth of the run."""
-        out = []
+        """How far an unknown start may lie from its guess: a fifth of the travel, the travel per tenth of the run; the largest
+        speed where that is read, and the whole travel (at least half a turn) where nothing else is."""
+        out, chain = [], self.runs.layout.chain
+        own, linear = joint_readings(chain), [chain.signature.unit("{X}", j) == "m" for j in range(chain.nq)]
         for r in self.records:
             record = self.runs.record(r)
             e = self.runs.experiments[record.experiment]
             nq = len(record.q0)
             travel = np.ptp(e.y, axis=0)[:nq] if e.y.shape[1] >= nq else np.full(nq, np.ptp(e.y))
-            q = 0.2 * travel + 1e-6
-            out.append(np.concatenate([q, 10 * travel / (e.t[-1] - e.t[0]) + 2 * np.abs(record.qd0) + 1e-6]))
+            q, qd = 0.2 * travel + 1e-6, 10 * travel / (e.t[-1] - e.t[0]) + 2 * np.abs(record.qd0) + 1e-6
+            if self.start_free.any() and any(r.qd is not None for r in own):
+                at = np.arange(record.first, record.last + 1)
+                at = at[(self.runs.weights[at] > 0).any(1)]
+                travel, speed = sizes(chain, np.asarray(self.runs.engine.samples.t)[at], self.runs.targets[at])
+                for j, r in enumerate(own):
+                    q[j] = q[j] if r == (None, None) else 0.2 * travel[j] + 1e-6
+                    if r.qd is not None:
+                        qd[j] = speed[j] + 1e-6
+                        q[j] = q[j] if r.q is not None else travel[j] + 1e-6 if linear[j] else max(travel[j], np.pi)
+            out.append(np.concatenate([q, qd]))
         return np.array(out)
 
     def _search(self, values: np.ndarray) -> np.ndarray:
