@@ -113,9 +113,10 @@ def _check_drive(chain: Chain) -> None:
     """Without a law of its own each input is the torque of the joint of its number, and there is one for each."""
     nu, nq = len(chain.signature.inputs), chain.nq
     if nu not in (0, nq) and type(chain.mechanism).drive is Mechanism.drive:
+        counted = f"{nu} input{'s' * (nu > 1)}, {nq} joint{'s' * (nq > 1)}"
         raise UsageError(
-            f"{nu} input{'s' * (nu > 1)}, {nq} joint{'s' * (nq > 1)}: write `drive` in {type(chain.mechanism).__name__}, the law that "
-            "makes joint torques of inputs, as in `def drive(self, signature, u, q, qd): return jnp.stack([...])`, one entry a joint"
+            f"{counted}: write `drive` in {type(chain.mechanism).__name__}, the law that makes joint torques of inputs, as in "
+            "`def drive(self, signature, u, q, qd): return jnp.stack([...])`, one entry for each joint"
         )
 
 

@@ -10,6 +10,7 @@ import numpy as np
 
 from jaxid import samples
 from jaxid.binding import Binding
+from jaxid.ending import ending
 from jaxid.experiment import Experiment
 from jaxid.fitter import Minimum
 from jaxid.fitters import descend
@@ -383,11 +384,12 @@ def assemble(
         traces += make_traces(binding, split, {"fit": predictions})
         if split == "fit" and isinstance(residual, MultipleShooting):
             windowed = window_scores(binding, problem, result.z)
+    end = ending(problem, result, cov, [] if windowed else [t for t in traces if t.split == "fit"])
     return Fit(
-        binding.chain.mechanism.name, added, fitter, residual.name, problem.loss_name, seed, result.converged, False,
-        result.stopped_because, result.loss, own, table, windowed, result.evaluations, wall_time, compile_time,
+        binding.chain.mechanism.name, added, fitter, residual.name, problem.loss_name, seed, end.state == "converged",
+        end.state == "failed", end.because, result.loss, own, table, windowed, result.evaluations, wall_time, compile_time,
         binding.dataset.name, binding.dataset.sha256, tuple(notes), groups, tuple(result.history), tuple(traces), theta,
-        result.stalled,
+        end.state == "stalled",
     )  # fmt: skip
 
 

@@ -12,6 +12,7 @@ import numpy as np
 from jaxid import samples
 from jaxid.added_effects import probe_starts
 from jaxid.binding import Binding
+from jaxid.ending import looked_again
 from jaxid.estimation import assemble, Bench, default_residual, start_values
 from jaxid.fitter import AbstractFitter, Minimum, Progress
 from jaxid.fitters import LevenbergMarquardt
@@ -79,6 +80,8 @@ def fit_seeds(
         if engine:
             engine.compile_ahead("outputs", binding.theta, binding.free)
         found = fitter.minimise_each(jobs, budget, progress)
+        if step == samples.STEP:  # a finer one begins where the coarser one has ended
+            found = looked_again(jobs, found, fitter, budget, progress)
         for seed, job, result in zip(level, jobs, found, strict=True):
             problem = job[0]
             ended[seed] = bench, problem, result

@@ -263,7 +263,7 @@ def parameter_rows(fit: Fit) -> list[tuple[str, Estimate]]:
 def fit_text(fit: Fit) -> str:
     """Parameters, scores and cost of a fit."""
     names = [fit.model, *(effect_name(e) for e in fit.effects)]
-    state = fit.state if fit.state in ("failed", "converged") else "not converged"
+    state = {"budget": "not converged"}.get(fit.state, fit.state)
     parts = [
         wrapped(
             f"{fit.dataset}, model {listed(names)}: {fit.fitter} on {fit.residual}, {state} ({fit.stopped_because}),"

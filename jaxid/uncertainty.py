@@ -35,6 +35,8 @@ class Covariance:
     statement: str
     noise: tuple[Autoregression, ...] = ()  # of each column, where residuals are coloured
     widened: float = 1.0  # by Student's t
+    gradient: np.ndarray | None = None  # J'r and J'J
+    hessian: np.ndarray | None = None
 
 
 def covariance(problem: Problem, z: np.ndarray) -> Covariance:
@@ -43,7 +45,7 @@ def covariance(problem: Problem, z: np.ndarray) -> Covariance:
     span = problem.upper - problem.lower
     near = 1e-9 * np.maximum(np.abs(z), problem.scale)  # a descent ends exactly at a bound, up to rounding
     at_bound = (z - problem.lower <= near) | (problem.upper - z <= near)
-    H, S_white, count = np.zeros((n, n)), 0.0, 0
+    H, slope, S_white, count = np.zeros((n, n)), np.zeros(n), 0.0, 0
     parts: list[Part] = []
     scores: list[tuple[list[int], np.ndarray]] = []
     series: list[np.ndarray] = []
@@ -55,6 +57,7 @@ def covariance(problem: Problem, z: np.ndarray) -> Covariance:
         J = part.J.reshape(part.r.size, len(part.z_columns))
         index = np.ix_(part.z_columns, part.z_columns)
         H[index] += J.T @ J
+        slope[part.z_columns] += part.r.ravel() @ J
         S_white += float(np.sum(part.r**2))
         count += part.r.size
         scores.append((part.z_columns, np.einsum("tc,tck->tk", part.r, part.J)))
@@ -104,7 +107,7 @@ def covariance(problem: Problem, z: np.ndarray) -> Covariance:
         if white
         else f"residuals are coloured (memory {memory} samples): standard deviations count it"
     )
-    return Covariance(matrix, std, identifiable, at_bound, groups, white, statement, noise, widened)
+    return Covariance(matrix, std, identifiable, at_bound, groups, white, statement, noise, widened, slope, H)
 
 
 def _null_directions(scaled: np.ndarray, kept: np.ndarray) -> tuple[np.ndarray, tuple[tuple[int, ...], ...]]:
