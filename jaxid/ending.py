@@ -18,7 +18,7 @@ from jaxid.uncertainty import Covariance
 #: A loss is lower, or could be, where its sum of squares is so by more than this share of a residual's variance: the numbers then
 #: lie about a third of a standard deviation apart.
 MATERIAL = 0.1
-#: A number at a bound wants beyond it where the sum of squares would fall by more than so many variances (two standard deviations).
+#: A number at a bound wants beyond it where the sum of squares would fall by more than so many variances.
 PUSHES = 4.0
 #: Looks from elsewhere without a budget, and iterations of each; with one as many as it allows.
 LOOKS, STEPS = 2, 40

@@ -218,10 +218,11 @@ def default_window(e: Experiment) -> float:
 
 
 def head_samples(e: Experiment) -> int:
-    """How many samples a run that is not fitted may use to estimate its start: 20, and at least 0.1 s, or as stated."""
+    """How many samples a run that is not fitted may use to estimate its start: 20, and at least 0.1 s, or as stated; of a short
+    run a third at most, so that the rest can be judged."""
     if e.initial_window_s is not None:
         return max(4, int(np.searchsorted(e.t, e.t[0] + e.initial_window_s, side="right")))
-    return min(len(e.t), max(20, int(np.searchsorted(e.t, e.t[0] + 0.1 - 1e-9, side="left"))))
+    return min(max(4, len(e.t) // 3), max(20, int(np.searchsorted(e.t, e.t[0] + 0.1 - 1e-9, side="left"))))
 
 
 def overrides(layout: Layout, experiments: Sequence[Experiment], records: Sequence[Record]) -> np.ndarray:
