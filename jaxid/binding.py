@@ -15,7 +15,7 @@ from jaxid import catalogue, samples
 from jaxid.chain import Chain, Effect, neutral
 from jaxid.dataset_geometry import arm_table
 from jaxid.errors import nearest, UsageError
-from jaxid.experiment import Dataset, Experiment
+from jaxid.experiment import Dataset, Experiment, ParameterPrior
 from jaxid.joint_readings import all_read, with_speeds
 from jaxid.layout import Layout
 from jaxid.mechanism import Mechanism, Signature
@@ -52,6 +52,8 @@ class Binding:
     stated: set[int]  # values that the dataset states itself
     nominal: set[int]  # numbers of the model as the user has it, without added effects and candidates
     read: dict[int, float] = field(default_factory=dict)  # numbers that the recording itself tells: their standard deviation
+    priors: dict[int, tuple[float, float]] = field(default_factory=dict)  # mean and standard deviation of numbers known before
+    said: tuple[str, ...] = ()  # what the dataset asks for that changes a result
 
     def experiments(self, split: str) -> tuple[Experiment, ...]:
         return self.dataset.split(split)
@@ -198,8 +200,9 @@ def bind(
             fixed.add(i)
             stated.add(i)
     for name, prior in priors.items():
-        if prior.value is not None:
-            theta[layout.index(name)] = prior.value
+        value = prior.value if prior.value is not None else prior.mean
+        if value is not None:
+            theta[layout.index(name)] = value
             stated.add(layout.index(name))
 
     chain = layout.model(theta)  # with what the dataset states
@@ -224,10 +227,40 @@ def bind(
             if prior.value is not None:
                 raise UsageError(f"{name} = {theta[i]:g} lies outside its bounds [{lower[i]:g}, {upper[i]:g}]")
             theta[i] = np.sqrt(lower[i] * upper[i]) if lower[i] > 0 else (lower[i] + upper[i]) / 2
+    known, said = _stated_scales(layout, priors, lower, upper)
     theta[free] = np.clip(theta[free], lower[free], upper[free])
     return Binding(
-        dataset, chain, layout, noise, sigma, motions, references, inputs, theta, lower, upper, scale, free, stated, own
-    ).with_stamps(stamps)
+        dataset, chain, layout, noise, sigma, motions, references, inputs, theta, lower, upper, scale, free, stated, own,
+        priors=known, said=said,
+    ).with_stamps(stamps)  # fmt: skip
+
+
+def _stated_scales(
+    layout: Layout, priors: Mapping[str, ParameterPrior], lower: np.ndarray, upper: np.ndarray
+) -> tuple[dict[int, tuple[float, float]], tuple[str, ...]]:
+    """Search scales as stated, set in the layout; the Gaussian priors, and sentences about both. Bounds that nobody states make
+    room for a prior."""
+    known, said = {}, []
+    layout.log = layout.log.copy()
+    for name, prior in priors.items():
+        i = layout.index(name)
+        if prior.mean is not None and prior.std is not None:
+            known[i] = prior.mean, prior.std
+            reach = (prior.mean - 5 * prior.std, prior.mean + 5 * prior.std)
+            upper[i] = upper[i] if prior.upper is not None else max(upper[i], reach[1])
+            least = 0.0 if lower[i] >= 0 else -np.inf
+            if prior.lower is None and not (lower[i] > 0 and reach[0] <= 0):
+                lower[i] = max(least, min(lower[i], reach[0]))
+            said.append(f"prior of {name}: {prior.mean:.4g} ± {prior.std:.4g} {layout.entries[i].unit} (stated)")
+        if prior.log is not None:
+            if prior.log and not lower[i] > 0:
+                raise UsageError(
+                    f"{name}: log = true searches its logarithm, and its lower bound is {lower[i]:g}: state `lower` above 0 "
+                    f"under [model.parameters.{name}]"
+                )
+            layout.log[i] = prior.log
+            said.append(f"{name} is searched {'by its logarithm' if prior.log else 'linearly'} (stated)")
+    return known, tuple(said)
 
 
 def inertia_torque(chain: Chain, q: Float[Array, "n nq"], qdd: Float[Array, "n nq"]) -> Float[Array, "n nq"]:

@@ -9,7 +9,7 @@ from typing import Any
 
 from jaxid.dataset_geometry import arm_table
 from jaxid.dataset_records import Harvest, read_record, read_response, Reading
-from jaxid.dataset_schema import Document, ExperimentEntry, Header, ModelEntry, Places
+from jaxid.dataset_schema import Document, ExperimentEntry, Header, ModelEntry, Places, PriorEntry
 from jaxid.dataset_table import Table
 from jaxid.errors import nearest, UsageError
 from jaxid.experiment import (
@@ -98,8 +98,13 @@ def _model_spec(entry: ModelEntry) -> ModelSpec:
         without=tuple(entry.without),
         free=entry.free,
         constants={k: float(v) for k, v in entry.constants.items()},
-        parameters={k: ParameterPrior(p.value, p.lower, p.upper) for k, p in entry.parameters.items()},
+        parameters={k: _prior(p) for k, p in entry.parameters.items()},
     )
+
+
+def _prior(entry: PriorEntry) -> ParameterPrior:
+    mean, std = (None, None) if entry.prior is None else (entry.prior.mean, entry.prior.std)
+    return ParameterPrior(entry.value, entry.lower, entry.upper, entry.log, mean, std)
 
 
 def _geometry(document: Document, places: Places, open_text: Any, problems: list[Problem]) -> Geometry | None:

@@ -15,9 +15,11 @@ from jaxid.experiment import Experiment
 from jaxid.fitter import Minimum
 from jaxid.fitters import descend
 from jaxid.frequency import FrequencyResponseError
+from jaxid.own_simulation import own_simulation, simulated_scores, SIMULATIONS
 from jaxid.problem import Problem
 from jaxid.residual import InverseDynamics, MultipleShooting, OutputError, Residual, Runs
 from jaxid.results import EffectEstimate, Estimate, Fit, Score, Trace
+from jaxid.stated import stated_numbers
 from jaxid.uncertainty import Covariance, covariance
 
 
@@ -92,7 +94,8 @@ class Bench:
     ) -> Problem:
         b = self.binding
         runs = self.runs(residual, split)
-        p = Problem(runs, theta, free, b.lower, b.upper, records, loss, b.scale, self.differences)
+        priors = b.priors if "fit" in split.split("+") else None  # they count once
+        p = Problem(runs, theta, free, b.lower, b.upper, records, loss, b.scale, self.differences, priors)
         defect = self._defect(residual, split)
         return p if defect is None else p.with_targets(runs.targets - defect)
 
@@ -357,10 +360,12 @@ def assemble(
     groups = tuple(tuple(names[i] for i in g) for g in cov.groups)
     notes.append(cov.statement)
     notes += [f"{binding.layout.names[i]} ended at its bound ({e.value:.4g} {e.unit})" for i, e in found.items() if e.at_bound]
+    notes += binding.said
     notes += [f"noise of {n.text}" for n in binding.noise.values()]
 
     table: dict[str, dict[str, Score]] = {}
     traces: list[Trace] = []
+    free: dict[str, dict[str, Score]] = {}
     windowed: dict[str, Score] = {}
     for split in ("fit", "validation", "report"):
         experiments = residual.select(binding.dataset, split)
@@ -381,25 +386,21 @@ def assemble(
             starts = estimate_starts(bench, split, [theta])
         predictions = free_runs(bench, split, [theta], starts)[0]
         table[split] = {**table.get(split, {}), **scores(bench, split, predictions)}
+        if SIMULATIONS.get(residual.name) in ("windows", "closed_loop"):
+            inside, z = own_simulation(bench, residual, split, problem, result.z)
+            free[split], table[split] = table[split], simulated_scores(inside, z)
+            if inside.runs.channels == binding.chain.signature.outputs and len(inside.records) == len(experiments):
+                predictions = inside.predictions(z)
         traces += make_traces(binding, split, {"fit": predictions})
         if split == "fit" and isinstance(residual, MultipleShooting):
-            windowed = window_scores(binding, problem, result.z)
+            windowed = table[split]
     end = ending(problem, result, cov, [] if windowed else [t for t in traces if t.split == "fit"])
     return Fit(
         binding.chain.mechanism.name, added, fitter, residual.name, problem.loss_name, seed, end.state == "converged",
         end.state == "failed", end.because, result.loss, own, table, windowed, result.evaluations, wall_time, compile_time,
         binding.dataset.name, binding.dataset.sha256, tuple(notes), groups, tuple(result.history), tuple(traces), theta,
-        end.state == "stalled",
+        end.state == "stalled", SIMULATIONS.get(residual.name, "free_run"), free, stated_numbers(binding, found),
     )  # fmt: skip
-
-
-def window_scores(binding: Binding, problem: Problem, z: np.ndarray) -> dict[str, Score]:
-    predictions = np.concatenate(problem.predictions(z))
-    at = np.concatenate([problem.runs.record(r).samples for r in problem.records])
-    y = problem.runs.targets[at]
-    return {
-        name: score(y[:, c], predictions[:, c] - y[:, c], unit) for c, (name, unit) in enumerate(binding.chain.signature.outputs)
-    }
 
 
 def make_traces(binding: Binding, split: str, predictions: dict[str, Sequence[np.ndarray]]) -> list[Trace]:

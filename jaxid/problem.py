@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import copy
 from collections import Counter
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from typing import Any, NamedTuple
 
 import jax
@@ -59,6 +59,8 @@ class Data(NamedTuple):
     steps: Any
     count: Any
     norm: Any
+    mean: Any  # of the priors of the free parameters, and 1 / standard deviation, 0 without one
+    pull: Any
 
 
 class Problem(AbstractProblem):
@@ -67,7 +69,8 @@ class Problem(AbstractProblem):
     `base` holds every number of the layout, `free` the positions of those that are fitted between `lower` and `upper`
     (both over the whole layout, like `scale`, a typical change). `records` selects records of the runs, by default all that
     the residual made. With `differences` the Jacobian is made of forward (1) or central (2) differences and not of tangents (0):
-    it is good to about 1e-6 or 1e-9, and needs no program but the one that simulates, which compiles faster.
+    it is good to about 1e-6 or 1e-9, and needs no program but the one that simulates, which compiles faster. `priors` has mean
+    and standard deviation of numbers of the layout: each is one more residual of a sum of squares.
     """
 
     def __init__(
@@ -81,12 +84,19 @@ class Problem(AbstractProblem):
         loss: str = "sum_of_squares",
         scale: np.ndarray | None = None,
         differences: int = 0,
+        priors: Mapping[int, tuple[float, float]] | None = None,
     ):
         if loss not in LOSSES:
             raise UsageError(f"unknown loss {loss!r}; there is: {', '.join(LOSSES)}")
         self.differences = differences
         self.runs, self.base, self.loss_name = runs, np.asarray(base, np.float64), loss
         self.free = np.asarray(free, int)
+        known = {k: priors[int(i)] for k, i in enumerate(self.free) if int(i) in priors} if priors else {}
+        if known and loss != "sum_of_squares":
+            raise UsageError(f"a prior is one more square: it has no place in {loss}; leave it out, or use sum_of_squares")
+        self.mean, self.pull = np.zeros(self.free.size), np.zeros(self.free.size)
+        for k, (mean, std) in known.items():
+            self.mean[k], self.pull[k] = mean, 1 / std
         self.records = list(runs.records if records is None else records)
         self.log = runs.layout.log[self.free] & (lower[self.free] > 0)
         self.start0 = np.array([np.concatenate([runs.record(r).q0, runs.record(r).qd0]) for r in self.records])
@@ -98,7 +108,7 @@ class Problem(AbstractProblem):
         self.upper = np.concatenate([self._search(upper[self.free]), (self.start0 + reach)[rows, columns]])
         typical = 0.02 * (self.upper - self.lower)[: self.free.size] if scale is None else scale[self.free]
         self.scale = np.concatenate([np.where(self.log, 1.0, typical), 0.1 * reach[rows, columns]])
-        self.whole = lower, upper, scale
+        self.whole, self.priors = (lower, upper, scale), priors
         self.predict, self.programs = runs.engine.predictor(self.base, self.free)
         self._bounds = runs.engine.bounds(self.base, self.free, self.records)
         self.work = int(self._bounds[1].max()) * len(self.records)
@@ -193,13 +203,28 @@ class Problem(AbstractProblem):
                 self.start0, self.start_rows, self.start_columns, self._bounds[0],
                 np.array([self.runs.record(r).samples[0] for r in records], np.int32),
                 np.array([self.runs.record(r).count for r in records], np.int32), self._bounds[1], count, norm,
+                self.mean, self.pull,
             )  # fmt: skip
         return self._data
 
     @property
     def pure(self) -> Losses:
         predict, length, loss = self.predict, self.runs.engine.length, LOSSES[self.loss_name]
-        return lambda z, data: penalised(loss.total(sums(predict, length, loss, z, data), data.count, data.norm))
+
+        def losses(z: Array, data: Data) -> Array:
+            own = sums(predict, length, loss, z, data)
+            part = z[:, : data.log.shape[0]]
+            values = jnp.where(data.log, jnp.exp(jnp.where(data.log, part, 0.0)), part)
+            own = own.at[:, 0].add(jnp.sum(((values - data.mean) * data.pull) ** 2, -1))
+            return penalised(loss.total(own, data.count, data.norm))
+
+        return losses
+
+    def known_before(self, z: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        r = (self.theta(z)[self.free] - self.mean) * self.pull
+        J = np.zeros((self.free.size, self.size))
+        np.fill_diagonal(J, self.dtheta(z) * self.pull)
+        return r[self.pull > 0], J[self.pull > 0]
 
     @property
     def compile_time_s(self) -> float:
@@ -221,7 +246,9 @@ class Problem(AbstractProblem):
     def part(self, pieces, weights):
         records = [self.records[k] for k in pieces]
         lower, upper, scale = self.whole
-        twin = Problem(self.runs, self.base, self.free, lower, upper, records, self.loss_name, scale, self.differences)
+        twin = Problem(
+            self.runs, self.base, self.free, lower, upper, records, self.loss_name, scale, self.differences, self.priors
+        )
         if any(w != 1 for w in weights):
             twin.weights = self.weights.copy()
             for number, w in zip(records, weights, strict=True):

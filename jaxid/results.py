@@ -19,6 +19,7 @@ if TYPE_CHECKING:
     from jaxid.diagnosis.unseen import Unseen
     from jaxid.excitation_result import Excitation
     from jaxid.excitation_separate import Rivals
+    from jaxid.stated import Stated
 
 
 SCHEMA = 1
@@ -128,6 +129,11 @@ class Fit:
     traces: tuple[Trace, ...] = ()
     theta: np.ndarray = field(default_factory=lambda: np.zeros(0))  # every number of the model, in the order of its layout
     stalled: bool = False  # ended by a rule of the fitter's own, without having converged
+    simulation: str = (
+        "free_run"  # what the scores are of: free_run | windows | closed_loop | inverse_dynamics | frequency_response
+    )
+    free_run: dict[str, dict[str, Score]] = field(default_factory=dict)  # scores of the free run, where `scores` are of another
+    stated: tuple[Stated, ...] = ()
 
     @property
     def state(self) -> str:
@@ -149,9 +155,12 @@ class Fit:
             "stopped_because": self.stopped_because,
             "loss": self.loss,
             "parameters": {k: v.to_dict() for k, v in self.parameters.items()},
+            "simulation": self.simulation,
             **{split: {c: s.to_dict() for c, s in rows.items()} for split, rows in self.scores.items()},
+            "free_run": {split: {c: s.to_dict() for c, s in rows.items()} for split, rows in self.free_run.items()},
             "windowed": {c: s.to_dict() for c, s in self.windowed.items()},
             "correlated": [list(g) for g in self.correlated],
+            "stated": [s.to_dict() for s in self.stated],
             "evaluations": self.evaluations,
             "wall_time_s": self.wall_time_s,
             "compile_time_s": self.compile_time_s,
@@ -389,6 +398,7 @@ class Diagnosis:
             "next_experiment": self.next_experiment,
             "unseen": [u.to_dict() for u in self.unseen],
             "parameters": {k: v.to_dict() for k, v in self.final.parameters.items()},
+            "stated": [s.to_dict() for s in self.final.stated],
             "wall_time_s": self.wall_time_s,
             "notes": list(self.notes),
             "versions": versions(),

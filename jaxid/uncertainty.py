@@ -66,6 +66,9 @@ def covariance(problem: Problem, z: np.ndarray) -> Covariance:
         whole[:, :, part.z_columns] = part.J
         parts.append(Part(part.r, whole))
 
+    r, J = problem.known_before(z)  # knows no model error: counts as it is
+    slope, prior, H_data = slope + J.T @ r, J.T @ J, H
+    H = H + prior
     scale = np.sqrt(np.maximum(np.diag(H), 1e-300))
     scaled = H / scale / scale[:, None]
     blind = (np.diag(H) <= 1e-300) | broken  # no sample reacts to it
@@ -85,16 +88,20 @@ def covariance(problem: Problem, z: np.ndarray) -> Covariance:
         if not index.size:
             continue
         inverse = _pseudo_inverse(scaled[np.ix_(index, index)]) / scale[index] / scale[index][:, None]
-        if white:
+        known = prior[np.ix_(index, index)]
+        if white and not r.size:
             cov = max(s2, 1.0) * inverse
+        elif white:
+            cov = inverse @ (max(s2, 1.0) * H_data[np.ix_(index, index)] + known) @ inverse
         else:
             own = [Part(p.r, p.J[:, :, index]) for p in parts]
             noise = noise or tuple(autoregressions(own, inverse))
             widened = student(own, noise, len(index))
-            cov = inverse @ score_covariance(own, noise) @ inverse * widened**2
+            cov = inverse @ (score_covariance(own, noise) * widened**2 + known) @ inverse
             S = _long_run(scores, n, memory)[np.ix_(index, index)]
             # Never narrower than white residuals of that size.
-            floor = np.maximum(np.diag(inverse @ S @ inverse) * count / dof, max(1.0, s2) * np.diag(inverse))
+            least = inverse @ (max(1.0, s2) * H_data[np.ix_(index, index)] + known) @ inverse
+            floor = np.maximum(np.diag(inverse @ (S * count / dof + known) @ inverse), np.diag(least))
             stretch = np.sqrt(np.maximum(1.0, floor / np.maximum(np.diag(cov), 1e-300)))
             cov = cov * stretch * stretch[:, None]
         target = np.ix_(index, index)
