@@ -88,7 +88,7 @@ def race(seeds: int) -> list[dict]:
     motion = path(1, SECONDS)
     data, problem = problem_of([motion], [torque(motion, np.ones(len(motion[0])))], 0.0)
     base = fitters.LevenbergMarquardt(restarts=40).minimise(problem, [problem.z(problem.base)], jax.random.key(0))
-    typical = np.mean((measured_torque(data, problem.runs) / problem.runs.noise) ** 2)
+    typical = np.mean((measured_torque(data, problem.runs, problem.base) / problem.runs.noise) ** 2)
     size: Any = {"popsize": 60, "generations": 10**4, "stall": 0}
     methods: dict[str, AbstractFitter] = {
         "DE rand/1/bin, F 0.5, CR 0.9": fitters.DifferentialEvolution(F=(0.5, 0.5), **size),

@@ -11,7 +11,7 @@ from __future__ import annotations
 import functools
 import math
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any, ClassVar
 
 import jax
@@ -62,7 +62,17 @@ class LevenbergMarquardt(AbstractFitter):
         compiled = jobs[0][0].compile_losses()
         best = self._paths(jobs, logs)
         compiled()
-        return [log.minimum(p.z, p.converged, log.exhausted or p.stopped) for p, log in zip(best, logs, strict=True)]
+        return [_minimum(p, log) for p, log in zip(best, logs, strict=True)]
+
+
+def _minimum(path: Path, log: Log) -> Minimum:
+    """The end of a path; one without a finite gradient anywhere has not been searched from."""
+    if path.gradient is None and path.converged:
+        return replace(log.minimum(path.z, False, NO_GRADIENT), loss=np.inf)
+    return log.minimum(path.z, path.converged, log.exhausted or path.stopped)
+
+
+NO_GRADIENT = "no start has a finite gradient; give other start values or narrower bounds"
 
 
 def guesses(problem: AbstractProblem, starts: Sequence[np.ndarray], restarts: int, key) -> list[np.ndarray]:

@@ -17,6 +17,7 @@ from jaxid.dataset_geometry import arm_table
 from jaxid.errors import nearest, UsageError
 from jaxid.experiment import Dataset, Experiment, ParameterPrior
 from jaxid.joint_names import in_chain_order, joint_names
+from jaxid.joint_readings import all_read, with_speeds
 from jaxid.layout import Layout
 from jaxid.mechanism import Mechanism, Signature
 from jaxid.noise import Noise, noise_floor
@@ -25,6 +26,7 @@ from jaxid.precision import float64
 from jaxid.robots import match as robots
 from jaxid.samples import Motion
 from jaxid.time_stamps import scattered_stamps, Stamps, with_scatter
+from jaxid.torque import drive_torque
 from jaxid.traced import key_of, Traced
 
 
@@ -52,6 +54,8 @@ class Binding:
     stated: set[int]  # values that the dataset states itself
     nominal: set[int]  # numbers of the model as the user has it, without added effects and candidates
     read: dict[int, float] = field(default_factory=dict)  # numbers that the recording itself tells: their standard deviation
+    priors: dict[int, tuple[float, float]] = field(default_factory=dict)  # mean and standard deviation of numbers known before
+    said: tuple[str, ...] = ()  # what the dataset asks for that changes a result
 
     def experiments(self, split: str) -> tuple[Experiment, ...]:
         return self.dataset.split(split)
@@ -102,6 +106,7 @@ def resolve_model(model: object, dataset: Dataset, without: Iterable[str] = ()) 
         model = Chain(model, signature=_signature(model, dataset), smoothing_velocity=smoothing)
     if not isinstance(model, Chain):
         raise UsageError(f"a model is an id, a mechanism or a chain, not {type(model).__name__}")
+    _check_drive(model)
     if set(constants) & set(settings(model.mechanism)):
         model = model.with_mechanism(with_settings(model.mechanism, constants))
     out = [*(spec.without if spec is not None else ()), *without]
@@ -114,10 +119,22 @@ def resolve_model(model: object, dataset: Dataset, without: Iterable[str] = ()) 
     return model.without(*out)
 
 
+def _check_drive(chain: Chain) -> None:
+    """Without a law of its own each input is the torque of the joint of its number, and there is one for each."""
+    nu, nq = len(chain.signature.inputs), chain.nq
+    if nu not in (0, nq) and type(chain.mechanism).drive is Mechanism.drive:
+        counted = f"{nu} input{'s' * (nu > 1)}, {nq} joint{'s' * (nq > 1)}"
+        raise UsageError(
+            f"{counted}: write `drive` in {type(chain.mechanism).__name__}, the law that makes joint torques of inputs, as in "
+            "`def drive(self, signature, u, q, qd): return jnp.stack([...])`, one entry for each joint"
+        )
+
+
 def _signature(mechanism: Mechanism, dataset: Dataset) -> Signature:
     inputs, outputs = {c.name for c in dataset.inputs}, {c.name for c in dataset.outputs}
     free = dataset.model is not None and dataset.model.free
     for s in mechanism.signatures:
+        s = with_speeds(s, {c.name: c.unit for c in dataset.outputs})
         if outputs >= {n for n, _ in s.outputs} and (free or inputs >= {n for n, _ in s.inputs}):
             return s
     wanted = "; or ".join(
@@ -194,8 +211,9 @@ def bind(
             stated.add(i)
     priors = {name: ParameterPrior(None, *known) for name, known in chain.mechanism.known().items()} | priors
     for name, prior in priors.items():
-        if prior.value is not None:
-            theta[layout.index(name)] = prior.value
+        value = prior.value if prior.value is not None else prior.mean
+        if value is not None:
+            theta[layout.index(name)] = value
             stated.add(layout.index(name))
 
     chain = layout.model(theta)  # with what the dataset states
@@ -208,7 +226,7 @@ def bind(
         free += [i for p in places for i in layout.of_effect(kind.name, p) if i not in free]
 
     motions: dict[str, Motion] = {}
-    if set(chain.signature.joints) <= set(names):
+    if all_read(chain):
         motions = {e.name: samples.motion(dataset, e, chain, sigma) for e in dataset.experiments}
     references, inputs = _references(dataset, layout, theta, motions)
     lower, upper, scale = layout.boxes(references, inputs)
@@ -220,10 +238,40 @@ def bind(
             if prior.value is not None:
                 raise UsageError(f"{name} = {theta[i]:g} lies outside its bounds [{lower[i]:g}, {upper[i]:g}]")
             theta[i] = np.sqrt(lower[i] * upper[i]) if lower[i] > 0 else (lower[i] + upper[i]) / 2
+    known, said = _stated_scales(layout, priors, lower, upper)
     theta[free] = np.clip(theta[free], lower[free], upper[free])
     return Binding(
-        dataset, chain, layout, noise, sigma, motions, references, inputs, theta, lower, upper, scale, free, stated, own
-    ).with_stamps(stamps)
+        dataset, chain, layout, noise, sigma, motions, references, inputs, theta, lower, upper, scale, free, stated, own,
+        priors=known, said=said,
+    ).with_stamps(stamps)  # fmt: skip
+
+
+def _stated_scales(
+    layout: Layout, priors: Mapping[str, ParameterPrior], lower: np.ndarray, upper: np.ndarray
+) -> tuple[dict[int, tuple[float, float]], tuple[str, ...]]:
+    """Search scales as stated, set in the layout; the Gaussian priors, and sentences about both. Bounds that nobody states make
+    room for a prior."""
+    known, said = {}, []
+    layout.log = layout.log.copy()
+    for name, prior in priors.items():
+        i = layout.index(name)
+        if prior.mean is not None and prior.std is not None:
+            known[i] = prior.mean, prior.std
+            reach = (prior.mean - 5 * prior.std, prior.mean + 5 * prior.std)
+            upper[i] = upper[i] if prior.upper is not None else max(upper[i], reach[1])
+            least = 0.0 if lower[i] >= 0 else -np.inf
+            if prior.lower is None and not (lower[i] > 0 and reach[0] <= 0):
+                lower[i] = max(least, min(lower[i], reach[0]))
+            said.append(f"prior of {name}: {prior.mean:.4g} ± {prior.std:.4g} {layout.entries[i].unit} (stated)")
+        if prior.log is not None:
+            if prior.log and not lower[i] > 0:
+                raise UsageError(
+                    f"{name}: log = true searches its logarithm, and its lower bound is {lower[i]:g}: state `lower` above 0 "
+                    f"under [model.parameters.{name}]"
+                )
+            layout.log[i] = prior.log
+            said.append(f"{name} is searched {'by its logarithm' if prior.log else 'linearly'} (stated)")
+    return known, tuple(said)
 
 
 def inertia_torque(chain: Chain, q: Float[Array, "n nq"], qdd: Float[Array, "n nq"]) -> Float[Array, "n nq"]:
@@ -253,6 +301,7 @@ def _references(
     iu, iy = samples.columns(dataset, chain)
     size = [float(np.percentile(np.abs(np.concatenate([e.u[:, i] for e in fit])), 99)) for i in iu] if fit else []
     direct = chain.direct
+    law = bool(iu) and not direct
     if not fit:
         omega = np.concatenate([r.omega for r in dataset.responses])
         joints = [Reference(1.0, 1.0, 1.0, 2 * np.pi / float(omega.min()), np.pi / float(omega.max()))] * nq
@@ -261,6 +310,10 @@ def _references(
         step = float(np.median(np.diff(fit[0].t)))
         duration = max(float(e.t[-1] - e.t[0]) for e in fit)
         torque = size if direct and size else [1.0] * nq
+        if law:
+            u = np.concatenate([e.u[:, iu] for e in fit])
+            driven = drive_torque(layout, theta, u, np.zeros((len(u), 2 * nq)))
+            torque = [s or 1.0 for s in np.percentile(np.abs(driven), 99, axis=0)]
         joints = [Reference(torque[min(j, len(torque) - 1)], 1.0, 1.0, duration, step) for j in range(nq)]
     else:
         used = [motions[e.name] for e in fit]
@@ -269,8 +322,12 @@ def _references(
         with float64():
             torque = _inertia_program(layout)(theta, q[pick], qdd[pick])
             inertia = np.percentile(np.abs(np.asarray(torque)), 99, axis=0)
-        if (law := getattr(chain.mechanism, "drive_law", None)) is not None:  # what the law asks for says more
-            asked = law.size(np.concatenate([e.u[:, iu[:nq]] for e in fit]) - np.concatenate([e.y for e in fit])[:, iy])
+        if (asks := getattr(chain.mechanism, "drive_law", None)) is not None:  # what the law asks for says more
+            asked = asks.size(np.concatenate([e.u[:, iu[:nq]] for e in fit]) - np.concatenate([e.y for e in fit])[:, iy])
             inertia = np.maximum(inertia, asked)
+        elif law:
+            parts = zip(fit, used, strict=True)
+            driven = [drive_torque(layout, theta, e.u[:, iu], np.concatenate([m.q, m.qd], 1)) for e, m in parts]
+            inertia = np.maximum(inertia, np.percentile(np.abs(np.concatenate(driven)), 99, axis=0))
         joints = samples.references(fit, used, iu if direct else [], inertia)
     return joints, [joints[min(k, nq - 1)]._replace(torque=max(s, 1e-9)) for k, s in enumerate(size)]

@@ -2,9 +2,13 @@
 
 from __future__ import annotations
 
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, TYPE_CHECKING
 
 from jaxid.errors import nearest, UsageError
+
+
+if TYPE_CHECKING:
+    from jaxid.mechanism import Signature
 
 
 class ParameterInfo(NamedTuple):
@@ -16,17 +20,12 @@ class ParameterInfo(NamedTuple):
     meaning: str
 
 
-class SignatureInfo(NamedTuple):
-    inputs: tuple[tuple[str, str], ...]
-    outputs: tuple[tuple[str, str], ...]
-
-
 class ModelInfo(NamedTuple):
     name: str
     text: str
     equations: str
     source: str
-    signatures: tuple[SignatureInfo, ...]
+    signatures: tuple[Signature, ...]
     parameters: tuple[str, ...]
     constants: tuple[str, ...]
     builtin_effects: tuple[str, ...]
@@ -116,6 +115,7 @@ def describe(name: str, model: Any = None) -> ModelInfo:
     """What a user and the checks of a dataset need to know of a model; `model` one of it where they differ (a `serial_arm`)."""
     from jaxid.chain import Chain
     from jaxid.layout import Layout
+    from jaxid.mechanism import speed_names
     from jaxid.parameter import settings
 
     kind = model_class(name)
@@ -138,13 +138,13 @@ def describe(name: str, model: Any = None) -> ModelInfo:
     for signature in one.signatures:
         for j, joint in enumerate(signature.joints):
             number = "" if len(signature.joints) == 1 else str(j + 1)
-            states += [joint, "velocity" if signature.linear else f"qd{number}", f"q{number}", f"qd{number}"]
+            states += [joint, f"q{number}", *speed_names(signature.joints, j)]
     return ModelInfo(
         name,
         _text(kind),
         kind.equations,
         kind.source,
-        tuple(SignatureInfo(s.inputs, s.outputs) for s in one.signatures),
+        tuple(one.signatures),
         tuple(parameters),
         tuple(constants),
         tuple(e.name for e, _ in kind.builtin),

@@ -169,8 +169,8 @@ def diagnose(dataset, out, model, max_effects, effects, without, residual, seed,
         from jaxid.cli_excite import design_next
 
         design_next(result, next_, own, as_json or quiet)
-    if result.nominal.failed:
-        terminal.complain(f"the nominal fit failed: {result.nominal.stopped_because}")
+    if result.final.failed:
+        terminal.complain(f"the fit failed: {result.final.stopped_because}")
         return FAILED
     return code
 

@@ -11,7 +11,7 @@ from typing import Any
 from jaxid.dataset_geometry import arm_table
 from jaxid.dataset_patterns import expanded_channels
 from jaxid.dataset_records import Harvest, read_record, read_response, Reading
-from jaxid.dataset_schema import Document, ExperimentEntry, Header, ModelEntry, Places
+from jaxid.dataset_schema import Document, ExperimentEntry, Header, ModelEntry, Places, PriorEntry
 from jaxid.dataset_table import Table
 from jaxid.errors import nearest, UsageError
 from jaxid.experiment import (
@@ -120,10 +120,15 @@ def _model_spec(entry: ModelEntry) -> ModelSpec:
         without=tuple(entry.without),
         free=entry.free,
         constants={k: float(v) for k, v in entry.constants.items()},
-        parameters={k: ParameterPrior(p.value, p.lower, p.upper) for k, p in entry.parameters.items()},
+        parameters={k: _prior(p) for k, p in entry.parameters.items()},
         joints=dict(entry.joints),
         base={} if entry.base is None else entry.base.model_dump(exclude_unset=True),
     )
+
+
+def _prior(entry: PriorEntry) -> ParameterPrior:
+    mean, std = (None, None) if entry.prior is None else (entry.prior.mean, entry.prior.std)
+    return ParameterPrior(entry.value, entry.lower, entry.upper, entry.log, mean, std)
 
 
 def _geometry(document: Document, places: Places, open_text: Any, problems: list[Problem]) -> Geometry | None:
@@ -321,10 +326,14 @@ def _fits_model(document: Document, readings: list[Reading], places: Places, inf
     """Whether the channels contain one signature of the model; the closest signature is the one to speak of."""
     if "channels" not in document.sound or not readings or document.model is None:
         return []
+    from jaxid.joint_readings import with_speeds
+
     free = document.model.free
     have = {r.name: r for r in readings}
     best: list[Problem] | None = None
+    speeds = {r.name: r.conversion.si for r in readings if r.entry.role == "output"}
     for signature in info.signatures:
+        signature = with_speeds(signature, speeds)
         found = _signature_faults(have, signature, free, places, info.name)
         if best is None or len(found) < len(best):
             best = found

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import datetime
+import math
 import re
 from collections.abc import Mapping
 from dataclasses import dataclass, field
@@ -165,16 +166,32 @@ class ExperimentEntry(_Strict):
         return self
 
 
+class GaussEntry(_Strict):
+    """A Gaussian prior."""
+
+    mean: FiniteFloat
+    std: FiniteFloat = Field(gt=0)
+
+
 class PriorEntry(_Strict):
+    """`[model.parameters.NAME]`: start value, bounds, search scale and Gaussian prior of a fitted number."""
+
     value: FiniteFloat | None = None
     lower: FiniteFloat | None = None
     upper: FiniteFloat | None = None
+    log: bool | None = None
+    prior: GaussEntry | None = None
 
     @model_validator(mode="after")
     def _ordered(self) -> PriorEntry:
         given = [v for v in (self.lower, self.value, self.upper) if v is not None]
         if given != sorted(given) or (self.lower is not None and self.lower == self.upper):
             raise ValueError("lower, value and upper must rise in this order (a known value belongs in [model.constants])")
+        if self.log and self.lower is not None and self.lower <= 0:
+            raise ValueError("log = true searches the logarithm, and lower is not above 0: raise it")
+        ends = (-math.inf if self.lower is None else self.lower, math.inf if self.upper is None else self.upper)
+        if self.prior is not None and not ends[0] <= self.prior.mean <= ends[1]:
+            raise ValueError("the mean of the prior lies outside of lower and upper")
         return self
 
 

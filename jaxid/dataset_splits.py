@@ -88,6 +88,7 @@ def _place(run: Experiment, stop: int) -> str:
 
 
 def _after_guard(run: Experiment, stop: int) -> int:
-    """The first sample behind a guard gap of 20 samples or 0.1 s, whichever is longer."""
+    """The first sample behind a guard gap of 20 samples or 0.1 s, whichever is longer; a fast record is over so soon that a third
+    of what is left has to do."""
     by_time = int(np.searchsorted(run.t, run.t[stop] + GUARD_S, side="left"))
-    return min(len(run), max(stop + GUARD_SAMPLES, by_time))
+    return min(max(stop + GUARD_SAMPLES, by_time), max(stop + GUARD_SAMPLES, stop + (len(run) - stop) // 3), len(run))

@@ -10,15 +10,18 @@ import numpy as np
 
 from jaxid import samples
 from jaxid.binding import Binding
+from jaxid.ending import ending
 from jaxid.experiment import Experiment
 from jaxid.fitter import Minimum
 from jaxid.fitters import descend
 from jaxid.frequency import FrequencyResponseError
+from jaxid.own_simulation import own_simulation, simulated_scores, SIMULATIONS
 from jaxid.problem import Problem
 from jaxid.residual import InverseDynamics, MultipleShooting, OutputError, Residual, Runs
 from jaxid.results import EffectEstimate, Estimate, Fit, Score, Trace
 from jaxid.robots import yardstick
 from jaxid.robots.match import is_robot
+from jaxid.stated import Stated, stated_numbers
 from jaxid.uncertainty import Covariance, covariance
 
 
@@ -103,7 +106,8 @@ class Bench:
     ) -> Problem:
         b = self.binding
         runs = self.runs(residual, split)
-        p = Problem(runs, theta, free, b.lower, b.upper, records, loss, b.scale, self.differences)
+        priors = b.priors if "fit" in split.split("+") else None  # they count once
+        p = Problem(runs, theta, free, b.lower, b.upper, records, loss, b.scale, self.differences, priors)
         defect = self._defect(residual, split)
         return p if defect is None else p.with_targets(runs.targets - defect)
 
@@ -272,7 +276,7 @@ def torque_scores(
     missing = np.concatenate(problem.predictions(problem.z(theta)))
     from jaxid.torque import measured_torque
 
-    drive = measured_torque(bench.binding.dataset, runs)
+    drive = measured_torque(bench.binding.dataset, runs, theta)
     for c, (name, unit) in enumerate(runs.channels):
         out[name] = score(drive[:, c], missing[:, c], unit)
     return out
@@ -283,7 +287,7 @@ def torque_traces(bench: Bench, residual: Residual, split: str, thetas: dict[str
     from jaxid.torque import measured_torque
 
     runs = bench.runs(residual, split)
-    drive = measured_torque(bench.binding.dataset, runs)
+    drive = measured_torque(bench.binding.dataset, runs, list(thetas.values())[-1])
     problems = {label: bench.problem(residual, split, [], theta) for label, theta in thetas.items()}
     missing = {label: p.predictions(p.z(thetas[label])) for label, p in problems.items()}
     out, first = [], 0
@@ -368,10 +372,12 @@ def assemble(
     groups = tuple(tuple(names[i] for i in g) for g in cov.groups)
     notes.append(cov.statement)
     notes += [f"{binding.layout.names[i]} ended at its bound ({e.value:.4g} {e.unit})" for i, e in found.items() if e.at_bound]
+    notes += binding.said
     notes += [f"noise of {n.text}" for n in binding.noise.values()]
 
     table: dict[str, dict[str, Score]] = {}
     traces: list[Trace] = []
+    free: dict[str, dict[str, Score]] = {}
     windowed: dict[str, Score] = {}
     for split in ("fit", "validation", "report"):
         experiments = residual.select(binding.dataset, split)
@@ -392,29 +398,29 @@ def assemble(
             starts = estimate_starts(bench, split, [theta])
         predictions = free_runs(bench, split, [theta], starts)[0]
         table[split] = {**table.get(split, {}), **scores(bench, split, predictions)}
+        if SIMULATIONS.get(residual.name) in ("windows", "closed_loop"):
+            inside, z = own_simulation(bench, residual, split, problem, result.z)
+            free[split], table[split] = table[split], simulated_scores(inside, z)
+            if inside.runs.channels == binding.chain.signature.outputs and len(inside.records) == len(experiments):
+                predictions = inside.predictions(z)
         traces += make_traces(binding, split, {"fit": predictions})
         if split == "fit" and isinstance(residual, MultipleShooting):
-            windowed = window_scores(binding, problem, result.z)
-    rows = yardstick.stated(binding, found)
+            windowed = table[split]
     joints: tuple[dict, ...] = ()
     if is_robot(binding.chain.mechanism):
+        rows = yardstick.stated(binding, found)
         notes += yardstick.sentences(rows, binding.chain.mechanism.tree.tree)  # type: ignore[attr-defined]
         joints = () if isinstance(residual, InverseDynamics) else yardstick.per_joint(bench, table)
+        stated = tuple(Stated(**row) for row in rows)
+    else:
+        stated = stated_numbers(binding, found)
+    end = ending(problem, result, cov, [] if windowed else [t for t in traces if t.split == "fit"])
     return Fit(
-        binding.chain.mechanism.name, added, fitter, residual.name, problem.loss_name, seed, result.converged, False,
-        result.stopped_because, result.loss, own, table, windowed, result.evaluations, wall_time, compile_time,
+        binding.chain.mechanism.name, added, fitter, residual.name, problem.loss_name, seed, end.state == "converged",
+        end.state == "failed", end.because, result.loss, own, table, windowed, result.evaluations, wall_time, compile_time,
         binding.dataset.name, binding.dataset.sha256, tuple(notes), groups, tuple(result.history), tuple(traces), theta,
-        result.stalled, rows, joints,
+        end.state == "stalled", SIMULATIONS.get(residual.name, "free_run"), free, stated, joints,
     )  # fmt: skip
-
-
-def window_scores(binding: Binding, problem: Problem, z: np.ndarray) -> dict[str, Score]:
-    predictions = np.concatenate(problem.predictions(z))
-    at = np.concatenate([problem.runs.record(r).samples for r in problem.records])
-    y = problem.runs.targets[at]
-    return {
-        name: score(y[:, c], predictions[:, c] - y[:, c], unit) for c, (name, unit) in enumerate(binding.chain.signature.outputs)
-    }
 
 
 def make_traces(binding: Binding, split: str, predictions: dict[str, Sequence[np.ndarray]]) -> list[Trace]:

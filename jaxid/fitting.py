@@ -12,7 +12,7 @@ import numpy as np
 from jaxid import samples
 from jaxid.added_effects import probe_starts
 from jaxid.binding import Binding
-from jaxid.errors import UsageError
+from jaxid.ending import looked_again
 from jaxid.estimation import assemble, Bench, default_residual, start_values
 from jaxid.fitter import AbstractFitter, Minimum, Progress
 from jaxid.fitters import LevenbergMarquardt
@@ -57,9 +57,6 @@ def fit_seeds(
     `known` is told of a fit before it is refined."""
     began = time.perf_counter()
     residual = residual or default_residual(binding)
-    told = binding.chain.direct or getattr(binding.chain.mechanism, "drive_law", None) is not None  # or a law tells the torque
-    if isinstance(residual, InverseDynamics) and binding.dataset.inputs and not told:
-        raise UsageError(f"inverse_dynamics needs measured torques; the inputs of {binding.chain.mechanism.name} are none")
     simulated = not isinstance(residual, InverseDynamics) and bool(binding.dataset.split("fit"))
     benches = Benches(binding) if benches is None else benches
     compiled = benches.compile_time()
@@ -83,6 +80,8 @@ def fit_seeds(
         if engine:
             engine.compile_ahead("outputs", binding.theta, binding.free)
         found = fitter.minimise_each(jobs, budget, progress)
+        if step == samples.STEP:  # a finer one begins where the coarser one has ended
+            found = looked_again(jobs, found, fitter, budget, progress)
         for seed, job, result in zip(level, jobs, found, strict=True):
             problem = job[0]
             ended[seed] = bench, problem, result

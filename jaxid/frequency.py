@@ -54,7 +54,7 @@ def transfer(
     stiffness, slope = (
         jax.jvp(lambda q, qd: opposing(q, qd, still), (q0, still), along)[1] for along in ((ones, still), (still, ones))
     )
-    own = body.transfer(omega, slope, stiffness)
+    own = None if chain.signature.speeds else body.transfer(omega, slope, stiffness)
     if own is not None:
         re, im = (a[:, :ny] for a in own)
     else:
@@ -67,7 +67,7 @@ def transfer(
 
         field = lambda x, u: ravel_pytree(body.vector_field(0.0, unravel(x), torque(x, u)))[0]
         moving = jnp.zeros(chain.nq, bool)
-        sensors = lambda x, u: body.output(unravel(x), torque(x, u), moving)[:ny]
+        sensors = lambda x, u: chain.readings(body, unravel(x), torque(x, u), moving)
         A, B = jax.jacfwd(field, (0, 1))(x0, u0)
         C, D = jax.jacfwd(sensors, (0, 1))(x0, u0)
         X = jax.vmap(lambda w: solve(1j * w * jnp.eye(x0.size) - A, B))(omega)

@@ -22,19 +22,38 @@ from jaxid.parameter import ParameterSpec
 
 class Signature(NamedTuple):
     """The channels a model takes and gives: (name, unit) pairs, the names of its joints, and whether they translate
-    (`linear` all of them, `prismatic` one by one)."""
+    (`linear` all of them, `prismatic` one by one, or a joint's own output is in m).
+
+    `speeds`: the joints whose speeds are the last outputs. Those before are what the mechanism's `output` gives: its `shown`
+    places, or the first ones (None).
+    """
 
     inputs: tuple[tuple[str, str], ...]
     outputs: tuple[tuple[str, str], ...]
     joints: tuple[str, ...]
     linear: bool = False
     prismatic: tuple[bool, ...] = ()
+    shown: tuple[int, ...] | None = None
+    speeds: tuple[int, ...] = ()
 
     def unit(self, template: str, joint: int = 0) -> str:
         """A parameter's unit with {F} force, {X} coordinate and {I} inertia of that joint filled in."""
-        linear = self.linear or (joint < len(self.prismatic) and self.prismatic[joint])
+        linear = self.linear or (joint < len(self.prismatic) and self.prismatic[joint]) or self._reads_length(joint)
         force, coordinate, inertia = ("N", "m", "kg") if linear else ("N m", "rad", "kg m^2")
         return template.replace("{F}", force).replace("{X}", coordinate).replace("{I}", inertia)
+
+    def _reads_length(self, joint: int) -> bool:
+        """Whether an output reads the joint's position in m, or its speed in m/s."""
+        units = dict(self.outputs)
+        own = self.joints[joint] if joint < len(self.joints) else ""
+        return units.get(own) == "m" or any(units.get(n) == "m/s" for n in speed_names(self.joints, joint))
+
+
+def speed_names(joints: tuple[str, ...], joint: int) -> tuple[str, ...]:
+    """Names that a channel of a joint's speed may have: qd or qd2 by its number, the joint's own with _qd, velocity."""
+    if joint >= len(joints):
+        return ()
+    return (*(("qd", "velocity") if len(joints) == 1 else (f"qd{joint + 1}",)), f"{joints[joint]}_qd")
 
 
 class Free(NamedTuple):

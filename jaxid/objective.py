@@ -134,6 +134,10 @@ class AbstractProblem(abc.ABC):
     @abc.abstractmethod
     def add_compile_time(self, seconds: float) -> None: ...
 
+    def known_before(self, z: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Residual [k] and Jacobian [k size] of what is known of the parameters without the data: none here."""
+        return np.zeros(0), np.zeros((0, self.size))
+
     @property
     @abc.abstractmethod
     def pieces(self) -> int:
@@ -336,6 +340,12 @@ def linearise(jobs: Sequence[tuple[AbstractProblem, np.ndarray]], share: float =
             job[1][part.z_columns] += J @ r
             job[2][np.ix_(part.z_columns, part.z_columns)] += J @ J.T
             job[3] += r.size
+        for job, (p, z) in zip(out, jobs, strict=True):
+            r, J = p.known_before(z)
+            if r.size:
+                job[0] += float(r @ r)
+                job[1] += J.T @ r
+                job[2] += J.T @ J
     return [Linear(*job) for job in out]
 
 

@@ -9,7 +9,7 @@ from __future__ import annotations
 import copy
 import functools
 from collections import Counter
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from typing import Any, NamedTuple
 
 import jax
@@ -18,6 +18,7 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from jaxid.errors import UsageError
+from jaxid.joint_readings import joint_readings, sizes
 from jaxid.lanes import over_lanes
 from jaxid.objective import (
     AbstractProblem,
@@ -59,6 +60,8 @@ class Data(NamedTuple):
     steps: Any
     count: Any
     norm: Any
+    mean: Any  # of the priors of the free parameters, and 1 / standard deviation, 0 without one
+    pull: Any
 
 
 class Problem(AbstractProblem):
@@ -67,7 +70,8 @@ class Problem(AbstractProblem):
     `base` holds every number of the layout, `free` the positions of those that are fitted between `lower` and `upper`
     (both over the whole layout, like `scale`, a typical change). `records` selects records of the runs, by default all that
     the residual made. With `differences` the Jacobian is made of forward (1) or central (2) differences and not of tangents (0):
-    it is good to about 1e-6 or 1e-9, and needs no program but the one that simulates, which compiles faster.
+    it is good to about 1e-6 or 1e-9, and needs no program but the one that simulates, which compiles faster. `priors` has mean
+    and standard deviation of numbers of the layout: each is one more residual of a sum of squares.
     """
 
     def __init__(
@@ -81,12 +85,19 @@ class Problem(AbstractProblem):
         loss: str = "sum_of_squares",
         scale: np.ndarray | None = None,
         differences: int = 0,
+        priors: Mapping[int, tuple[float, float]] | None = None,
     ):
         if loss not in LOSSES:
             raise UsageError(f"unknown loss {loss!r}; there is: {', '.join(LOSSES)}")
         self.differences = differences
         self.runs, self.base, self.loss_name = runs, np.asarray(base, np.float64), loss
         self.free = np.asarray(free, int)
+        known = {k: priors[int(i)] for k, i in enumerate(self.free) if int(i) in priors} if priors else {}
+        if known and loss != "sum_of_squares":
+            raise UsageError(f"a prior is one more square: it has no place in {loss}; leave it out, or use sum_of_squares")
+        self.mean, self.pull = np.zeros(self.free.size), np.zeros(self.free.size)
+        for k, (mean, std) in known.items():
+            self.mean[k], self.pull[k] = mean, 1 / std
         self.records = list(runs.records if records is None else records)
         self.log = runs.layout.log[self.free] & (lower[self.free] > 0)
         self.start0 = np.array([np.concatenate([runs.record(r).q0, runs.record(r).qd0]) for r in self.records])
@@ -98,7 +109,7 @@ class Problem(AbstractProblem):
         self.upper = np.concatenate([self._search(upper[self.free]), (self.start0 + reach)[rows, columns]])
         typical = 0.02 * (self.upper - self.lower)[: self.free.size] if scale is None else scale[self.free]
         self.scale = np.concatenate([np.where(self.log, 1.0, typical), 0.1 * reach[rows, columns]])
-        self.whole = lower, upper, scale
+        self.whole, self.priors = (lower, upper, scale), priors
         self.predict, self.programs = runs.engine.predictor(self.base, self.free)
         self._bounds = runs.engine.bounds(self.base, self.free, self.records)
         self.work = int(self._bounds[1].max()) * len(self.records)
@@ -106,16 +117,27 @@ class Problem(AbstractProblem):
         self._data: Data | None = None
 
     def _start_reach(self) -> np.ndarray:
-        """How far an unknown start may lie from its guess: a fifth of the travel, the travel per tenth of the run."""
-        out = []
+        """How far an unknown start may lie from its guess: a fifth of the travel, the travel per tenth of the run; the largest
+        speed where that is read, and the whole travel (at least half a turn) where nothing else is."""
+        out, chain = [], self.runs.layout.chain
+        own, linear = joint_readings(chain), [chain.signature.unit("{X}", j) == "m" for j in range(chain.nq)]
         for r in self.records:
             record = self.runs.record(r)
             e = self.runs.experiments[record.experiment]
             nq = len(record.q0)
             y = e.motion()
             travel = np.ptp(y, axis=0)[:nq] if y.shape[1] >= nq else np.full(nq, np.ptp(y))
-            q = 0.2 * travel + 1e-6
-            out.append(np.concatenate([q, 10 * travel / (e.t[-1] - e.t[0]) + 2 * np.abs(record.qd0) + 1e-6]))
+            q, qd = 0.2 * travel + 1e-6, 10 * travel / (e.t[-1] - e.t[0]) + 2 * np.abs(record.qd0) + 1e-6
+            if self.start_free.any() and any(r.qd is not None for r in own):
+                at = np.arange(record.first, record.last + 1)
+                at = at[(self.runs.weights[at] > 0).any(1)]
+                travel, speed = sizes(chain, np.asarray(self.runs.engine.samples.t)[at], self.runs.targets[at])
+                for j, r in enumerate(own):
+                    q[j] = q[j] if r == (None, None) else 0.2 * travel[j] + 1e-6
+                    if r.qd is not None:
+                        qd[j] = speed[j] + 1e-6
+                        q[j] = q[j] if r.q is not None else travel[j] + 1e-6 if linear[j] else max(travel[j], np.pi)
+            out.append(np.concatenate([q, qd]))
         return np.array(out)
 
     def _search(self, values: np.ndarray) -> np.ndarray:
@@ -183,13 +205,28 @@ class Problem(AbstractProblem):
                 self.start0, self.start_rows, self.start_columns, self._bounds[0],
                 np.array([self.runs.record(r).samples[0] for r in records], np.int32),
                 np.array([self.runs.record(r).count for r in records], np.int32), self._bounds[1], count, norm,
+                self.mean, self.pull,
             )  # fmt: skip
         return self._data
 
     @property
     def pure(self) -> Losses:
         predict, length, loss = self.predict, self.runs.engine.length, LOSSES[self.loss_name]
-        return lambda z, data: penalised(loss.total(sums(predict, length, loss, z, data), data.count, data.norm))
+
+        def losses(z: Array, data: Data) -> Array:
+            own = sums(predict, length, loss, z, data)
+            part = z[:, : data.log.shape[0]]
+            values = jnp.where(data.log, jnp.exp(jnp.where(data.log, part, 0.0)), part)
+            own = own.at[:, 0].add(jnp.sum(((values - data.mean) * data.pull) ** 2, -1))
+            return penalised(loss.total(own, data.count, data.norm))
+
+        return losses
+
+    def known_before(self, z: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        r = (self.theta(z)[self.free] - self.mean) * self.pull
+        J = np.zeros((self.free.size, self.size))
+        np.fill_diagonal(J, self.dtheta(z) * self.pull)
+        return r[self.pull > 0], J[self.pull > 0]
 
     def begun(self, z):
         if not self.runs.engine.long:
@@ -226,7 +263,9 @@ class Problem(AbstractProblem):
     def part(self, pieces, weights):
         records = [self.records[k] for k in pieces]
         lower, upper, scale = self.whole
-        twin = Problem(self.runs, self.base, self.free, lower, upper, records, self.loss_name, scale, self.differences)
+        twin = Problem(
+            self.runs, self.base, self.free, lower, upper, records, self.loss_name, scale, self.differences, self.priors
+        )
         if any(w != 1 for w in weights):
             twin.weights = self.weights.copy()
             for number, w in zip(records, weights, strict=True):

@@ -21,6 +21,7 @@ from jaxid.chain import Chain
 from jaxid.engine import Engine
 from jaxid.errors import UsageError
 from jaxid.experiment import Dataset, Experiment
+from jaxid.joint_readings import joint_readings, position_matters, start_of, stated_start
 from jaxid.lane import Lane, simulate_lane, torque_lane
 from jaxid.layout import Layout
 from jaxid.samples import Motion, Record
@@ -217,10 +218,11 @@ def default_window(e: Experiment) -> float:
 
 
 def head_samples(e: Experiment) -> int:
-    """How many samples a run that is not fitted may use to estimate its start: 20, and at least 0.1 s, or as stated."""
+    """How many samples a run that is not fitted may use to estimate its start: 20, and at least 0.1 s, or as stated; of a short
+    run a third at most, so that the rest can be judged."""
     if e.initial_window_s is not None:
         return max(4, int(np.searchsorted(e.t, e.t[0] + e.initial_window_s, side="right")))
-    return min(len(e.t), max(20, int(np.searchsorted(e.t, e.t[0] + 0.1 - 1e-9, side="left"))))
+    return min(max(4, len(e.t) // 3), max(20, int(np.searchsorted(e.t, e.t[0] + 0.1 - 1e-9, side="left"))))
 
 
 def overrides(layout: Layout, experiments: Sequence[Experiment], records: Sequence[Record]) -> np.ndarray:
@@ -235,42 +237,23 @@ def overrides(layout: Layout, experiments: Sequence[Experiment], records: Sequen
 def _record(number: int, e: Experiment, p: np.ndarray, a: int, b: int, dataset: Dataset, chain: Chain, burn: int) -> Record:
     """Samples a ... b of an experiment as a record; its start from the statement of the experiment or its first samples. Up to
     `burn` samples before it effects follow the measured motion."""
-    from jaxid.signals import start_state
-
     nq = chain.nq
     free = np.ones(2 * nq, bool)
-    q0, qd0 = np.zeros(nq), np.zeros(nq)
     _, iy = recorded.columns(dataset, chain)
-    measured = [iy[k] for k in chain.joint_outputs]
-    if measured:
-        until = min(len(e.t), a + head_samples(e))
-        q0, qd0, _ = start_state(e.t[a:until], e.motion()[a:until][:, measured], e.t[until - 1] - e.t[a])
-        q0, qd0 = np.atleast_1d(q0).copy(), np.atleast_1d(qd0).copy()
+    q0, qd0 = start_of(chain, e, e.motion()[:, iy], a, min(len(e.t), a + head_samples(e)))
+    if any(r.q is None and r.qd is not None for r in joint_readings(chain)) and not position_matters(chain):
+        free[:nq] = [r.q is not None for r in joint_readings(chain)]  # counted from where the run starts
     if a == 0 and e.at_rest:
         qd0[:], free[nq:] = 0.0, False
     if a == 0 and e.initial is not None:
-        for j, joint in enumerate(chain.signature.joints):
-            for target, known, keys in (
-                (q0, free[:nq], _keys("q", joint, nq, j)),
-                (qd0, free[nq:], _keys("qd", joint, nq, j)),
-            ):
-                for key in keys:
-                    if key in e.initial:
-                        target[j], known[j] = e.initial[key], False
+        for j in range(nq):
+            for target, known, value in zip((q0, qd0), (free[:nq], free[nq:]), stated_start(e, chain.signature, j), strict=True):
+                if value is not None:
+                    target[j], known[j] = value, False
     lead = 0
     if burn and a > 0:
         lead = int(p[a] - p[max(0, a - burn)])
     return Record(number, int(p[a]), int(p[b - 1] - p[a] + 1), int(p[0]), int(p[-1]), lead, q0, qd0, free, p[a:b])
-
-
-def _keys(symbol: str, joint: str, nq: int, j: int) -> list[str]:
-    """Names under which a dataset may state a joint's start: q, q2, or the joint's own name (and its velocity)."""
-    keys = [symbol] if nq == 1 else [f"{symbol}{j + 1}"]
-    if symbol == "q":
-        keys.append(joint)
-    elif joint == "position":
-        keys.append("velocity")
-    return keys
 
 
 RESIDUALS: dict[str, type[Residual]] = {r.name: r for r in (OutputError, MultipleShooting, InverseDynamics)}

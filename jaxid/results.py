@@ -19,6 +19,7 @@ if TYPE_CHECKING:
     from jaxid.diagnosis.unseen import Unseen
     from jaxid.excitation_result import Excitation
     from jaxid.excitation_separate import Rivals
+    from jaxid.stated import Stated
 
 
 SCHEMA = 1
@@ -128,7 +129,10 @@ class Fit:
     traces: tuple[Trace, ...] = ()
     theta: np.ndarray = field(default_factory=lambda: np.zeros(0))  # every number of the model, in the order of its layout
     stalled: bool = False  # ended by a rule of the fitter's own, without having converged
-    stated: tuple[dict[str, Any], ...] = ()  # what a file or the dataset states beside what was fitted
+    # What the scores are of: free_run | windows | closed_loop | inverse_dynamics | frequency_response
+    simulation: str = "free_run"
+    free_run: dict[str, dict[str, Score]] = field(default_factory=dict)  # scores of the free run, where `scores` are of another
+    stated: tuple[Stated, ...] = ()  # what a file or the dataset states beside what was fitted
     per_joint: tuple[dict[str, Any], ...] = ()  # of a robot: each joint's error with the file as it stands
 
     @property
@@ -151,10 +155,12 @@ class Fit:
             "stopped_because": self.stopped_because,
             "loss": self.loss,
             "parameters": {k: v.to_dict() for k, v in self.parameters.items()},
+            "simulation": self.simulation,
             **{split: {c: s.to_dict() for c, s in rows.items()} for split, rows in self.scores.items()},
+            "free_run": {split: {c: s.to_dict() for c, s in rows.items()} for split, rows in self.free_run.items()},
             "windowed": {c: s.to_dict() for c, s in self.windowed.items()},
             "correlated": [list(g) for g in self.correlated],
-            "stated": list(self.stated),
+            "stated": [s.to_dict() for s in self.stated],
             "how_far": {"per_joint": list(self.per_joint)},
             "evaluations": self.evaluations,
             "wall_time_s": self.wall_time_s,
@@ -393,6 +399,7 @@ class Diagnosis:
             "next_experiment": self.next_experiment,
             "unseen": [u.to_dict() for u in self.unseen],
             "parameters": {k: v.to_dict() for k, v in self.final.parameters.items()},
+            "stated": [s.to_dict() for s in self.final.stated],
             "wall_time_s": self.wall_time_s,
             "notes": list(self.notes),
             "versions": versions(),

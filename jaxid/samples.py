@@ -170,19 +170,13 @@ def build(
 
 
 def motion(dataset: Dataset, experiment: Experiment, chain: Chain, noise: np.ndarray) -> Motion:
-    """Smoothed joint motion of a run whose joint positions are all measured; the cutoff lies where its content ends."""
-    from jaxid.signals import differentiate
+    """Smoothed joint motion of a run in which every joint is read; the cutoff lies where the content of a reading ends."""
+    from jaxid.joint_readings import cutoffs, joint_motion, stated_positions
 
     _, iy = columns(dataset, chain)
-    joints = chain.joint_outputs
-    out = []
     rms = experiment.noise_rms(noise, iy)
-    smooth = experiment.motion()
-    for i, sigma in zip([iy[k] for k in joints], [rms[k] for k in joints], strict=True):
-        y = smooth[:, i]
-        out.append(differentiate(experiment.t, y, content_cutoff(experiment.t, y, sigma)))
-    q, qd, qdd = (np.stack([o[k] for o in out], -1) for k in range(3))
-    return Motion(q, qd, qdd, out[0][3])
+    t, y = experiment.t, experiment.motion()[:, iy]
+    return Motion(*joint_motion(chain, t, y, cutoffs(chain, t, y, rms), stated_positions(experiment, chain.signature)))
 
 
 def content_cutoff(t: np.ndarray, y: np.ndarray, noise: float) -> float:

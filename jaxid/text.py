@@ -231,12 +231,18 @@ def wrapped(sentence: str, first: str = "", others: str = "") -> str:
     return "\n".join(textwrap.wrap(one_line(sentence), width, initial_indent=first, subsequent_indent=others))
 
 
+def sentence(text: str) -> str:
+    """A clause as a sentence of its own."""
+    return f"{text[:1].upper()}{text[1:].rstrip('.')}."
+
+
 def diagnosis_text(diagnosis: Diagnosis) -> str:
     """About ten lines: where, which, how far, what next."""
     which, how_far = diagnosis.which, diagnosis.how_far
     channels = telling(how_far)[:3]
     parts = [
         f"{one_line(diagnosis.dataset)}, model {one_line(diagnosis.model)}",
+        paragraph("STATED", [sentence(s.text) for s in diagnosis.final.stated if s.refuted]),
         "" if which.verdict == "none" else paragraph("WHERE", (where_sentence(f) for f in diagnosis.where[:2])),
         paragraph("WHICH", [which_sentence(which, how_far), confusable_sentence(which)]),
         paragraph(
@@ -263,7 +269,7 @@ def parameter_rows(fit: Fit) -> list[tuple[str, Estimate]]:
 def fit_text(fit: Fit) -> str:
     """Parameters, scores and cost of a fit."""
     names = [fit.model, *(effect_name(e) for e in fit.effects)]
-    state = fit.state if fit.state in ("failed", "converged") else "not converged"
+    state = {"budget": "not converged"}.get(fit.state, fit.state)
     parts = [
         wrapped(
             f"{fit.dataset}, model {listed(names)}: {fit.fitter} on {fit.residual}, {state} ({fit.stopped_because}),"
@@ -282,6 +288,7 @@ def fit_text(fit: Fit) -> str:
     if scores:
         parts.append(table(("data", "channel", "rms error", "of its std", "relative"), scores))
     parts += [f"The data determine only together: {one_line(', '.join(group))}" for group in fit.correlated]
+    parts += [paragraph("stated", [s.text]) for s in fit.stated]
     parts += [paragraph("note", [note]) for note in fit.notes]
     parts.append(f"{fit.evaluations} evaluations, {number(fit.wall_time_s)} s, {number(fit.compile_time_s)} s of it compiling")
     return "\n".join(parts)

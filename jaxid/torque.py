@@ -5,6 +5,7 @@ from __future__ import annotations
 import functools
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import jax
 import jax.numpy as jnp
@@ -15,7 +16,9 @@ from jaxid.errors import UsageError
 from jaxid.experiment import Dataset, Experiment
 from jaxid.lane import Lane, torque_lane
 from jaxid.layout import Layout
-from jaxid.samples import columns, content_cutoff
+from jaxid.precision import float64
+from jaxid.samples import bucket, columns
+from jaxid.traced import key_of, Traced
 
 
 #: Fewest rows of the torque equation for each number of a model that decimation may leave.
@@ -45,21 +48,19 @@ def torque_setting(
 ) -> TorqueSetting:
     """Filter and decimation: the cutoff a tenth of the sampling rate (or where the content of noisy positions ends),
     decimation to 2.5 times less than the cutoff allows, but not below `ROWS` rows of the fit for each number of the model.
-    Noise of the residual: that of the input at high frequency (1 N m where the inputs are no torques)."""
-    from jaxid.signals import differentiate, filter_ends
+    Noise of the residual: that of the drive's torque at high frequency (1 N m for a free motion)."""
+    from jaxid.joint_readings import all_read, cutoffs, joint_motion, stated_positions
+    from jaxid.signals import filter_ends
 
     iu, iy = columns(dataset, chain)
     if chain.mechanism.hidden_states:
         raise UsageError(f"{chain.mechanism.name} has an inner state that the measured motion does not show: use output_error")
-    iy = [iy[k] for k in chain.joint_outputs]
-    if not iy:
-        raise UsageError(f"inverse dynamics needs every joint position measured ({', '.join(chain.signature.joints)})")
+    if not all_read(chain):
+        raise UsageError(f"inverse dynamics needs every joint's position or speed measured ({', '.join(chain.signature.joints)})")
     first = (dataset.split("fit") or experiments)[0]  # one rule for all splits
     rate = 1 / float(np.median(np.diff(first.t)))
     if cutoff_hz is None:
-        content = max(
-            content_cutoff(first.t, first.motion()[:, i], s) for i, s in zip(iy, noise[chain.joint_outputs], strict=True)
-        )
+        content = max(cutoffs(chain, first.t, first.motion()[:, iy], noise))
         cutoff_hz = min(rate / 10, max(content, 2.0))
     if decimate is None:
         kept = sum(len(e.t) for e in dataset.split("fit") or experiments) * chain.nq
@@ -67,7 +68,8 @@ def torque_setting(
     motion, ends = [], []
     statement = ""
     for e in experiments:
-        q, qd, qdd, statement = differentiate(e.t, e.motion()[:, iy], cutoff_hz)
+        start = stated_positions(e, chain.signature)
+        q, qd, qdd, statement = joint_motion(chain, e.t, e.motion()[:, iy], [cutoff_hz] * chain.nq, start)
         motion.append(np.concatenate([q, qd, qdd], 1))
         ends.append(filter_ends(e.t, cutoff_hz))
     taps = np.ones(1)
@@ -76,13 +78,14 @@ def torque_setting(
 
         taps = np.asarray(firwin(10 * decimate + 1, 0.8 / decimate), np.float64)
         statement += f"; residual low-passed at {0.4 * rate / decimate:.3g} Hz and taken at every {decimate}th sample"
-    level, gains = np.ones(chain.nq), drive_gains(chain)
-    for j, i in enumerate(iu if chain.direct else []):
-        u = gains[j] * np.concatenate([np.diff(e.u[:, i], 3) for e in experiments]) / np.sqrt(20.0)
-        white = 1.4826 * float(np.median(np.abs(u)))
-        span = gains[j] * float(np.percentile(np.abs(np.concatenate([e.u[:, i] for e in experiments])), 99))
-        level[j] = max(white * np.sqrt(np.sum(taps**2)), 1e-3 * span, 1e-12)
-    return TorqueSetting(motion, ends, decimate, taps, level, cutoff_hz, statement, iu, iy)
+    level = np.ones(chain.nq)
+    if iu:
+        torques = [drive_torque(Layout(chain), None, e.u[:, iu], m) for e, m in zip(experiments, motion, strict=True)]
+        third = np.concatenate([np.diff(tau, 3, axis=0) for tau in torques]) / np.sqrt(20.0)
+        white = 1.4826 * np.median(np.abs(third), axis=0)
+        span = np.percentile(np.abs(np.concatenate(torques)), 99, axis=0)
+        level = np.maximum(np.maximum(white * np.sqrt(np.sum(taps**2)), 1e-3 * span), 1e-12)
+    return TorqueSetting(motion, ends, decimate, taps, level, cutoff_hz, statement, iu, [iy[k] for k in chain.joint_outputs])
 
 
 def own_numbers(chain: Chain) -> int:
@@ -97,6 +100,30 @@ def drive_gains(chain: Chain) -> np.ndarray:
     """What turns each input into joint torque, [nu]: the model's drive gains, 1 where it has none."""
     gains = [np.asarray(e.gain, float) for e in chain.effects if e.name == "drive_gain"]  # pyright: ignore
     return np.prod(gains, 0) if gains else np.ones(max(1, len(chain.signature.inputs)))
+
+
+_DRIVES: dict[Any, Traced] = {}
+
+
+def drive_torque(layout: Layout, theta: np.ndarray | None, u: np.ndarray, motion: np.ndarray) -> np.ndarray:
+    """Joint torque that the drive makes of recorded inputs u [time nu] in a measured motion (q, qd, ...) [time 2 nq or more],
+    with the numbers theta (None: those of the layout), [time nq]."""
+    chain, nq = layout.chain, layout.chain.nq
+    if chain.direct:
+        return u * (drive_gains(chain) if theta is None else drive_gains(layout.model(theta)))
+    structure = jax.tree.structure(chain)
+    if structure not in _DRIVES:
+        key = key_of(_driven, layout.model(np.zeros(len(layout))), layout.names)
+        _DRIVES[structure] = Traced(lambda theta, *args: _driven(layout.model(theta), *args), key)
+    room = bucket(len(u)) - len(u)  # runs of other lengths meet the same program
+    args = [np.pad(a, ((0, room), (0, 0))) for a in (u, motion[:, :nq], motion[:, nq : 2 * nq])]
+    with float64():
+        return np.asarray(_DRIVES[structure](layout.values if theta is None else theta, *args))[: len(u)]
+
+
+def _driven(chain: Chain, u: Any, q: Any, qd: Any) -> Any:
+    body = chain.body()
+    return jax.vmap(lambda u, q, qd: body.drive(chain.signature, u, q, qd))(u, q, qd)
 
 
 def decimated_torque_lane(taps: np.ndarray) -> Lane:
@@ -118,14 +145,14 @@ def _decimated(taps: tuple[float, ...]) -> Lane:
     return lane
 
 
-def measured_torque(dataset: Dataset, runs) -> np.ndarray:
-    """Measured joint torque at the residual's samples, through the same low-pass, [samples nq]."""
+def measured_torque(dataset: Dataset, runs, theta: np.ndarray) -> np.ndarray:
+    """The drive's joint torque, with the numbers theta, at the residual's samples, through the same low-pass, [samples nq]."""
     taps = getattr(runs.engine.lane, "taps", np.ones(1))
     iu, _ = columns(dataset, runs.layout.chain)
-    out, gains = [], drive_gains(runs.layout.chain)
+    out = []
     for number in runs.records:
         record = runs.record(number)
-        u = runs.experiments[record.experiment].u[:, iu] * gains
+        u = drive_torque(runs.layout, theta, runs.experiments[record.experiment].u[:, iu], runs.setting.motion[record.experiment])
         smooth = np.stack([np.convolve(c, taps, mode="same") for c in u.T], -1)
         out.append(smooth[record.samples - record.first])
     return np.concatenate(out)

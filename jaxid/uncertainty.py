@@ -36,6 +36,8 @@ class Covariance:
     statement: str
     noise: tuple[Autoregression, ...] = ()  # of each column, where residuals are coloured
     widened: float = 1.0  # by Student's t
+    gradient: np.ndarray | None = None  # J'r and J'J
+    hessian: np.ndarray | None = None
 
 
 def covariance(problem: Problem, z: np.ndarray) -> Covariance:
@@ -44,7 +46,7 @@ def covariance(problem: Problem, z: np.ndarray) -> Covariance:
     span = problem.upper - problem.lower
     near = 1e-9 * np.maximum(np.abs(z), problem.scale)  # a descent ends exactly at a bound, up to rounding
     at_bound = (z - problem.lower <= near) | (problem.upper - z <= near)
-    H, S_white, count = np.zeros((n, n)), 0.0, 0
+    H, slope, S_white, count = np.zeros((n, n)), np.zeros(n), 0.0, 0
     parts: list[Part] = []
     scores: list[tuple[list[int], np.ndarray]] = []
     series: list[np.ndarray] = []
@@ -56,6 +58,7 @@ def covariance(problem: Problem, z: np.ndarray) -> Covariance:
         J = part.J.reshape(part.r.size, len(part.z_columns))
         index = np.ix_(part.z_columns, part.z_columns)
         H[index] += J.T @ J
+        slope[part.z_columns] += part.r.ravel() @ J
         S_white += float(np.sum(part.r**2))
         count += part.r.size
         scores.append((part.z_columns, np.einsum("tc,tck->tk", part.r, part.J)))
@@ -65,6 +68,9 @@ def covariance(problem: Problem, z: np.ndarray) -> Covariance:
         parts.append(Part(part.r, whole))
         del part, J, finite  # a long record's Jacobian is large: not more than one beside its copy
 
+    r, J = problem.known_before(z)  # knows no model error: counts as it is
+    slope, prior, H_data = slope + J.T @ r, J.T @ J, H
+    H = H + prior
     scale = np.sqrt(np.maximum(np.diag(H), 1e-300))
     scaled = H / scale / scale[:, None]
     blind = (np.diag(H) <= 1e-300) | broken  # no sample reacts to it
@@ -85,16 +91,20 @@ def covariance(problem: Problem, z: np.ndarray) -> Covariance:
         if not index.size:
             continue
         inverse = _pseudo_inverse(scaled[np.ix_(index, index)]) / scale[index] / scale[index][:, None]
-        if white:
+        known = prior[np.ix_(index, index)]
+        if white and not r.size:
             cov = max(s2, 1.0) * inverse
+        elif white:
+            cov = inverse @ (max(s2, 1.0) * H_data[np.ix_(index, index)] + known) @ inverse
         else:
             own = [Part(p.r, p.J[:, :, index]) for p in parts]
             noise = noise or tuple(autoregressions(own, inverse))
             widened = student(own, noise, len(index))
-            cov = inverse @ score_covariance(own, noise) @ inverse * widened**2
+            cov = inverse @ (score_covariance(own, noise) * widened**2 + known) @ inverse
             S = _long_run(scores, n, memory)[np.ix_(index, index)]
             # Never narrower than white residuals of that size.
-            floor = np.maximum(np.diag(inverse @ S @ inverse) * count / dof, max(1.0, s2) * np.diag(inverse))
+            least = inverse @ (max(1.0, s2) * H_data[np.ix_(index, index)] + known) @ inverse
+            floor = np.maximum(np.diag(inverse @ (S * count / dof + known) @ inverse), np.diag(least))
             stretch = np.sqrt(np.maximum(1.0, floor / np.maximum(np.diag(cov), 1e-300)))
             cov = cov * stretch * stretch[:, None]
         target = np.ix_(index, index)
@@ -107,7 +117,7 @@ def covariance(problem: Problem, z: np.ndarray) -> Covariance:
         if white
         else f"residuals are coloured (memory {memory} samples): standard deviations count it"
     )
-    return Covariance(matrix, std, identifiable, at_bound, groups, white, statement, noise, widened)
+    return Covariance(matrix, std, identifiable, at_bound, groups, white, statement, noise, widened, slope, H)
 
 
 def _null_directions(scaled: np.ndarray, kept: np.ndarray) -> tuple[np.ndarray, tuple[tuple[int, ...], ...]]:

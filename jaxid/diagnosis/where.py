@@ -17,6 +17,7 @@ from jaxid import samples
 from jaxid.dataset_splits import LATE
 from jaxid.estimation import Bench, free_runs
 from jaxid.experiment import Experiment
+from jaxid.joint_readings import joint_motion, stated_positions
 from jaxid.problem import Problem
 from jaxid.residual import InverseDynamics, OutputError, Runs
 from jaxid.results import Finding, MissingForce, Regime
@@ -66,7 +67,7 @@ def missing_forces(bench: Bench, theta: np.ndarray, starts: np.ndarray | None, s
         motion = []
         for e, y in zip(experiments, simulated, strict=True):
             noise = e.noise(b.sigma, iy)
-            noisy = (y + noise * rng.standard_normal(y.shape))[:, b.chain.joint_outputs]
+            noisy = y + noise * rng.standard_normal(y.shape)
             motion.append(filtered(runs, e, noisy))
         for k, p in enumerate(_torque(problem, theta, motion)):
             nulls[k].append(-p)
@@ -86,12 +87,13 @@ def _positions(runs, k: int) -> np.ndarray:
     return np.arange(record.first, record.last + 1)
 
 
-def filtered(runs: Runs, e: Experiment, q: np.ndarray) -> np.ndarray:
-    """Simulated joints, their velocities and accelerations [time 3 nq], through the filter of the measured motion."""
-    from jaxid.signals import differentiate
-
+def filtered(runs: Runs, e: Experiment, y: np.ndarray) -> np.ndarray:
+    """Joints, their velocities and accelerations [time 3 nq] of simulated outputs y [time ny], through the filter of the measured
+    motion."""
     assert runs.setting is not None
-    return np.concatenate(differentiate(e.t, q, runs.setting.cutoff_hz)[:3], 1)
+    chain = runs.layout.chain
+    start = stated_positions(e, chain.signature)
+    return np.concatenate(joint_motion(chain, e.t, y, [runs.setting.cutoff_hz] * chain.nq, start)[:3], 1)
 
 
 def _torque(problem: Problem, theta: np.ndarray, motion: Sequence[np.ndarray] | None = None) -> list[np.ndarray]:
