@@ -10,6 +10,7 @@ import numpy as np
 
 from jaxid import samples
 from jaxid.binding import Binding
+from jaxid.chain import Chain
 from jaxid.experiment import Experiment
 from jaxid.fitter import Minimum
 from jaxid.fitters import descend
@@ -348,6 +349,7 @@ def assemble(
             binding.chain.mechanism.name, (), fitter, residual.name, problem.loss_name, seed, False, True,
             result.stopped_because, result.loss, {}, {}, {}, result.evaluations, wall_time, compile_time,
             binding.dataset.name, binding.dataset.sha256, tuple(notes), history=tuple(result.history), theta=theta,
+            solver=solver_name(binding),
         )  # fmt: skip
     cov = getattr(result, "covariance", None) or covariance(problem, result.z)
     found = estimates(binding, problem, result.z, cov)
@@ -387,7 +389,20 @@ def assemble(
         binding.chain.mechanism.name, added, fitter, residual.name, problem.loss_name, seed, result.converged, False,
         result.stopped_because, result.loss, own, table, windowed, result.evaluations, wall_time, compile_time,
         binding.dataset.name, binding.dataset.sha256, tuple(notes), groups, tuple(result.history), tuple(traces), theta,
+        fitted_chain(binding, theta, added), solver_name(binding),
     )  # fmt: skip
+
+
+def fitted_chain(binding: Binding, theta: np.ndarray, added: Sequence[EffectEstimate]) -> Chain:
+    """The model with these numbers, without candidates that were not taken."""
+    kept = {e.effect for e in added}
+    gone = [e.name for e in binding.chain.effects if e.name not in kept and is_candidate(binding, e.name)]
+    return binding.layout.model(theta).without(*gone)
+
+
+def solver_name(binding: Binding) -> str:
+    """What simulates the runs of a binding."""
+    return "own" if binding.layout.solver is None else str(binding.layout.solver)
 
 
 def window_scores(binding: Binding, problem: Problem, z: np.ndarray) -> dict[str, Score]:

@@ -13,6 +13,7 @@ from jaxtyping import Array, Float, Int
 from jaxid.chain import Carry, Chain, Command
 from jaxid.lanes import loop_over_time
 from jaxid.mechanism import Mechanism
+from jaxid.reverse import reversible
 from jaxid.samples import BLOCK, bucket, Record, Samples
 
 
@@ -24,6 +25,8 @@ EVEN = -1
 
 #: (chain, samples, where, start, steps, length, reach, burn) -> prediction at every step of a record.
 Lane = Callable[..., Array]
+#: (chain, body, carry, command) -> carry, outputs: one step, as `Chain.step`.
+Advance = Callable[[Chain, Mechanism, Carry, Command], tuple[Carry, Array]]
 
 
 def command_at(samples: Samples, k: Array, first: Array, last: Array, reach: int) -> Command:
@@ -69,6 +72,7 @@ def simulate_lane(
     burn: bool,
     body: Mechanism | None = None,
     wanted: tuple[int, ...] | None = None,
+    advance: Advance | None = None,
 ) -> Float[Array, "length ny"]:
     """Outputs of one model on one record from its first step on.
 
@@ -77,6 +81,7 @@ def simulate_lane(
     then they start from `start`, and sensors as if outputs had run straight up to it. `steps` counts those of the lead, too; what
     comes after them is no prediction. The loop runs over blocks, their count is data: one program serves every length. `body` is
     the mechanism with its effects, prepared, where that has been done; of outputs that are not `wanted` zeros are returned.
+    `advance` takes a step in place of the chain's own.
     """
     nq = chain.nq
     offset, first, last, lead = where
@@ -95,10 +100,10 @@ def simulate_lane(
             anew = lambda a, b: jnp.where(k == lead, a, b)
             carry = Carry(x, z, anew(initial.lam, carry.lam), anew(initial.acc, carry.acc))
         command = command_at(samples, i, first, last, reach)
-        carry, y = chain.step(body, carry, command)
+        carry, y = chain.step(body, carry, command) if advance is None else advance(chain, body, carry, command)
         return carry, y if wanted is None else jnp.stack([y[i] if i in wanted else jnp.zeros(()) for i in range(len(y))])
 
-    y = over_time(step, initial, steps, length, len(chain.signature.outputs))
+    y = over_time(step, initial, steps, length, len(chain.signature.outputs), marked=advance is None)
     k = jnp.arange(length)
     beyond = jnp.maximum(offset + k - last, 0) * samples.h[last]  # the loop goes on to the end of its block, and so does time
     times, even = samples.t[jnp.minimum(offset + k, last)] + beyond, samples.h[offset] if reach == EVEN else None
@@ -131,14 +136,35 @@ def torque_lane(
     return over_time(step, z, steps, length, nq)
 
 
-def over_time(step: Callable, carry: Any, steps: Array, length: int, width: int) -> Array:
+def over_time(step: Callable, carry: Any, steps: Array, length: int, width: int, marked: bool = True) -> Array:
+    """What `step(carry, k) -> carry, y [width]` gives at each of so many steps, [length width]; after them it is no result.
+    `marked`: lanes are laid out for vector code, which a step with a solver of its own inside is not for."""
+    if reversible():
+        return _over_static_time(step, carry, steps, length)
+
     def block(state):
         k, carry, out = state
         carry, y = jax.lax.scan(step, carry, k + jnp.arange(BLOCK, dtype=k.dtype))
         return k + BLOCK, carry, jax.lax.dynamic_update_slice_in_dim(out, y, k, 0)
 
     state = (jnp.zeros((), jnp.asarray(steps).dtype), carry, jnp.zeros((length, width)))
-    return loop_over_time(lambda: jax.lax.while_loop(lambda s: s[0] < steps, block, state)[2])
+    loop = lambda: jax.lax.while_loop(lambda s: s[0] < steps, block, state)[2]
+    return loop_over_time(loop) if marked else loop()
+
+
+def _over_static_time(step: Callable, carry: Any, steps: Array, length: int) -> Array:
+    """The same in reverse: all of `length`, the state standing still after the last step. Only the states between blocks are
+    kept, what lies between them is worked out again on the way back."""
+
+    def held(carry: Any, k: Array) -> tuple[Any, Array]:
+        new, y = step(carry, k)
+        return jax.tree.map(lambda a, b: jnp.where(k < steps, a, b), new, carry), y
+
+    block = jax.checkpoint(lambda carry, k: jax.lax.scan(held, carry, k))  # pyright: ignore[reportPrivateImportUsage]
+    blocks = -(-length // BLOCK)
+    k = jnp.arange(blocks * BLOCK, dtype=jnp.asarray(steps).dtype).reshape(blocks, BLOCK)
+    _, y = jax.lax.scan(block, carry, k)
+    return y.reshape(blocks * BLOCK, -1)[:length]
 
 
 def reach_of(samples: Samples, record: Record) -> int:
