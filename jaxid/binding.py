@@ -122,7 +122,7 @@ def _signature(mechanism: Mechanism, dataset: Dataset) -> Signature:
     )
 
 
-def parse_effect(text: str | Effect, chain: Chain) -> tuple[type[Effect], str | None]:
+def parse_effect(text: str | Effect | type[Effect], chain: Chain) -> tuple[type[Effect], str | None]:
     """`dead_zone@tau`, or `dead_zone` where it has one place."""
     name, _, place = catalogue.enrolled(text).partition("@")
     kind = catalogue.effect_class(name)
@@ -144,7 +144,7 @@ def bind(
     model: object,
     dataset: Dataset,
     *,
-    effects: Iterable[str | Effect] = (),
+    effects: Iterable[str | Effect | type[Effect]] = (),
     without: Iterable[str] = (),
     candidates: Iterable[type[Effect]] = (),
     splits: bool = True,

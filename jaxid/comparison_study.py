@@ -41,7 +41,7 @@ def run_comparison(
     seeds: int,
     budget: int | None,
     seconds: float | None,
-    effects: Iterable[str | Effect],
+    effects: Iterable[str | Effect | type[Effect]],
     without: Iterable[str],
     residual: Residual | None,
     loss: str,

@@ -107,7 +107,7 @@ def make_problem(
     dataset: Dataset,
     *,
     residual: Residual | str | None = None,
-    effects: Iterable[str | Effect] = (),
+    effects: Iterable[str | Effect | type[Effect]] = (),
     without: Iterable[str] = (),
     split: str = "fit",
     loss: str = "sum_of_squares",

@@ -72,7 +72,7 @@ def run_diagnosis(
     model: object,
     dataset: Dataset,
     max_effects: int,
-    effects: Iterable[str | Effect] | None,
+    effects: Iterable[str | Effect | type[Effect]] | None,
     without: Iterable[str],
     residual: Residual | None,
     seed: int,
