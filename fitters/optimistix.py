@@ -147,7 +147,8 @@ def _programs(problem, fitter, solver, fn, options, f_struct, aux_struct, tags) 
         step = lambda x, args, state: solver.step(fn, x, args, state=state, **rest)
         over = lambda x, args, state: solver.terminate(fn, x, args, state=state, **rest)
         look = lambda x, args: fn(x, args)[1]
-        problem.programs[key] = tuple(eqx.filter_jit(f) for f in (init, step, over, look))
+        functions: tuple[Callable[..., Any], ...] = (init, step, over, look)
+        problem.programs[key] = tuple(eqx.filter_jit(f) for f in functions)
     return problem.programs[key]
 
 
@@ -160,9 +161,11 @@ class Optimistix(AbstractOptimistix):
     name: ClassVar[str] = "optimistix"
     source: ClassVar[str] = "Rader, Lyons, Kidger, Optimistix: modular optimisation in JAX and Equinox, arXiv 2402.09983, 2024"
 
-    solver: Any
+    solver: Any = option(None, "a solver of optimistix, given in Python")
 
     def made(self):
+        if self.solver is None:
+            raise UsageError("Optimistix needs a solver: Optimistix(optimistix.Dogleg(rtol=1e-8, atol=1e-8))")
         return self.solver
 
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 from typing import Any, NamedTuple
 
 from jaxid.errors import nearest, UsageError
+from jaxid.fitter_settings import SettingInfo, settings_of
 
 
 class ParameterInfo(NamedTuple):
@@ -46,12 +47,6 @@ class EffectInfo(NamedTuple):
     source: str
     locations: str
     parameters: tuple[ParameterInfo, ...]
-
-
-class SettingInfo(NamedTuple):
-    name: str
-    default: Any
-    meaning: str
 
 
 class FitterInfo(NamedTuple):
@@ -218,8 +213,6 @@ def describe_effect(name: str) -> EffectInfo:
 
 
 def describe_fitter(name: str) -> FitterInfo:
-    from jaxid.fitter_settings import settings_of
-
     kind = fitter_class(name)
     return FitterInfo(name, _text(kind), tuple(settings_of(kind)), kind.source)
 

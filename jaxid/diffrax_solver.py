@@ -97,7 +97,8 @@ def solved_step(solver: Diffrax, chain: Chain, body: Mechanism, carry: Carry, co
     def field(t: Any, y: Any, args: Any) -> Any:
         chain, body, begin, u, other = args
         held = Command(begin + t, jnp.zeros(()), u, other, late)
-        dx, dz, _ = rates(chain, body, begin + t, *unravel(y), held)
+        x, z = unravel(y)
+        dx, dz, _ = rates(chain, body, begin + t, x, z, held)
         return ravel_pytree((dx, dz))[0]
 
     _, _, tau = rates(chain, body, command.t, carry.x, moving, command)
@@ -111,7 +112,7 @@ def solved_step(solver: Diffrax, chain: Chain, body: Mechanism, carry: Carry, co
         max_steps=solver.steps + 1, adjoint=adjoint, throw=False,
     )  # fmt: skip
     failed = found.result != diffrax.RESULTS.successful
-    x, z = unravel(jnp.where(failed, jnp.nan, found.ys[-1]))  # as where a run diverges
+    x, z = unravel(jnp.where(failed, jnp.nan, jnp.asarray(found.ys)[-1]))  # as where a run diverges
     q, _ = body.port(carry.x)
     y, sensed = chain.sense(body, carry, tau, jnp.zeros(q.shape, bool), command)
     pairs = zip(chain.effects, z, sensed, strict=True)

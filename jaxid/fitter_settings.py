@@ -6,8 +6,6 @@ import ast
 import dataclasses
 from typing import Any, NamedTuple
 
-import equinox as eqx
-
 from jaxid.errors import nearest, UsageError
 
 
@@ -27,6 +25,8 @@ class SettingInfo(NamedTuple):
 
 def option(default: Any, meaning: str, low: float | None = None, high: float | None = None, **more: Any) -> Any:
     """A field of a fitter that can be set; `low` and `high` bound every number in it."""
+    import equinox as eqx
+
     return eqx.field(default=default, metadata={"option": Setting(meaning, low, high)}, **more)
 
 
@@ -101,7 +101,8 @@ def fitter_of(text: str) -> Any:
 
 def _value(fitter: str, field: dataclasses.Field, value: Any) -> Any:
     """A value as the type of the field's default; one number for a range of two."""
-    default, about = field.default, _about(field)
+    default: Any = field.default
+    about = _about(field)
     number = lambda v: isinstance(v, int | float) and not isinstance(v, bool)
     if isinstance(default, bool):
         fits, wanted = isinstance(value, bool), "True or False"
@@ -117,7 +118,7 @@ def _value(fitter: str, field: dataclasses.Field, value: Any) -> Any:
         fits, wanted = isinstance(value, str), "a text in quotes"
     elif isinstance(value, str) and hasattr(default, "minimise"):  # a fitter inside a fitter
         value, fits, wanted = fitter_of(value), True, ""
-        if not isinstance(value, eqx.Module) or not hasattr(value, "ask"):
+        if not hasattr(value, "ask"):
             raise UsageError(f"{fitter}: {field.name} = {label_of(value)!r}; it is a population, such as 'de'")
     else:
         fits, wanted = False, "the text of a fitter, in quotes"

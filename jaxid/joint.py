@@ -175,7 +175,8 @@ def _solve(
 @partial(jax.custom_jvp, nondiff_argnums=(0,))
 def _implicit(eps: float, given: tuple[Array, ...], lam: Vector) -> tuple[Solved, Array, Array]:
     """`_solve` with the derivative of the solution, which does not depend on where the sweeps began."""
-    return _solve(*given, lam, eps)
+    v0, free, A, level_minus, level_plus = given
+    return _solve(v0, free, A, level_minus, level_plus, lam, eps)
 
 
 @_implicit.defjvp

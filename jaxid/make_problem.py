@@ -96,7 +96,7 @@ class Problem(eqx.Module):
                 raise UsageError(f"the problem has no free number {name!r}{nearest(name, self.names)}")
         z = [self.z0[i] for i in range(self.size)]
         for name, value in given.items():
-            value = value.get("value") if isinstance(value, Mapping) else getattr(value, "value", value)
+            value = value["value"] if isinstance(value, Mapping) else getattr(value, "value", value)
             i = self.names.index(name)
             z[i] = jnp.log(value) if i < len(self._data.log) and self._data.log[i] else value
         return jnp.stack([jnp.asarray(v) for v in z])
@@ -169,8 +169,8 @@ def prior_of(stated: Any) -> tuple[float, float]:
     prior = getattr(stated, "prior", None)
     if prior is None:
         return np.nan, np.nan
-    of = prior.get if isinstance(prior, Mapping) else lambda name: getattr(prior, name)
-    return float(of("mean")), float(of("std"))
+    mean, std = (prior[n] if isinstance(prior, Mapping) else getattr(prior, n) for n in ("mean", "std"))
+    return float(mean), float(std)
 
 
 @dataclass(frozen=True, eq=False)
@@ -230,7 +230,7 @@ def _residual(problem: Problem, z: Vector, args: Any = None) -> Float[Array, " n
     with in_reverse():
         y = jax.vmap(one)(*(jnp.asarray(a) for a in (d.open, d.fixed, starts, d.where, d.steps)))
     record, k, column = problem._rows.T
-    return problem._weights * (y[record, k, column] - problem._targets)
+    return jnp.asarray(problem._weights) * (y[record, k, column] - problem._targets)
 
 
 def _loss(problem: Problem, z: Vector, args: Any = None) -> Float[Array, ""]:
