@@ -14,7 +14,7 @@ import numpy as np
 
 from jaxid.errors import UsageError
 from jaxid.fitter import AbstractFitter, Log
-from jaxid.fitter_settings import option
+from jaxid.fitter_settings import about, option
 from jaxid.fitters.lm import guesses
 from jaxid.objective import AbstractProblem, PENALTY
 from jaxid.precision import float64
@@ -50,8 +50,8 @@ class Bounded(NamedTuple):
 class AbstractOptimistix(AbstractFitter):
     """Abstract: `made` gives the solver of optimistix. Steps are taken one by one, so that budget, time and Ctrl-C count."""
 
-    steps: int = option(256, "most steps of a run", 1, kw_only=True)
-    restarts: int = option(0, "random starts beside the best given one", 0, kw_only=True)
+    steps: int = eqx.field(default=256, kw_only=True, metadata=about("most steps of a run", 1))
+    restarts: int = eqx.field(default=0, kw_only=True, metadata=about("random starts beside the best given one", 0))
 
     @abc.abstractmethod
     def made(self) -> Any:
@@ -86,7 +86,7 @@ class AbstractOptimistix(AbstractFitter):
             x = jnp.zeros(problem.size)
             f_struct, aux_struct = jax.eval_shape(fn, x, args)
             options, tags = {"autodiff_mode": "fwd", "jac": "fwd"}, frozenset()
-            began = time.perf_counter()
+            began, known = time.perf_counter(), len(problem.programs)
             init, step, over, look = _programs(problem, self, solver, fn, options, f_struct, aux_struct, tags)
             state = init(x, args)
             best, z = np.inf, start
@@ -95,7 +95,7 @@ class AbstractOptimistix(AbstractFitter):
                 value = float(loss if derivatives else look(x, args))
                 if value < best:
                     best, z = value, np.asarray(bounded.z(x))
-                if count == 0:
+                if count == 0 and len(problem.programs) > known:
                     problem.add_compile_time(time.perf_counter() - began)
                 log.add(each, value)
                 log.show(count, self.steps)
@@ -147,7 +147,7 @@ def _programs(problem, fitter, solver, fn, options, f_struct, aux_struct, tags) 
         step = lambda x, args, state: solver.step(fn, x, args, state=state, **rest)
         over = lambda x, args, state: solver.terminate(fn, x, args, state=state, **rest)
         look = lambda x, args: fn(x, args)[1]
-        functions: tuple[Callable[..., Any], ...] = (init, step, over, look)
+        functions: Any = (init, step, over, look)
         problem.programs[key] = tuple(eqx.filter_jit(f) for f in functions)
     return problem.programs[key]
 
@@ -222,7 +222,7 @@ class OptimistixNelderMead(AbstractOptimistix):
 
     rtol: float = option(1e-6, "relative tolerance", 0)
     atol: float = option(1e-6, "absolute tolerance, of the search vector in typical steps and of the loss", 0)
-    steps: int = option(4000, "most steps of a run", 1, kw_only=True)
+    steps: int = eqx.field(default=4000, kw_only=True, metadata=about("most steps of a run", 1))
 
     def made(self):
         import optimistix

@@ -343,7 +343,7 @@ def assemble(
     """A `Fit` from a minimum: uncertainty, scores, traces, notes."""
     binding = bench.binding
     theta = problem.theta(result.z)
-    notes = [*binding.dataset.notes, f"residual: {problem.runs.statement}", *notes]
+    notes = [*binding.dataset.notes, f"residual: {problem.runs.statement}", *solver_notes(binding), *notes]
     if result.failed:
         return Fit(
             binding.chain.mechanism.name, (), fitter, residual.name, problem.loss_name, seed, False, True,
@@ -398,6 +398,12 @@ def fitted_chain(binding: Binding, theta: np.ndarray, added: Sequence[EffectEsti
     kept = {e.effect for e in added}
     gone = [e.name for e in binding.chain.effects if e.name not in kept and is_candidate(binding, e.name)]
     return binding.layout.model(theta).without(*gone)
+
+
+def solver_notes(binding: Binding) -> tuple[str, ...]:
+    """What is to be said of a solver that is not jaxid's own stepping."""
+    s = binding.layout.solver
+    return () if s is None else (f"simulated by {s} (rtol {s.rtol:g}, atol {s.atol:g}), not by jaxid's own stepping",)
 
 
 def solver_name(binding: Binding) -> str:

@@ -27,7 +27,12 @@ def option(default: Any, meaning: str, low: float | None = None, high: float | N
     """A field of a fitter that can be set; `low` and `high` bound every number in it."""
     import equinox as eqx
 
-    return eqx.field(default=default, metadata={"option": Setting(meaning, low, high)}, **more)
+    return eqx.field(default=default, metadata=about(meaning, low, high), **more)
+
+
+def about(meaning: str, low: float | None = None, high: float | None = None) -> dict[str, Setting]:
+    """Metadata of a field that can be set."""
+    return {"option": Setting(meaning, low, high)}
 
 
 def settings_of(kind: type) -> list[SettingInfo]:
@@ -99,10 +104,10 @@ def fitter_of(text: str) -> Any:
         raise UsageError(f"{text}: {error}") from error
 
 
-def _value(fitter: str, field: dataclasses.Field, value: Any) -> Any:
+def _value(fitter: str, field: dataclasses.Field, given: Any) -> Any:
     """A value as the type of the field's default; one number for a range of two."""
-    default: Any = field.default
-    about = _about(field)
+    default, value = field.default, given
+    bounds = _about(field)
     number = lambda v: isinstance(v, int | float) and not isinstance(v, bool)
     if isinstance(default, bool):
         fits, wanted = isinstance(value, bool), "True or False"
@@ -125,13 +130,14 @@ def _value(fitter: str, field: dataclasses.Field, value: Any) -> Any:
     if not fits:
         raise UsageError(f"{fitter}: {field.name} = {value!r}; it is {wanted}, as in {field.name}={_plain(default)!r}")
     for v in value if isinstance(value, tuple) else (value,):
-        below = about.low is not None and not v >= about.low
-        above = about.high is not None and not v <= about.high
-        if below or above or (number(v) and not abs(v) < float("inf")):
-            bounds = " and ".join(
-                f"{word} {b:g}" for word, b in (("at least", about.low), ("at most", about.high)) if b is not None
-            )
-            raise UsageError(f"{fitter}: {field.name} = {v!r}; it is {bounds or 'a number'}")
+        if not number(v):
+            continue
+        below = bounds.low is not None and not v >= bounds.low
+        above = bounds.high is not None and not v <= bounds.high
+        if below or above or not abs(v) < float("inf"):
+            ends = ("at least", bounds.low), ("at most", bounds.high)
+            told = " and ".join(f"{word} {b:g}" for word, b in ends if b is not None)
+            raise UsageError(f"{fitter}: {field.name} = {v!r}; it is {told or 'a finite number'}")
     return float(value) if isinstance(default, float) else tuple(map(float, value)) if isinstance(default, tuple) else value
 
 

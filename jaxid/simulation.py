@@ -14,7 +14,7 @@ from jaxid.binding import bind, resolve_model
 from jaxid.chain import Chain
 from jaxid.drawing import Motion, motion
 from jaxid.errors import UsageError
-from jaxid.estimation import Bench, estimate_starts, free_runs, scored, solver_name
+from jaxid.estimation import Bench, estimate_starts, free_runs, scored, solver_name, solver_notes
 from jaxid.experiment import Dataset
 from jaxid.layout import Layout
 from jaxid.precision import float64
@@ -71,7 +71,7 @@ def simulate_dataset(content: Mapping[str, Any] | None, dataset: Dataset, model:
         tuple(runs[n] for n in order),
         tuple(rmse[n] for n in order),
         dict(binding.chain.signature.outputs),
-        dataset.notes,
+        (*dataset.notes, *solver_notes(binding)),
         moving,
         solver_name(binding),
     )
