@@ -87,7 +87,7 @@ def main() -> dict:
     explained = {}
     for hold in ("zero", "linear"):
         channels = (replace(data.channels[0], hold=hold), data.channels[1])
-        played = jaxid.simulate(fit, replace(data, channels=channels, experiments=(twice,), responses=()), model=TwoModes())
+        played = jaxid.simulate(TwoModes(), replace(data, channels=channels, experiments=(twice,), responses=()), fit)
         explained[hold] = 1 - np.var(played.runs[0]["acceleration"][len(u) :] - y) / np.var(y)
     rows = [
         {

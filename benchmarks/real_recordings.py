@@ -24,7 +24,7 @@ def rows_of(name: str, channel: str, unit: float) -> list[dict[str, Any]]:
     d = jaxid.diagnose(None, data)
     out = []
     for label, fit in (("nominal, re-tuned", d.nominal), (" + ".join(map(str, d.which.effects)) or "nothing named", d.final)):
-        rmse = [unit * run[channel] for run in jaxid.simulate(fit, data).rmse]
+        rmse = [unit * run[channel] for run in jaxid.simulate(None, data, fit).rmse]
         out.append(
             {
                 "recording": name,

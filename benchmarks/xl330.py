@@ -71,7 +71,7 @@ def data(held_out: int | None = None) -> jaxid.Dataset:
 def errors(fit: jaxid.Fit, dataset: jaxid.Dataset) -> dict[str, float]:
     """Mean absolute error of the free run per log, rad; the start is the measured one."""
     out = {}
-    for e, run in zip(dataset.experiments, jaxid.simulate(fit, dataset).runs, strict=True):
+    for e, run in zip(dataset.experiments, jaxid.simulate(None, dataset, fit).runs, strict=True):
         out[e.name] = float(np.mean(np.abs(run["q"] - e.y[:, 0])))
     return out
 

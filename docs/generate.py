@@ -170,7 +170,8 @@ def fitters() -> str:
         info = catalogue.describe_fitter(name)
         out += [f"## {name}", "", plain(info.text), "", "Source", f": {plain(info.source)}", ""]
         if info.settings:
-            out += [table(["setting", "default"], [[f"`{k}`", plain(str(v))] for k, v in info.settings.items()]), ""]
+            rows = [[f"`{s.name}`", plain(str(s.default)), plain(s.meaning)] for s in info.settings]
+            out += [table(["setting", "default", "meaning"], rows), ""]
     return "\n".join(out)
 
 

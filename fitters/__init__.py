@@ -12,6 +12,7 @@ from .ga import GeneticAlgorithm
 from .hybrid import Hybrid
 from .linear import InstrumentalVariables, LeastSquares, RecursiveLeastSquares, WeightedLeastSquares
 from .lm import descend, LevenbergMarquardt, Path, race, search
+from .optimistix import Optimistix, OptimistixBFGS, OptimistixDogleg, OptimistixLM, OptimistixNelderMead
 from .pso import ParticleSwarm
 from .rde import RecursiveDE
 from .shade import Shade
@@ -20,6 +21,7 @@ from .shade import Shade
 FITTERS = (
     LevenbergMarquardt, Hybrid, BFGS, DifferentialEvolution, RandToBestDE, RecursiveDE, ParticleSwarm, GeneticAlgorithm,
     CMAES, Shade, LeastSquares, WeightedLeastSquares, RecursiveLeastSquares, InstrumentalVariables,
+    OptimistixLM, OptimistixDogleg, OptimistixBFGS, OptimistixNelderMead,
 )  # fmt: skip
 
 __all__ = [
@@ -32,6 +34,11 @@ __all__ = [
     "InstrumentalVariables",
     "LeastSquares",
     "LevenbergMarquardt",
+    "Optimistix",
+    "OptimistixBFGS",
+    "OptimistixDogleg",
+    "OptimistixLM",
+    "OptimistixNelderMead",
     "ParticleSwarm",
     "Path",
     "RandToBestDE",

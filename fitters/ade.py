@@ -8,6 +8,7 @@ import jax
 import jax.numpy as jnp
 
 from jaxid.fitter import AbstractPopulation
+from jaxid.fitter_settings import option
 from jaxid.fitters.de import binomial, dithered, donors, extent, select, State
 
 
@@ -21,11 +22,11 @@ class RandToBestDE(AbstractPopulation):
     name: ClassVar[str] = "ade"
     source: ClassVar[str] = "Int. J. Advanced Robotic Systems, 2016, doi 10.5772/63935 (ADE); F, K, CR are not given there"
 
-    popsize: int = 60
-    generations: int = 400
-    F: tuple[float, float] = (0.4, 0.9)
-    K: float = 0.5
-    CR: float = 0.9
+    popsize: int = option(60, "members of the population", 4)
+    generations: int = option(400, "most generations", 1)
+    F: tuple[float, float] = option((0.4, 0.9), "range that a difference's weight is drawn from; one number: always that", 0)
+    K: float = option(0.5, "weight of the way towards the best member", 0)
+    CR: float = option(0.9, "probability that a coordinate comes from the mutant", 0, 1)
 
     def init(self, key, population, losses):
         return State(population, losses)

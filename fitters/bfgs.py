@@ -11,6 +11,7 @@ from typing import ClassVar
 import numpy as np
 
 from jaxid.fitter import AbstractFitter, Log
+from jaxid.fitter_settings import option
 from jaxid.fitters.lm import descend, guesses, Path
 from jaxid.objective import expand, Linear
 
@@ -21,9 +22,9 @@ class BFGS(AbstractFitter):
     name: ClassVar[str] = "bfgs"
     source: ClassVar[str] = "Nocedal and Wright, Numerical Optimization, 2006, chapters 4 and 6; damping by Powell 1978"
 
-    restarts: int = 4
-    iterations: int = 150
-    tolerance: float = 1e-9
+    restarts: int = option(4, "random starts beside the given ones", 0)
+    iterations: int = option(150, "most steps of a descent", 1)
+    tolerance: float = option(1e-9, "relative gain of the loss below which a descent ends", 0)
 
     def minimise(self, problem, starts, key, budget=None, progress=None, seconds=None):
         log = Log(problem, self.name, budget, seconds, progress)

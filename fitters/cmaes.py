@@ -11,6 +11,7 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from jaxid.fitter import AbstractPopulation
+from jaxid.fitter_settings import option
 from jaxid.fitters.de import extent
 
 
@@ -38,10 +39,10 @@ class CMAES(AbstractPopulation):
     name: ClassVar[str] = "cmaes"
     source: ClassVar[str] = "Hansen 2016; restarts: Auger and Hansen, CEC 2005"
 
-    popsize: int = 24
-    generations: int = 1000
-    restarts: int = 4
-    stall: int = 40
+    popsize: int = option(24, "candidates of a generation, twice as many after each restart", 4)
+    generations: int = option(1000, "most generations", 1)
+    restarts: int = option(4, "most new beginnings after a stall", 0)
+    stall: int = option(40, "generations without gain after which a search ends; 0: never", 0)
 
     def again(self):
         return replace(self, popsize=2 * self.popsize)

@@ -5,13 +5,13 @@ from __future__ import annotations
 import math
 from typing import ClassVar, NamedTuple
 
-import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, PRNGKeyArray, UInt32
 
 from jaxid.fitter import AbstractPopulation
+from jaxid.fitter_settings import option
 
 
 #: The largest 32-bit word that a 32-bit float holds.
@@ -35,12 +35,12 @@ class DifferentialEvolution(AbstractPopulation):
     name: ClassVar[str] = "de"
     source: ClassVar[str] = "Storn and Price 1997; dither of F: Das and Suganthan, IEEE Trans. Evol. Comp. 15, 2011"
 
-    popsize: int = 60
-    generations: int = 400
-    F: tuple[float, float] = (0.5, 0.9)
-    CR: float = 0.9
-    strategy: str = eqx.field(static=True, default="rand/1")
-    crossover: str = eqx.field(static=True, default="bin")
+    popsize: int = option(60, "members of the population", 4)
+    generations: int = option(400, "most generations", 1)
+    F: tuple[float, float] = option((0.5, 0.9), "range that a difference's weight is drawn from; one number: always that", 0)
+    CR: float = option(0.9, "probability that a coordinate comes from the mutant", 0, 1)
+    strategy: str = option("rand/1", "rand/1, best/1 or current-to-best/1", static=True)
+    crossover: str = option("bin", "bin or exp", static=True)
 
     def __check_init__(self):
         if self.strategy not in STRATEGIES:

@@ -4,13 +4,13 @@ from __future__ import annotations
 
 from typing import ClassVar, NamedTuple
 
-import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
 from jaxid.fitter import AbstractPopulation
+from jaxid.fitter_settings import option
 from jaxid.fitters.de import extent
 
 
@@ -38,12 +38,14 @@ class GeneticAlgorithm(AbstractPopulation):
         "(scattered)"
     )
 
-    popsize: int = 100
-    generations: int = 400
-    keep: float = 0.5
-    crossover: float = 0.8
-    mutation: float = 0.2
-    scheme: str = eqx.field(static=True, default="blend")
+    popsize: int = option(100, "members of the population", 4)
+    generations: int = option(400, "most generations", 1)
+    keep: float = option(0.5, "share of the population that stays and is parent (blend)", 0, 1)
+    crossover: float = option(
+        0.8, "probability that a gene is mixed (blend), or share of children by crossover (scattered)", 0, 1
+    )
+    mutation: float = option(0.2, "share of the genes drawn anew (blend)", 0, 1)
+    scheme: str = option("blend", "blend or scattered", static=True)
 
     def __check_init__(self):
         if self.scheme not in ("blend", "scattered"):

@@ -8,6 +8,7 @@ import jax
 import numpy as np
 
 from jaxid.fitter import AbstractFitter, AbstractPopulation, Course, Log, same
+from jaxid.fitter_settings import option
 from jaxid.fitters.lm import problem_clip, search
 from jaxid.fitters.shade import Shade
 from jaxid.objective import AbstractProblem
@@ -25,12 +26,12 @@ class Hybrid(AbstractFitter):
     name: ClassVar[str] = "hybrid"
     source: ClassVar[str] = "this library; population and descent as their own fitters"
 
-    population: AbstractPopulation = Shade(popsize=32, generations=40)
-    descents: int = 6
-    iterations: int = 60
-    tolerance: float = 1e-10
-    share: float = 0.6
-    rounds: int = 8
+    population: AbstractPopulation = option(Shade(popsize=32, generations=40), "the population, as a text like 'de(popsize=20)'")
+    descents: int = option(6, "best points of the population from which descents begin", 1)
+    iterations: int = option(60, "most steps of a descent", 1)
+    tolerance: float = option(1e-10, "relative gain of the loss below which a descent ends", 0)
+    share: float = option(0.6, "most of what is left of the budget that the population takes in a round", 0, 1)
+    rounds: int = option(8, "most rounds, each with a new population", 1)
 
     def minimise(self, problem, starts, key, budget=None, progress=None, seconds=None):
         log = Log(problem, self.name, budget, seconds, progress)

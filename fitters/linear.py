@@ -20,6 +20,7 @@ import numpy as np
 from jaxid.controller import law_of
 from jaxid.errors import UsageError
 from jaxid.fitter import AbstractFitter, Minimum
+from jaxid.fitter_settings import option
 from jaxid.noise import noise_floor
 from jaxid.objective import AbstractProblem, PENALTY, rows
 from jaxid.online import replay
@@ -92,8 +93,8 @@ class WeightedLeastSquares(AbstractFitter):
     source: ClassVar[str] = "Gautier, Dynamic identification of robots with power model, 1997"
     residual_name: ClassVar[str] = "inverse_dynamics"
 
-    iterations: int = 10
-    tolerance: float = 1e-6
+    iterations: int = option(10, "most passes", 1)
+    tolerance: float = option(1e-6, "relative change of the parameters below which it ends", 0)
 
     def minimise(self, problem, starts, key, budget=None, progress=None, seconds=None):
         problem = of_runs(problem, self.name)
@@ -120,8 +121,8 @@ class RecursiveLeastSquares(AbstractFitter):
     source: ClassVar[str] = "textbook; paper 001, equations (8) to (11), from parameters of which nothing is known"
     residual_name: ClassVar[str] = "inverse_dynamics"
 
-    forgetting: float = 1.0
-    prior_var: float = 1e10
+    forgetting: float = option(1.0, "weight of the last but one sample against the last", 0, 1)
+    prior_var: float = option(1e10, "variance of each parameter before the first sample, in squares of its unit", 0)
 
     def minimise(self, problem, starts, key, budget=None, progress=None, seconds=None):
         problem = of_runs(problem, self.name)
@@ -162,9 +163,9 @@ class InstrumentalVariables(AbstractFitter):
     )
     residual_name: ClassVar[str] = "inverse_dynamics"
 
-    iterations: int = 10
-    tolerance: float = 1e-6
-    corrected: bool = True
+    iterations: int = option(10, "most passes", 1)
+    tolerance: float = option(1e-6, "relative change of the parameters below which it ends", 0)
+    corrected: bool = option(True, "whether the bias that is left in the instruments is taken off")
 
     def minimise(self, problem, starts, key, budget=None, progress=None, seconds=None):
         problem = of_runs(problem, self.name)

@@ -9,6 +9,7 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float
 
 from jaxid.fitter import AbstractPopulation
+from jaxid.fitter_settings import option
 from jaxid.fitters.de import extent
 
 
@@ -29,11 +30,11 @@ class ParticleSwarm(AbstractPopulation):
     name: ClassVar[str] = "pso"
     source: ClassVar[str] = "Kennedy and Eberhart 1995; constriction: Clerc and Kennedy, IEEE Trans. Evol. Comp. 6, 2002"
 
-    popsize: int = 60
-    generations: int = 400
-    w: float = 0.7298
-    c1: float = 1.49618
-    c2: float = 1.49618
+    popsize: int = option(60, "members of the swarm", 2)
+    generations: int = option(400, "most generations", 1)
+    w: float = option(0.7298, "share of its velocity that a particle keeps")
+    c1: float = option(1.49618, "pull of its own best place")
+    c2: float = option(1.49618, "pull of the swarm's best place")
 
     def init(self, key, population, losses):
         return State(population, jnp.zeros_like(population), population, losses)

@@ -16,7 +16,6 @@ from __future__ import annotations
 
 from typing import Any, ClassVar, NamedTuple
 
-import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -24,6 +23,7 @@ from jaxtyping import Array, Float
 
 from jaxid.errors import UsageError
 from jaxid.fitter import AbstractPopulation, Log
+from jaxid.fitter_settings import option
 from jaxid.fitters.de import binomial, dithered, donors, extent
 from jaxid.objective import AbstractProblem, expand
 
@@ -49,13 +49,13 @@ class RecursiveDE(AbstractPopulation):
     source: ClassVar[str] = "Int. J. Advanced Robotic Systems, 2016, doi 10.5772/63935; metric and settings: this library"
     guided: ClassVar[bool] = True
 
-    popsize: int = 60
-    generations: int = 200
-    F: tuple[float, float] = (0.4, 0.9)
-    K: float = 0.5
-    CR: float = 0.9
-    looks: float = 0.1
-    variant: str = eqx.field(static=True, default="self")
+    popsize: int = option(60, "members of the population", 4)
+    generations: int = option(200, "most generations", 1)
+    F: tuple[float, float] = option((0.4, 0.9), "range that a difference's weight is drawn from; one number: always that", 0)
+    K: float = option(0.5, "weight of the way towards the best member", 0)
+    CR: float = option(0.9, "probability that a coordinate comes from the mutant", 0, 1)
+    looks: float = option(0.1, "share of the members that look along a Gauss-Newton step in a generation (variant self)", 0, 1)
+    variant: str = option("self", "self, target or shift", static=True)
 
     def __check_init__(self):
         if self.variant not in VARIANTS:

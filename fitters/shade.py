@@ -9,6 +9,7 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float
 
 from jaxid.fitter import AbstractPopulation
+from jaxid.fitter_settings import option
 from jaxid.fitters.de import binomial, extent
 
 
@@ -31,10 +32,10 @@ class Shade(AbstractPopulation):
     name: ClassVar[str] = "shade"
     source: ClassVar[str] = "Tanabe and Fukunaga, Success-history based parameter adaptation for DE, CEC 2013"
 
-    popsize: int = 60
-    generations: int = 400
-    memory: int = 20
-    pbest: float = 0.11
+    popsize: int = option(60, "members of the population", 4)
+    generations: int = option(400, "most generations", 1)
+    memory: int = option(20, "settings that were successful and are remembered", 1)
+    pbest: float = option(0.11, "share of the best members that attract", 0, 1)
 
     def init(self, key, population, losses):
         half = jnp.full(self.memory, 0.5)

@@ -17,6 +17,7 @@ if _TYPE_CHECKING:
     from jaxid.chain import Chain as Chain
     from jaxid.comparison import Comparison as Comparison
     from jaxid.dataset_io import load_dataset as load_dataset, save_dataset as save_dataset
+    from jaxid.diffrax_solver import Diffrax as Diffrax
     from jaxid.errors import UsageError as UsageError
     from jaxid.excitation import excite as excite
     from jaxid.experiment import (
@@ -26,7 +27,7 @@ if _TYPE_CHECKING:
         Experiment as Experiment,
     )
     from jaxid.identification import identify as identify
-    from jaxid.problem import Problem as Problem
+    from jaxid.make_problem import make_problem as make_problem, Problem as Problem
     from jaxid.results import Diagnosis as Diagnosis, Fit as Fit
 
 
@@ -38,9 +39,10 @@ _HOME = {
     "Dataset": "jaxid.experiment",
     "DatasetError": "jaxid.experiment",
     "Diagnosis": "jaxid.results",
+    "Diffrax": "jaxid.diffrax_solver",
     "Experiment": "jaxid.experiment",
     "Fit": "jaxid.results",
-    "Problem": "jaxid.problem",
+    "Problem": "jaxid.make_problem",
     "UsageError": "jaxid.errors",
     "compare": "jaxid.api",
     "diagnose": "jaxid.api",
@@ -49,6 +51,7 @@ _HOME = {
     "fitters": None,
     "identify": "jaxid.identification",
     "load_dataset": "jaxid.dataset_io",
+    "make_problem": "jaxid.make_problem",
     "models": None,
     "runtime": None,
     "save_dataset": "jaxid.dataset_io",

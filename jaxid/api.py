@@ -2,16 +2,19 @@
 
 from __future__ import annotations
 
+import warnings
 from collections.abc import Iterable, Mapping
 from typing import Any
 
 from jaxid import catalogue, closed_loop as closed_loop, frequency as frequency  # register their residuals
 from jaxid.binding import bind, Binding
 from jaxid.capacity import foreseen, refuse_too_large
+from jaxid.chain import Effect
 from jaxid.comparison import Comparison
 from jaxid.errors import nearest, UsageError
 from jaxid.experiment import Dataset
 from jaxid.fitter import AbstractFitter, Progress
+from jaxid.fitter_settings import fitter_of
 from jaxid.problem import LOSSES
 from jaxid.residual import Residual, RESIDUALS
 from jaxid.results import Diagnosis, Fit
@@ -26,32 +29,34 @@ def fit(
     fitter: AbstractFitter | str | None = None,
     residual: Residual | str | None = None,
     loss: str | None = None,
-    effects: Iterable[str] = (),
+    effects: Iterable[str | Effect | type[Effect]] = (),
     without: Iterable[str] = (),
     seed: int = 0,
     budget: int | None = None,
+    solver: Any = None,
     progress: Progress | None = None,
 ) -> Fit:
     """Fits the parameters of a model to a dataset.
 
-    `model` is an id, a mechanism, a chain, or None for the one that the dataset names; `effects` (`dead_zone@tau`) are added
-    and fitted, `without` takes built-in ones out. Raises `UsageError` for arguments that do not fit; a fit that fails is a
-    `Fit` with `failed` set and a sentence in `stopped_because`. More rows than there is memory for are refused before anything
-    is computed.
+    `model` is an id, a mechanism, a chain, or None for the one that the dataset names; `effects` (`dead_zone@tau`, or one of
+    your own) are added and fitted, `without` takes built-in ones out; `fitter` is one or its text, `de(popsize=20)`; `solver` (a
+    solver of diffrax, or `jaxid.Diffrax`) simulates in place of jaxid's own stepping. Raises `UsageError` for arguments that do
+    not fit; a fit that fails is a `Fit` with `failed` set and a sentence in `stopped_because`. More rows than there
+    is memory for are refused before anything is computed.
     """
     if len(limbs := limbs_of(model, dataset)) > 1:
         chosen = tuple(effects)
         work = lambda robot, data: fit(
             robot, data, fitter=fitter, residual=residual, loss=loss, effects=effects_at(chosen, robot), without=without,
-            seed=seed, budget=budget, progress=progress,
+            seed=seed, budget=budget, progress=progress, solver=solver,
         )  # fmt: skip
         return each(limbs, work, dataset)
     refuse_too_large(foreseen("fit", model, dataset))
     binding = bind(model, dataset, effects=effects, without=without)
-    return _fit(binding, fitter, residual, loss, seed, budget, progress)
+    return _fit(binding, fitter, residual, loss, seed, budget, progress, solver)
 
 
-def _fit(binding: Binding, fitter, residual, loss, seed: int, budget: int | None, progress) -> Fit:
+def _fit(binding: Binding, fitter, residual, loss, seed: int, budget: int | None, progress, solver: Any = None) -> Fit:
     from jaxid.fitting import fit_binding
 
     loss = loss or "sum_of_squares"
@@ -61,7 +66,8 @@ def _fit(binding: Binding, fitter, residual, loss, seed: int, budget: int | None
         raise UsageError(f"a budget of {budget} evaluations is none; give at least 1")
     chosen = resolve_fitter(fitter, loss)
     residual = residual or getattr(chosen, "residual_name", None)
-    return fit_binding(binding, chosen, resolve_residual(residual), loss, seed, budget, progress)
+    resolved = resolve_residual(residual)
+    return fit_binding(with_solver(binding, solver, resolved), chosen, resolved, loss, seed, budget, progress)
 
 
 def diagnose(
@@ -69,7 +75,7 @@ def diagnose(
     dataset: Dataset,
     *,
     max_effects: int = 3,
-    effects: Iterable[str] | None = None,
+    effects: Iterable[str | Effect | type[Effect]] | None = None,
     without: Iterable[str] = (),
     residual: Residual | str | None = None,
     seed: int = 0,
@@ -77,8 +83,9 @@ def diagnose(
 ) -> Diagnosis:
     """Says where the model is wrong, which effect is missing, and how far the gap shrinks once it is added.
 
-    `effects` limits the candidates (ids; default: all that the model lacks), `max_effects` how many may be named. Of recordings
-    that would need more memory than there is, or more than about an hour, the first part is looked at, and a note says so.
+    `effects` limits the candidates (ids, and effects of your own; default: all of the library that the model lacks),
+    `max_effects` how many may be named. Of recordings that would need more memory than there is, or more
+    than about an hour, the first part is looked at, and a note says so.
     """
     from jaxid.diagnosis import run_diagnosis
 
@@ -87,12 +94,37 @@ def diagnose(
     return run_diagnosis(model, dataset, max_effects, effects, without, resolve_residual(residual), seed, progress)
 
 
-def simulate(parameters: Fit | Mapping[str, Any], dataset: Dataset, *, model: object = None) -> Simulation:
-    """Free runs of a model on a dataset's inputs; `parameters` is a `Fit` or the content of a fit.json."""
+def simulate(
+    model: object,
+    dataset: Dataset,
+    parameters: Fit | Mapping[str, Any] | None = None,
+    *,
+    solver: Any = None,
+    **old: Any,
+) -> Simulation:
+    """Free runs of a model on a dataset's inputs.
+
+    `model` as of `fit`, None for the one that the parameters or the dataset name; `parameters` a `Fit` or the content of a
+    fit.json, None for the numbers of the model itself, such as `fit.chain`. `solver` (a solver of diffrax, or `jaxid.Diffrax`)
+    checks jaxid's own stepping. Raises `UsageError` for arguments that do not fit.
+    """
     from jaxid.simulation import simulate_dataset
 
+    if isinstance(model, Fit | Mapping):
+        warnings.warn(
+            "jaxid.simulate(parameters, dataset, model=...) is now jaxid.simulate(model, dataset, parameters=...); the old order "
+            "goes with the next version",
+            DeprecationWarning,
+            stacklevel=2,
+        )
+        model, parameters = old.pop("model", None), model
+    if old:
+        raise TypeError(f"simulate() got an unexpected keyword argument {next(iter(old))!r}")
+    if isinstance(parameters, Fit) and parameters.chain is not None and model is None:
+        known = parameters.model in catalogue.model_names()
+        model, parameters = (None, parameters) if known else (parameters.chain, None)
     content = parameters.to_dict() if isinstance(parameters, Fit) else parameters
-    return simulate_dataset(content, dataset, model)
+    return simulate_dataset(content, dataset, model, solver)
 
 
 def compare(
@@ -103,7 +135,7 @@ def compare(
     seeds: int = 10,
     budget: int | None = None,
     seconds: float | None = None,
-    effects: Iterable[str] = (),
+    effects: Iterable[str | Effect | type[Effect]] = (),
     without: Iterable[str] = (),
     residual: Residual | str | None = None,
     loss: str | None = None,
@@ -130,7 +162,16 @@ def compare(
 def resolve_fitter(fitter: AbstractFitter | str | None, loss: str = "sum_of_squares") -> AbstractFitter:
     if fitter is None:
         fitter = "lm" if loss == "sum_of_squares" else "hybrid"
-    return catalogue.fitter_class(fitter)() if isinstance(fitter, str) else fitter
+    return fitter_of(fitter) if isinstance(fitter, str) else fitter
+
+
+def with_solver(binding: Binding, solver: Any, residual: Residual | None) -> Binding:
+    """The binding whose runs are simulated by a solver of diffrax; None, "own": by jaxid's own stepping."""
+    if solver is None or solver == "own":
+        return binding
+    from jaxid.diffrax_solver import bound_to
+
+    return bound_to(binding, solver, residual)
 
 
 def resolve_residual(residual: Residual | str | None) -> Residual | None:

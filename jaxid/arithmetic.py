@@ -11,16 +11,22 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
+from jaxid.reverse import reversible
 
-@jax.custom_jvp
+
 def fence(x: Float[Array, ...]) -> Float[Array, ...]:
     """x unchanged, but computed once however many readers it has (a division is not copied into consumers)."""
+    return x if reversible() else _fenced(x)
+
+
+@jax.custom_jvp
+def _fenced(x: Float[Array, ...]) -> Float[Array, ...]:
     return x / (1 + 0 * x)
 
 
-@fence.defjvp
-def _fence_jvp(primals, tangents):
-    return fence(primals[0]), fence(tangents[0])
+@_fenced.defjvp
+def _fenced_jvp(primals, tangents):
+    return _fenced(primals[0]), _fenced(tangents[0])  # not linear as it is written: reverse mode could not pass it
 
 
 def dot(a: Float[Array, "n m"], x: Float[Array, ...]) -> Float[Array, ...]:

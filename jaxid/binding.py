@@ -147,9 +147,9 @@ def _signature(mechanism: Mechanism, dataset: Dataset) -> Signature:
     )
 
 
-def parse_effect(text: str, chain: Chain) -> tuple[type[Effect], str | None]:
-    """`dead_zone` or `dead_zone@tau`."""
-    name, _, place = text.partition("@")
+def parse_effect(text: str | Effect | type[Effect], chain: Chain) -> tuple[type[Effect], str | None]:
+    """`dead_zone@tau`, or `dead_zone` where it has one place."""
+    name, _, place = catalogue.enrolled(text).partition("@")
     kind = catalogue.effect_class(name)
     places = chain.offers(kind)
     if not places:
@@ -160,6 +160,8 @@ def parse_effect(text: str, chain: Chain) -> tuple[type[Effect], str | None]:
         raise UsageError(f"{name} is part of {chain.mechanism.name} already: it is fitted without being asked for")
     if place and place not in places:
         raise UsageError(f"{name} cannot act at {place!r}{nearest(place, places)}")
+    if not place and len(places) > 1:
+        raise UsageError(f"{name} can act at {', '.join(places)}: say where, as in {name}@{places[0]}")
     return kind, place or None
 
 
@@ -167,7 +169,7 @@ def bind(
     model: object,
     dataset: Dataset,
     *,
-    effects: Iterable[str] = (),
+    effects: Iterable[str | Effect | type[Effect]] = (),
     without: Iterable[str] = (),
     candidates: Iterable[type[Effect]] = (),
     splits: bool = True,

@@ -5,6 +5,7 @@ from __future__ import annotations
 from typing import Any, NamedTuple, TYPE_CHECKING
 
 from jaxid.errors import nearest, UsageError
+from jaxid.fitter_settings import SettingInfo, settings_of
 
 
 if TYPE_CHECKING:
@@ -50,7 +51,7 @@ class EffectInfo(NamedTuple):
 class FitterInfo(NamedTuple):
     name: str
     text: str
-    settings: dict[str, Any]
+    settings: tuple[SettingInfo, ...]
     source: str
 
 
@@ -67,10 +68,35 @@ def _models() -> dict[str, type]:
     return {m.name: m for m in MODELS}
 
 
+#: Effects of the user's own by their names, from when one is first given.
+_OWN_EFFECTS: dict[str, type] = {}
+
+
 def _effects() -> dict[str, type]:
     from jaxid.models.effects import LIBRARY
 
     return {e.name: e for e in LIBRARY}
+
+
+def enrolled(effect: Any) -> str:
+    """The name of an effect given as such (it may go on with `@LOCATION`), as its class, or as one of the user's own, which is
+    known by it from then on.
+
+    Raises `UsageError` for what is no effect, and for one of the user's own that takes the name of another one.
+    """
+    from jaxid.chain import Effect
+
+    if isinstance(effect, str):
+        return effect
+    kind = effect if isinstance(effect, type) else type(effect)
+    if not issubclass(kind, Effect):
+        raise UsageError(f"an effect is an id (`dead_zone@tau`), a class or one of an effect, not {kind.__name__}")
+    library = _effects()
+    if library.get(kind.name) is not kind:
+        if kind.name in library:
+            raise UsageError(f"{kind.__name__} has the name {kind.name!r} of an effect of the library: give it another one")
+        _OWN_EFFECTS[kind.name] = kind
+    return kind.name
 
 
 def _fitters() -> dict[str, type]:
@@ -104,7 +130,7 @@ def model_class(name: str) -> Any:
 
 
 def effect_class(name: str) -> Any:
-    return _pick("effect", _effects(), name)
+    return _pick("effect", {**_effects(), **_OWN_EFFECTS}, name)
 
 
 def fitter_class(name: str) -> Any:
@@ -187,11 +213,8 @@ def describe_effect(name: str) -> EffectInfo:
 
 
 def describe_fitter(name: str) -> FitterInfo:
-    import dataclasses
-
     kind = fitter_class(name)
-    settings = {f.name: f.default for f in dataclasses.fields(kind)}
-    return FitterInfo(name, _text(kind), settings, kind.source)
+    return FitterInfo(name, _text(kind), tuple(settings_of(kind)), kind.source)
 
 
 def _text(kind: type) -> str:

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import abc
 from collections.abc import Callable, Iterable
-from typing import Any, ClassVar, NamedTuple, TypeVar
+from typing import Any, ClassVar, NamedTuple, TYPE_CHECKING, TypeVar
 
 import equinox as eqx
 import jax
@@ -21,6 +21,10 @@ from jaxid.arithmetic import dot, fence, inverse
 from jaxid.joint import solve_dry
 from jaxid.mechanism import Mechanism, Signature
 from jaxid.parameter import Quantity, specs, with_fields
+
+
+if TYPE_CHECKING:
+    from jaxid.ode import ODE
 
 
 class Command(NamedTuple):
@@ -442,16 +446,11 @@ class Chain(eqx.Module):
         dry = jnp.where(direction > 0, plus, minus) * direction
         return tau - body.inverse(q, qd, qdd) - F - dry, z
 
-    def vector_field(self, t: Any, x: Any, u: Float[Array, " nu"]) -> Any:
-        """dx/dt as a plain ODE for a generic solver. Needs effects without states and smoothed dry friction."""
-        body = self.body()
-        q, qd = body.port(x)
-        command = Command(t, jnp.zeros(()), u, u, lambda d: u)
-        s = Signals(t, q, qd, jnp.zeros_like(q), jnp.zeros(()), command, qd)
-        u, z = self.commanded(s, self.start(q, qd, u).z)
-        tau = body.drive(self.signature, u, q, qd)
-        F, minus, plus, _ = self.friction(s._replace(load=tau), z)
-        dry = jnp.zeros_like(qd)
-        if self.smoothing_velocity > 0:
-            dry = jnp.where(qd > 0, plus, minus) * jnp.tanh(qd / self.smoothing_velocity)
-        return body.vector_field(t, x, tau - F - dry)
+    def ode(self) -> ODE:
+        """The model as dy/dt = f(t, y, (parameters, u)), for diffrax and other solvers: see `jaxid.ode.ODE`.
+
+        Raises `UsageError` for dry friction that is not smoothed (`chain.smoothed(1e-3)`): no such equation says what sticks.
+        """
+        from jaxid.ode import ODE
+
+        return ODE(self)

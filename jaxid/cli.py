@@ -74,6 +74,13 @@ def names(_ctx, _param, value: str | None) -> tuple[str, ...] | None:
     return None if value is None else tuple(name for name in (part.strip() for part in value.split(",")) if name)
 
 
+def fitter_list(_ctx, _param, value: str | None) -> tuple[str, ...] | None:
+    """Fitters written with commas, of which those in brackets belong to one."""
+    from jaxid.fitter_settings import split_outside_brackets
+
+    return None if value is None else split_outside_brackets(value)
+
+
 def output_options(command: Callable) -> Callable:
     command = click.option("--quiet", is_flag=True, help="Print nothing but errors.")(command)
     return click.option("--json", "as_json", is_flag=True, help="Print the result as JSON and nothing else.")(command)
@@ -85,6 +92,9 @@ WITHOUT = click.option(
     "--without", callback=names, metavar="E,…", help="Built-in effects to leave out; each becomes a candidate."
 )
 RESIDUAL = click.option("--residual", metavar="R", type=click.Choice(RESIDUALS), help=f"{', '.join(RESIDUALS)}.")
+SOLVER = click.option(
+    "--solver", metavar="own|diffrax:S", help="What simulates: jaxid's own stepping, or a solver of diffrax (diffrax:Tsit5)."
+)
 SEED = click.option("--seed", type=click.IntRange(0, 2**31 - 1), default=0, show_default=True, help="Random seed.")
 
 
@@ -92,15 +102,16 @@ SEED = click.option("--seed", type=click.IntRange(0, 2**31 - 1), default=0, show
 @DATASET
 @OUT
 @MODEL
-@click.option("--fitter", metavar="F", help="Fitter id (see `jaxid fitters`).")
+@click.option("--fitter", metavar="F", help="Fitter (see `jaxid fitters`), also as 'de(popsize=20, F=0.5)'.")
 @click.option("--effect", "effects", multiple=True, metavar="E[@LOCATION]", help="Effect to add; may be repeated.")
 @WITHOUT
 @RESIDUAL
 @click.option("--loss", metavar="L", type=click.Choice(LOSSES), help=f"{', '.join(LOSSES)}.")
 @SEED
 @click.option("--budget", type=click.IntRange(1), metavar="N", help="Most evaluations of the loss.")
+@SOLVER
 @output_options
-def fit(dataset, out, model, fitter, effects, without, residual, loss, seed, budget, as_json, quiet) -> int:
+def fit(dataset, out, model, fitter, effects, without, residual, loss, seed, budget, solver, as_json, quiet) -> int:
     """Fit a model to a dataset.
 
     Writes fit.json and report.html into DIR.
@@ -120,6 +131,7 @@ def fit(dataset, out, model, fitter, effects, without, residual, loss, seed, bud
             without=without or (),
             seed=seed,
             budget=budget,
+            solver=solver,
             progress=output.progress,
         )
         code = output.deliver(result, fit_text)
@@ -180,8 +192,9 @@ def diagnose(dataset, out, model, max_effects, effects, without, residual, seed,
 @click.option("--parameters", "parameters", required=True, type=click.Path(path_type=Path), metavar="FIT.json", help="A fit.")
 @OUT
 @MODEL
+@SOLVER
 @output_options
-def simulate(dataset, parameters, out, model, as_json, quiet) -> int:
+def simulate(dataset, parameters, out, model, solver, as_json, quiet) -> int:
     """Run a model on a dataset's inputs.
 
     Writes run_1.parquet …, run_1.png … (poses of the mechanism over time) and simulation.json into DIR.
@@ -191,7 +204,7 @@ def simulate(dataset, parameters, out, model, as_json, quiet) -> int:
     from jaxid.text import simulation_text
 
     with Output(out, as_json, quiet) as output:
-        return output.deliver(jaxid.simulate(fitted, data, model=model), simulation_text)
+        return output.deliver(jaxid.simulate(model, data, fitted, solver=solver), simulation_text)
 
 
 @cli.command()

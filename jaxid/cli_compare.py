@@ -5,7 +5,7 @@ from __future__ import annotations
 import click
 
 from jaxid import terminal
-from jaxid.cli import DATASET, FAILED, LOSSES, MODEL, names, OUT, output_options, RESIDUAL, SEED, start, WITHOUT
+from jaxid.cli import DATASET, FAILED, fitter_list, LOSSES, MODEL, OUT, output_options, RESIDUAL, SEED, start, WITHOUT
 from jaxid.cli_output import Output
 
 
@@ -13,7 +13,9 @@ from jaxid.cli_output import Output
 @DATASET
 @OUT
 @MODEL
-@click.option("--fitters", callback=names, metavar="F,…", help="Fitter ids; default: lm,hybrid,de,rde,pso,ga.")
+@click.option(
+    "--fitters", callback=fitter_list, metavar="F,…", help="Fitters, also as 'de(CR=0.8)'; default: lm,hybrid,de,rde,pso,ga."
+)
 @click.option("--seeds", type=click.IntRange(1), default=10, show_default=True, help="Runs of each fitter.")
 @click.option("--budget", type=click.IntRange(1), metavar="N", help="Most evaluations of a run; default: 10000.")
 @click.option(

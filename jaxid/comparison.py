@@ -13,6 +13,7 @@ from jaxid.results import SCHEMA, versions
 
 
 if TYPE_CHECKING:
+    import pandas
     from matplotlib.axes import Axes
 
 
@@ -148,6 +149,17 @@ class Comparison:
         """One summary a fitter: most successes first, then fewest evaluations for one."""
         rows = [summary(f, self.of(f), self.target, self.common_time) for f in self.fitters]
         return tuple(sorted(rows, key=lambda s: (-s.successes / s.runs, s.expected_evaluations, s.loss.median)))
+
+    def to_frame(self) -> pandas.DataFrame:
+        """A row for each run, its parameters as columns. Raises `UsageError` without pandas."""
+        from jaxid.frames import frame
+
+        names = dict.fromkeys(name for run in self.runs for name in run.parameters)
+        columns = (
+            "fitter", "seed", "status", "loss", "evaluations", "seconds", "wall_time_s", "compile_time_s", "stopped_because",
+        )  # fmt: skip
+        rows = [{**{c: getattr(run, c) for c in columns}, **run.parameters} for run in self.runs]
+        return frame(rows, (*columns, *names))
 
     def to_dict(self) -> dict[str, Any]:
         return {

@@ -11,12 +11,15 @@ from typing import Any
 import jax
 import numpy as np
 
+from jaxid import catalogue
 from jaxid.binding import bind, Binding
+from jaxid.chain import Effect
 from jaxid.comparison import Comparison, Known, Run
 from jaxid.errors import nearest, UsageError
 from jaxid.estimation import Bench, default_residual, start_values
 from jaxid.experiment import Dataset
 from jaxid.fitter import AbstractFitter, AbstractPopulation, Minimum, Progress, sampling_box
+from jaxid.fitter_settings import fitter_of, label_of, parsed
 from jaxid.fitters import descend
 from jaxid.interim import Interim
 from jaxid.problem import LOSSES, Problem
@@ -38,7 +41,7 @@ def run_comparison(
     seeds: int,
     budget: int | None,
     seconds: float | None,
-    effects: Iterable[str],
+    effects: Iterable[str | Effect | type[Effect]],
     without: Iterable[str],
     residual: Residual | None,
     loss: str,
@@ -49,7 +52,7 @@ def run_comparison(
 ) -> Comparison:
     """The whole of `jaxid.compare`. On Ctrl-C `Interrupted` carries the comparison of the runs that were finished."""
     began = time.perf_counter()
-    effects = tuple(effects)
+    effects = tuple(catalogue.enrolled(e) for e in effects)
     if loss not in LOSSES:
         raise UsageError(f"there is no loss {loss!r}{nearest(loss, LOSSES)}")
     if seeds < 1:
@@ -157,18 +160,17 @@ def resolve(
 ) -> list[tuple[str, AbstractFitter]]:
     """(label, fitter) of each; a population given by its id goes on for as long as the budget lasts. Raises `UsageError` for a
     name that does not exist, and for a fitter that knows no limit of time where one is given."""
-    from jaxid import catalogue
-
     out: list[tuple[str, AbstractFitter]] = []
     for given in fitters:
-        fitter = catalogue.fitter_class(given)() if isinstance(given, str) else given
-        if isinstance(given, str) and isinstance(fitter, AbstractPopulation):
+        fitter = fitter_of(given) if isinstance(given, str) else given
+        full = label_of(fitter)
+        if isinstance(given, str) and isinstance(fitter, AbstractPopulation) and "generations" not in parsed(given)[1]:
             fitter = replace(fitter, generations=10**6 if budget is None else max(1, budget // fitter.offspring))
         if seconds is not None and "seconds" not in inspect.signature(fitter.minimise).parameters:
             raise UsageError(f"the fitter {fitter.name} has no limit of time (an argument `seconds` of minimise): give a budget")
-        label, count = fitter.name, 2
+        label, count = full if isinstance(given, str) or fitter.name in dict(out) else fitter.name, 2
         while label in dict(out):
-            label, count = f"{fitter.name} {count}", count + 1
+            label, count = f"{full} {count}", count + 1
         out.append((label, fitter))
     if not out:
         raise UsageError("there is no fitter to compare; name some, such as lm,de")

@@ -148,6 +148,7 @@ class Engine:
         with float64():
             self.samples = Samples(*(jnp.asarray(a) for a in samples))
         reach = max(reach_of(samples, r) for r in self.records)
+        self.reach = reach
         self._kind, self._burn = (lane, self.length, reach), burn or any(r.lead for r in self.records)
         self._families = {} if whole else families(layout)
         self._neutral = np.array([e.spec.value for e in layout.entries])
@@ -251,7 +252,7 @@ class Engine:
             small, index = restricted(self.layout, kept) if len(kept) < len(self._families) else everything
             self._restricted[kept] = small, index
         small, index = self._restricted[kept]
-        return programs_for(small, *self._kind, self._burn and small.chain.has_states()), index
+        return programs_for(small, *self._kind, self.burns(small)), index
 
     def _could_work(self, theta: np.ndarray, free: Sequence[int] | np.ndarray) -> np.ndarray:
         """Which numbers can be off their neutral values [size] where they equal theta but in `free`."""
@@ -291,6 +292,17 @@ class Engine:
             return programs.predict([own(int(i)) for i in index], start, where, samples, steps)
 
         return predict, programs.losses.setdefault((tuple(index), tuple(place)), {})
+
+    def free_layout(self, theta: np.ndarray, free: np.ndarray) -> tuple[Layout, np.ndarray]:
+        """The layout of the effects that can be at work where numbers equal theta but in `free`, and the positions of its numbers
+        in the whole."""
+        kept = self._families_of(self._could_work(theta, free))
+        self._programs_of(kept)
+        return self._restricted[kept]
+
+    def burns(self, layout: Layout) -> bool:
+        """Whether lanes of a layout know a lead, in which effects follow the measured motion."""
+        return self._burn and layout.chain.has_states()
 
     def read_ahead(self) -> None:
         """Begins to read the programs that predict each family of effects by itself, where they lie on disk."""

@@ -10,6 +10,7 @@ import numpy as np
 
 from jaxid import samples
 from jaxid.binding import Binding
+from jaxid.chain import Chain
 from jaxid.ending import ending
 from jaxid.experiment import Experiment
 from jaxid.fitter import Minimum
@@ -358,12 +359,13 @@ def assemble(
     """A `Fit` from a minimum: uncertainty, scores, traces, notes."""
     binding = bench.binding
     theta = problem.theta(result.z)
-    notes = [*binding.dataset.notes, f"residual: {problem.runs.statement}", *notes]
+    notes = [*binding.dataset.notes, f"residual: {problem.runs.statement}", *solver_notes(binding), *notes]
     if result.failed:
         return Fit(
             binding.chain.mechanism.name, (), fitter, residual.name, problem.loss_name, seed, False, True,
             result.stopped_because, result.loss, {}, {}, {}, result.evaluations, wall_time, compile_time,
             binding.dataset.name, binding.dataset.sha256, tuple(notes), history=tuple(result.history), theta=theta,
+            solver=solver_name(binding),
         )  # fmt: skip
     cov = getattr(result, "covariance", None) or covariance(problem, result.z)
     found = estimates(binding, problem, result.z, cov)
@@ -420,7 +422,26 @@ def assemble(
         end.state == "failed", end.because, result.loss, own, table, windowed, result.evaluations, wall_time, compile_time,
         binding.dataset.name, binding.dataset.sha256, tuple(notes), groups, tuple(result.history), tuple(traces), theta,
         end.state == "stalled", SIMULATIONS.get(residual.name, "free_run"), free, stated, joints,
+        fitted_chain(binding, theta, added), solver_name(binding),
     )  # fmt: skip
+
+
+def fitted_chain(binding: Binding, theta: np.ndarray, added: Sequence[EffectEstimate]) -> Chain:
+    """The model with these numbers, without candidates that were not taken."""
+    kept = {e.effect for e in added}
+    gone = [e.name for e in binding.chain.effects if e.name not in kept and is_candidate(binding, e.name)]
+    return binding.layout.model(theta).without(*gone)
+
+
+def solver_notes(binding: Binding) -> tuple[str, ...]:
+    """What is to be said of a solver that is not jaxid's own stepping."""
+    s = binding.layout.solver
+    return () if s is None else (f"simulated by {s} (rtol {s.rtol:g}, atol {s.atol:g}), not by jaxid's own stepping",)
+
+
+def solver_name(binding: Binding) -> str:
+    """What simulates the runs of a binding."""
+    return "own" if binding.layout.solver is None else str(binding.layout.solver)
 
 
 def make_traces(binding: Binding, split: str, predictions: dict[str, Sequence[np.ndarray]]) -> list[Trace]:

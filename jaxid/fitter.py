@@ -19,6 +19,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, PRNGKeyArray
 
+from jaxid.fitter_settings import about
 from jaxid.objective import AbstractProblem
 from jaxid.precision import float64
 from jaxid.problem import PENALTY
@@ -226,9 +227,11 @@ class AbstractPopulation(AbstractFitter):
 
     popsize: eqx.AbstractVar[int]
     generations: eqx.AbstractVar[int]
-    stall: int = eqx.field(default=60, kw_only=True)
-    tolerance: float = eqx.field(default=1e-9, kw_only=True)
-    restarts: int = eqx.field(default=0, kw_only=True)
+    stall: int = eqx.field(default=60, kw_only=True, metadata=about("generations without gain after which it ends; 0: never", 0))
+    tolerance: float = eqx.field(default=1e-9, kw_only=True, metadata=about("relative gain that counts as one", 0))
+    restarts: int = eqx.field(
+        default=0, kw_only=True, metadata=about("most new beginnings, until two in a row end in the same minimum", 0)
+    )
 
     @abc.abstractmethod
     def init(self, key: PRNGKeyArray, population: Float[Array, "pop dim"], losses: Float[Array, " pop"]) -> Any:

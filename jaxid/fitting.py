@@ -15,6 +15,7 @@ from jaxid.binding import Binding
 from jaxid.ending import looked_again
 from jaxid.estimation import assemble, Bench, default_residual, start_values
 from jaxid.fitter import AbstractFitter, Minimum, Progress
+from jaxid.fitter_settings import label_of
 from jaxid.fitters import LevenbergMarquardt
 from jaxid.interim import Interim
 from jaxid.problem import Problem
@@ -63,7 +64,7 @@ def fit_seeds(
     notes: dict[int, list[str]] = {seed: [] for seed in seeds}
     ended: dict[int, tuple[Bench, Problem, Minimum]] = {}
     level: dict[int, np.ndarray | None] = dict.fromkeys(seeds)  # where each seed's coarser step ended
-    step = samples.STEP
+    step, label = samples.STEP, label_of(fitter)
     while level:
         bench, finer = benches.of(step), {}
         # Cores compile side by side: what descents run while start values are found, what is asked of their end while they run.
@@ -94,7 +95,7 @@ def fit_seeds(
                 finer[seed] = problem.theta(result.z)
                 if known:
                     spent, note = time.perf_counter() - began, f"stopped before it was refined with steps of {step / 2:.3g} s"
-                    end = *ended[seed], residual, fitter.name, seed, 0.0, spent, [note]
+                    end = *ended[seed], residual, label, seed, 0.0, spent, [note]
                     known.offer(lambda end=end: assemble(*end))
                 notes[seed].append(
                     f"halving the step moved the simulation by {moved:.2g} of the noise or gap: refitted at {step / 2:.3g} s"
@@ -103,7 +104,7 @@ def fit_seeds(
         if isinstance(fitter, LevenbergMarquardt):
             fitter = replace(fitter, restarts=0)
     share = 1 / len(seeds)
-    fits = [assemble(*ended[seed], residual, fitter.name, seed, 0.0, 0.0, notes[seed]) for seed in seeds]
+    fits = [assemble(*ended[seed], residual, label, seed, 0.0, 0.0, notes[seed]) for seed in seeds]
     compiling, wall = share * (benches.compile_time() - compiled), share * (time.perf_counter() - began)
     return [replace(fit, compile_time_s=compiling, wall_time_s=wall) for fit in fits]
 

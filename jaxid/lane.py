@@ -13,6 +13,7 @@ from jaxtyping import Array, Float, Int
 from jaxid.chain import Carry, Chain, Command
 from jaxid.lanes import loop_over_time
 from jaxid.mechanism import Mechanism
+from jaxid.reverse import reversible
 from jaxid.samples import BLOCK, bucket, Record, Samples
 
 
@@ -24,6 +25,8 @@ EVEN = -1
 
 #: (chain, samples, where, start, steps, length, reach, burn) -> prediction at every step of a record.
 Lane = Callable[..., Array]
+#: (chain, body, carry, command) -> carry, outputs: one step, as `Chain.step`.
+Advance = Callable[[Chain, Mechanism, Carry, Command], tuple[Carry, Array]]
 
 
 def command_at(samples: Samples, k: Array, first: Array, last: Array, reach: int) -> Command:
@@ -69,6 +72,7 @@ def simulate_lane(
     burn: bool,
     body: Mechanism | None = None,
     wanted: tuple[int, ...] | None = None,
+    advance: Advance | None = None,
 ) -> Float[Array, "length ny"]:
     """Outputs of one model on one record from its first step on.
 
@@ -77,11 +81,12 @@ def simulate_lane(
     then they start from `start`, and sensors as if outputs had run straight up to it. `steps` counts those of the lead, too; what
     comes after them is no prediction. The loop runs over blocks, their count is data: one program serves every length. `body` is
     the mechanism with its effects, prepared, where that has been done; of outputs that are not `wanted` zeros are returned.
+    `advance` takes a step in place of the chain's own.
     """
     nq = chain.nq
     offset, _, last, lead = where
-    prepared, initial, step = _stepping(chain, samples, where, start, reach, burn, body, wanted)
-    y = over_time(step, initial, steps, length, len(chain.signature.outputs))
+    prepared, initial, step = _stepping(chain, samples, where, start, reach, burn, body, wanted, advance)
+    y = over_time(step, initial, steps, length, len(chain.signature.outputs), marked=advance is None)
     k = jnp.arange(length)
     beyond = jnp.maximum(offset + k - last, 0) * samples.h[last]  # the loop goes on to the end of its block, and so does time
     times, even = samples.t[jnp.minimum(offset + k, last)] + beyond, samples.h[offset] if reach == EVEN else None
@@ -89,7 +94,9 @@ def simulate_lane(
     return chain.recorded(times, y, even, chain.begins(prepared, start[:nq], start[nq:])[1])
 
 
-def _stepping(chain, samples, where, start, reach, burn, body=None, wanted=None) -> tuple[Mechanism, Carry, Callable]:
+def _stepping(
+    chain, samples, where, start, reach, burn, body=None, wanted=None, advance=None
+) -> tuple[Mechanism, Carry, Callable]:
     """(mechanism with its effects, how a record begins, one step of it) of `simulate_lane`."""
     nq = chain.nq
     offset, first, last, lead = where
@@ -108,7 +115,7 @@ def _stepping(chain, samples, where, start, reach, burn, body=None, wanted=None)
             anew = lambda a, b: jnp.where(k == lead, a, b)
             carry = Carry(x, z, anew(initial.lam, carry.lam), anew(initial.acc, carry.acc))
         command = command_at(samples, i, first, last, reach)
-        carry, y = chain.step(body, carry, command)
+        carry, y = chain.step(body, carry, command) if advance is None else advance(chain, body, carry, command)
         return carry, y if wanted is None else jnp.stack([y[i] if i in wanted else jnp.zeros(()) for i in range(len(y))])
 
     return body, initial, step
@@ -196,9 +203,14 @@ def _torques(chain: Chain, samples: Samples, where: Array, reach: int) -> tuple[
     return z, step
 
 
-def over_time(step: Callable, carry: Any, steps: Array, length: int, width: int) -> Array:
+def over_time(step: Callable, carry: Any, steps: Array, length: int, width: int, marked: bool = True) -> Array:
+    """What `step(carry, k) -> carry, y [width]` gives at each of so many steps, [length width]; after them it is no result.
+    `marked`: lanes are laid out for vector code, which a step with a solver of its own inside is not for."""
+    if reversible():
+        return _over_static_time(step, carry, steps, length)
     loop = _blocks(step, carry, steps, length, width)
-    return loop_over_time(lambda: loop()[2])
+    outputs = lambda: loop()[2]
+    return loop_over_time(outputs) if marked else outputs()
 
 
 def _blocks(step: Callable, carry: Any, steps: Array, length: int, width: int) -> Callable[[], tuple[Array, Any, Array]]:
@@ -218,6 +230,21 @@ WINDOWED: dict[Lane, tuple[Callable, Callable]] = {
     simulate_lane: (simulate_window, simulate_begin),
     torque_lane: (torque_window, torque_begin),
 }
+
+
+def _over_static_time(step: Callable, carry: Any, steps: Array, length: int) -> Array:
+    """The same in reverse: all of `length`, the state standing still after the last step. Only the states between blocks are
+    kept, what lies between them is worked out again on the way back."""
+
+    def held(carry: Any, k: Array) -> tuple[Any, Array]:
+        new, y = step(carry, k)
+        return jax.tree.map(lambda a, b: jnp.where(k < steps, a, b), new, carry), y
+
+    block = jax.checkpoint(lambda carry, k: jax.lax.scan(held, carry, k))  # pyright: ignore[reportPrivateImportUsage]
+    blocks = -(-length // BLOCK)
+    k = jnp.arange(blocks * BLOCK, dtype=jnp.asarray(steps).dtype).reshape(blocks, BLOCK)
+    _, y = jax.lax.scan(block, carry, k)
+    return y.reshape(blocks * BLOCK, -1)[:length]
 
 
 def reach_of(samples: Samples, record: Record) -> int:

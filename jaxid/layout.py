@@ -31,8 +31,9 @@ class Entry(NamedTuple):
 class Layout:
     """Order, names and meaning of all numbers of a model: those of the mechanism, then those of each effect by location."""
 
-    def __init__(self, chain: Chain):
-        self.chain = chain
+    def __init__(self, chain: Chain, solver: Any = None):
+        """`solver` simulates in place of the stepping of chains: a `jaxid.diffrax_solver.Diffrax`."""
+        self.chain, self.solver = chain, solver
         self.entries = tuple(_entries(chain))
         self.names = [e.name for e in self.entries]
         self.values = np.array(

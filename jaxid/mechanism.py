@@ -9,7 +9,7 @@ compliance are then solved in one place for all of them.
 from __future__ import annotations
 
 import abc
-from typing import Any, ClassVar, NamedTuple
+from typing import Any, ClassVar, NamedTuple, TYPE_CHECKING
 
 import equinox as eqx
 import jax
@@ -18,6 +18,10 @@ from jaxtyping import Array, Bool, Float
 
 from jaxid.arithmetic import dot, inverse
 from jaxid.parameter import ParameterSpec
+
+
+if TYPE_CHECKING:
+    from jaxid.ode import ODE
 
 
 class Signature(NamedTuple):
@@ -78,6 +82,13 @@ class Mechanism(eqx.Module):
     source: eqx.AbstractClassVar[str]
     #: Whether the state holds more than joint positions and velocities: such a motion cannot be inverted without a simulation.
     hidden_states: ClassVar[bool] = False
+
+    def ode(self, *, smoothing_velocity: float = 0.0) -> ODE:
+        """The model with its built-in effects as a differential equation: see `jaxid.ode.ODE`. `smoothing_velocity` (rad/s or
+        m/s) smooths their dry friction; without, one that has some raises `UsageError`."""
+        from jaxid.chain import Chain
+
+        return Chain(self, smoothing_velocity=smoothing_velocity).ode()
 
     def prepare(self, h: Any | None) -> Mechanism:
         """The same mechanism with everything worked out that does not depend on the state; `h` None where steps differ."""

@@ -126,6 +126,10 @@ class AbstractProblem(abc.ABC):
     def pure(self) -> Losses:
         """(z [pop size], data) -> losses [pop]: traceable, holds no data; a candidate that diverges gets PENALTY."""
 
+    @abc.abstractmethod
+    def residual_function(self) -> tuple[Callable[[Array, Any], Array], Any]:
+        """(z [size], data) -> residuals over their noise [n], traceable and differentiable, and the data."""
+
     @property
     @abc.abstractmethod
     def compile_time_s(self) -> float:
@@ -286,6 +290,10 @@ class FunctionProblem(AbstractProblem):
             return penalised(loss.total(jnp.sum(loss.summed(e, w * e), 1), data.count, data.norm))
 
         return losses
+
+    def residual_function(self):
+        residual = self._residual
+        return lambda z, data: jnp.ravel(data.w[:, None] * residual(z)), self._data
 
     @property
     def compile_time_s(self) -> float:

@@ -115,6 +115,7 @@ class Problem(AbstractProblem):
         self.work = int(self._bounds[1].max()) * len(self.records)
         self.targets, self.weights = runs.targets, runs.weights
         self._data: Data | None = None
+        self._pure: Any = None
 
     def _start_reach(self) -> np.ndarray:
         """How far an unknown start may lie from its guess: a fifth of the travel, the travel per tenth of the run; the largest
@@ -238,6 +239,13 @@ class Problem(AbstractProblem):
     def compile_losses(self):
         return (lambda: None) if self.runs.engine.long else super().compile_losses()
 
+    def residual_function(self):
+        from jaxid.make_problem import pure, residual_of
+
+        if self._pure is None:
+            self._pure = pure(self, np.clip(self.z(self.base), self.lower, self.upper))
+        return residual_of, self._pure
+
     @property
     def compile_time_s(self) -> float:
         return self.runs.engine.compile_time_s
@@ -276,7 +284,7 @@ class Problem(AbstractProblem):
         """The same problem with other measurements (the shape of `runs.targets`) in its residual and Jacobian. `losses` goes on
         to compare with the recorded ones."""
         twin = copy.copy(self)
-        twin.targets = targets
+        twin.targets, twin._pure = targets, None
         return twin
 
     def _scales(self) -> tuple[np.ndarray, np.ndarray]:

@@ -126,7 +126,7 @@ class OutputError(Residual):
             records.append(until(len(e), cut))
             heads.append([until(settled + k, settled) for k in dict.fromkeys(max(6, n // k) for k in (1, 2, 4, 8, 16))])
         lanes = [*records, *(h for nested in heads for h in nested)]
-        engine = Engine(layout, samples, lanes, overrides(layout, every, lanes), simulate_lane, shape[1], burn=remembers)
+        engine = Engine(layout, samples, lanes, overrides(layout, every, lanes), lane_of(layout), shape[1], burn=remembers)
         n = len(records)
         ends = np.cumsum([n, *(len(nested) for nested in heads)])
         return Runs(
@@ -161,7 +161,7 @@ class MultipleShooting(Residual):
             edges = np.searchsorted(e.t, np.arange(e.t[0], e.t[-1] - 0.5 * length, length))
             for a, b in zip(edges, [*edges[1:], len(e.t)], strict=True):
                 records.append(_record(number, e, positions[number], int(a), int(b), dataset, layout.chain, memory))
-        engine = Engine(layout, samples, records, overrides(layout, experiments, records), simulate_lane)
+        engine = Engine(layout, samples, records, overrides(layout, experiments, records), lane_of(layout))
         every = tuple(range(len(records)))
         return Runs(
             tuple(experiments), layout, layout.chain.signature.outputs, noise, engine, every, (),
@@ -203,6 +203,15 @@ class InverseDynamics(Residual):
             tuple(experiments), layout, chain.torque_channels, setting.noise, engine, every, (), setting.statement,
             dataset, setting,
         )  # fmt: skip
+
+
+def lane_of(layout: Layout) -> Lane:
+    """What simulates: the stepping of chains, or the solver of the layout."""
+    if layout.solver is None:
+        return simulate_lane
+    from jaxid.diffrax_solver import diffrax_lane
+
+    return diffrax_lane(layout.solver)
 
 
 def _states(motions: Sequence[Motion] | None) -> list[np.ndarray] | None:

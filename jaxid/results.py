@@ -13,8 +13,10 @@ from jaxid.atomic_files import replace_files
 
 
 if TYPE_CHECKING:
+    import pandas
     from matplotlib.axes import Axes
 
+    from jaxid.chain import Chain
     from jaxid.diagnosis.breakdown import Share
     from jaxid.diagnosis.unseen import Unseen
     from jaxid.excitation_result import Excitation
@@ -134,11 +136,24 @@ class Fit:
     free_run: dict[str, dict[str, Score]] = field(default_factory=dict)  # scores of the free run, where `scores` are of another
     stated: tuple[Stated, ...] = ()  # what a file or the dataset states beside what was fitted
     per_joint: tuple[dict[str, Any], ...] = ()  # of a robot: each joint's error with the file as it stands
+    chain: Chain | None = field(default=None, repr=False, compare=False)
+    """The fitted model with its effects, None where the fit failed: `.ode()`, `jaxid.simulate(fit.chain, other_data)`."""
+    solver: str = "own"  # what simulated: jaxid's own stepping, or a solver of diffrax
 
     @property
     def state(self) -> str:
         """`converged`, `stalled`, `failed`, or `budget`: a limit of evaluations, iterations or time ended it."""
         return "failed" if self.failed else "converged" if self.converged else "stalled" if self.stalled else "budget"
+
+    def to_frame(self) -> pandas.DataFrame:
+        """A row for each fitted number, those of added effects as `dead_zone.width@tau`. Raises `UsageError` without pandas."""
+        from jaxid.frames import frame
+
+        found = dict(self.parameters)
+        for e in self.effects:
+            found |= {f"{e.effect}.{name}@{e.location}": estimate for name, estimate in e.parameters.items()}
+        columns = ("parameter", "value", "std", "unit", "lower", "upper", "at_bound", "identifiable")
+        return frame([{"parameter": name, **estimate.to_dict()} for name, estimate in found.items()], columns)
 
     def to_dict(self) -> dict[str, Any]:
         return {
@@ -149,6 +164,7 @@ class Fit:
             "fitter": self.fitter,
             "residual": self.residual,
             "loss_name": self.loss_name,
+            "solver": self.solver,
             "seed": self.seed,
             "state": self.state,
             "converged": self.converged,
@@ -383,6 +399,15 @@ class Diagnosis:
         from jaxid.excitation_separate import separate
 
         return separate(self.rivals, **settings)
+
+    def to_frame(self) -> pandas.DataFrame:
+        """A row for each candidate that was refitted, best first, and whether the verdict names it. Raises `UsageError` without
+        pandas."""
+        from jaxid.frames import frame
+
+        named = {(e.effect, e.location) for e in self.which.effects}
+        rows = [{**r.to_dict(), "named": (r.effect, r.location) in named} for r in self.which.ranking]
+        return frame(rows, ("effect", "location", "named", "validation_gap", "bic", "evidence", "text"))
 
     def to_dict(self) -> dict[str, Any]:
         return {

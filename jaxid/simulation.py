@@ -9,17 +9,22 @@ import jax.numpy as jnp
 import numpy as np
 
 from jaxid import samples
-from jaxid.binding import bind
+from jaxid.api import with_solver
+from jaxid.binding import bind, resolve_model
+from jaxid.chain import Chain
 from jaxid.drawing import Motion, motion
 from jaxid.errors import UsageError
-from jaxid.estimation import Bench, estimate_starts, free_runs, scored
+from jaxid.estimation import Bench, estimate_starts, free_runs, scored, solver_name, solver_notes
 from jaxid.experiment import Dataset
+from jaxid.layout import Layout
 from jaxid.precision import float64
 from jaxid.simulation_result import Simulation
 
 
-def simulate_dataset(content: Mapping[str, Any], dataset: Dataset, model: object) -> Simulation:
-    """See `jaxid.simulate`. A run without a stated start estimates it from its first samples, which leave the rmse."""
+def simulate_dataset(content: Mapping[str, Any] | None, dataset: Dataset, model: object, solver: Any = None) -> Simulation:
+    """See `jaxid.simulate`; without content with the numbers of the model itself. A run without a stated start estimates it from
+    its first samples, which leave the rmse."""
+    content = own_numbers(resolve_model(model, dataset)) if content is None else content
     effects = content.get("effects", [])
     parameters = content.get("parameters", {})
     if not isinstance(parameters, Mapping) or not isinstance(effects, list | tuple):
@@ -36,6 +41,7 @@ def simulate_dataset(content: Mapping[str, Any], dataset: Dataset, model: object
             if not indices:
                 raise UsageError(f"effect {e['effect']} has no parameter {field!r}")
             theta[indices] = _number(f"{e['effect']}.{field}", value)
+    binding = with_solver(binding, solver, None)
     bench = Bench(binding)
     runs: dict[str, dict[str, np.ndarray]] = {}
     rmse: dict[str, dict[str, float]] = {}
@@ -66,9 +72,17 @@ def simulate_dataset(content: Mapping[str, Any], dataset: Dataset, model: object
         tuple(runs[n] for n in order),
         tuple(rmse[n] for n in order),
         dict(binding.chain.signature.outputs),
-        dataset.notes,
+        (*dataset.notes, *solver_notes(binding)),
         moving,
+        solver_name(binding),
     )
+
+
+def own_numbers(chain: Chain) -> dict[str, Any]:
+    """The numbers that a chain holds, as the content of a fit.json; constants are left to the dataset."""
+    layout = Layout(chain)
+    numbers = zip(layout.entries, layout.values, strict=True)
+    return {"parameters": {e.name: {"value": float(v)} for e, v in numbers if not e.spec.fixed}}
 
 
 def _label(effect: Any) -> str:

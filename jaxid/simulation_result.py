@@ -22,12 +22,15 @@ class Simulation:
     notes: tuple[str, ...] = ()
     motion: Callable[[int], Any] = field(default=lambda i: None, repr=False, compare=False)
     """The mechanism in run i as a `jaxid.drawing.Motion` (`strip()`, `animate()`), or None where it has no outline."""
+    solver: str = "own"
+    """What simulated: jaxid's own stepping, or a solver of diffrax."""
 
     def to_dict(self) -> dict[str, Any]:
         return {
             "schema": SCHEMA,
             "kind": "simulation",
             "model": self.model,
+            "solver": self.solver,
             "rmse": list(self.rmse),
             "units": self.units,
             "notes": list(self.notes),

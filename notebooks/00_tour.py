@@ -114,7 +114,7 @@ ax = type(reported)(**{**vars(reported), "simulated": {final: reported.simulated
 # `simulate` runs a model with given parameters; a result knows how its mechanism looks.
 
 # %%
-better = jaxid.simulate(diagnosis.final, data)
+better = jaxid.simulate(None, data, diagnosis.final)
 motion = better.motion(0)
 ax = motion.strip(count=8)
 

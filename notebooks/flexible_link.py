@@ -140,7 +140,7 @@ _ = _ = ax.legend(loc="lower left", bbox_to_anchor=(0, 1), ncols=2, frameon=Fals
 # ## The link in motion
 
 # %%
-moving = jaxid.simulate(simulated, pulsed).motion(0)
+moving = jaxid.simulate(None, pulsed, simulated).motion(0)
 ax = moving.strip(count=7)
 
 # %%

@@ -196,7 +196,7 @@ light = jaxid.Dataset.from_arrays(
 numbers = {k: {"value": v} for k, v in BODY.items()} | {
     f"{k}{j + 1}": {"value": v[j]} for k, v in FRICTION.items() for j in (0, 1)
 }
-moving = jaxid.simulate({"parameters": numbers}, light).motion(0)
+moving = jaxid.simulate(None, light, {"parameters": numbers}).motion(0)
 ax = moving.strip(count=6)
 
 # %%

@@ -179,7 +179,7 @@ lift = np.where(t < 6, 6.0, 2.1)  # V: up to the vertical, then slowly beyond
 both = np.stack([6.0 * np.sign(np.sin(2 * np.pi * 0.5 * t)), lift], 1)
 y = recorded(run_with_rotor, both, t, 5)
 new = replace(data.experiments[0], name="both joints", split="fit", t=t, u=both, y=y)
-check = jaxid.simulate(misled, replace(data, experiments=(new,)))
+check = jaxid.simulate(None, replace(data, experiments=(new,)), misled)
 figure, (top, bottom) = plt.subplots(2, 1, figsize=(8, 4.6), sharex=True, layout="constrained")
 top.plot(t, np.rad2deg(y), lw=1)
 top.set_ylabel("measured (degrees)")

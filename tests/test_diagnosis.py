@@ -479,7 +479,7 @@ def test_emps_lacks_a_friction_effect():
     assert all(e.effect.endswith("friction") for e in d.which.effects)
     errors = []
     for fit in (d.nominal, d.final):
-        runs = jaxid.simulate(fit, data).rmse
+        runs = jaxid.simulate(None, data, fit).rmse
         errors.append(runs[1]["position"])
     assert errors[1] <= 5.5e-3 and errors[1] <= 0.6 * errors[0]
     if errors[1] > 5.0e-3:
@@ -634,7 +634,7 @@ def test_a_number_that_went_as_far_as_the_data_let_it_is_put_back():
         model=spec,
     )
     numbers = {"parameters": {n: {"value": v} for n, v in truth.items()}, "effects": []}
-    q = jaxid.simulate(numbers, recorded(goal)).runs[0]["q"]
+    q = jaxid.simulate(None, recorded(goal), numbers).runs[0]["q"]
     bench = Bench(bind(None, recorded(q + NOISE * np.random.default_rng(0).standard_normal(800)), splits=False))
     b = bench.binding
     problem = lambda free, theta: bench.problem(OutputError(), "fit", free, theta)

@@ -94,7 +94,7 @@ def test_pendulum(swing):
 def test_a_recording_that_is_not_for_fitting_can_be_simulated(swing):
     alone = dataclasses.replace(swing, experiments=tuple(dataclasses.replace(e, split="report") for e in swing.experiments))
     known = {"parameters": {k: {"value": v} for k, v in PENDULUM.items()}}
-    assert jaxid.simulate(known, alone).rmse[0]["q"] < 1.3 * NOISE
+    assert jaxid.simulate(None, alone, known).rmse[0]["q"] < 1.3 * NOISE
 
 
 def test_rotary_and_linear_joint():

@@ -12,6 +12,7 @@ import numpy as np
 from jaxid import catalogue
 from jaxid.binding import bind, Binding, JITTER, resolve_model
 from jaxid.capacity import need, shortened
+from jaxid.chain import Effect
 from jaxid.diagnosis import how_far as shrinking, timing, where as location
 from jaxid.diagnosis.choice import WHITE
 from jaxid.diagnosis.evidence import held_out, inflation, knowledge, worth
@@ -68,14 +69,14 @@ def run_diagnosis(
     model: object,
     dataset: Dataset,
     max_effects: int,
-    effects: Iterable[str] | None,
+    effects: Iterable[str | Effect | type[Effect]] | None,
     without: Iterable[str],
     residual: Residual | None,
     seed: int,
     progress: Progress | None,
 ) -> Diagnosis:
     """See `jaxid.diagnose`. On Ctrl-C `Interrupted` carries what is known."""
-    known, asked = Interim(), None if effects is None else tuple(effects)
+    known, asked = Interim(), None if effects is None else tuple(catalogue.enrolled(e) for e in effects)
     try:
         return _run(model, dataset, max_effects, asked, tuple(without), residual, seed, progress, known)
     except Interrupted:

@@ -14,6 +14,7 @@ from jaxid.dataset_schema import Places
 from jaxid.diagnosis.hypothesis import check_asked
 from jaxid.errors import UsageError
 from jaxid.experiment import Dataset, DatasetError, Problem
+from jaxid.fitter_settings import fitter_of
 from jaxid.study.plan import dataset_problems, parse_study, Runs, Study, StudyError
 
 
@@ -51,7 +52,7 @@ class _Check:
         without = [e for e in entry.without if self.ask("without", catalogue.effect_class, e)]
         models = {m for m in entry.models or [] if m.endswith(".urdf") or self.ask("models", catalogue.model_class, m)}
         for name in entry.fitters or []:
-            kind = self.ask("fitters", catalogue.fitter_class, name)
+            kind = self.ask("fitters", fitter_of, name)
             wanted = getattr(kind, "residual_name", None)
             if wanted is not None and entry.residual not in (None, wanted):
                 self.say("fitters", f"{name} solves {wanted}, not {entry.residual}", "Leave it out or change `residual`")
