@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING as _TYPE_CHECKING
 
 if _TYPE_CHECKING:
     from jaxid import fitters as fitters, models as models
-    from jaxid.api import compare as compare, diagnose as diagnose, fit as fit, simulate as simulate
+    from jaxid.api import check as check, compare as compare, diagnose as diagnose, fit as fit, simulate as simulate
     from jaxid.chain import Chain as Chain
     from jaxid.comparison import Comparison as Comparison
     from jaxid.dataset_io import load_dataset as load_dataset, save_dataset as save_dataset
@@ -40,6 +40,7 @@ _HOME = {
     "Fit": "jaxid.results",
     "Problem": "jaxid.problem",
     "UsageError": "jaxid.errors",
+    "check": "jaxid.api",
     "compare": "jaxid.api",
     "diagnose": "jaxid.api",
     "excite": "jaxid.excitation",

@@ -8,6 +8,7 @@ from typing import Any
 from jaxid import catalogue, closed_loop as closed_loop, frequency as frequency  # register their residuals
 from jaxid.binding import bind, Binding
 from jaxid.comparison import Comparison
+from jaxid.conventions.finding import Checked
 from jaxid.errors import nearest, UsageError
 from jaxid.experiment import Dataset
 from jaxid.fitter import AbstractFitter, Progress
@@ -73,6 +74,17 @@ def diagnose(
     if max_effects < 1:
         raise UsageError(f"max_effects is {max_effects}; a diagnosis needs at least 1")
     return run_diagnosis(model, dataset, max_effects, effects, without, resolve_residual(residual), seed, progress)
+
+
+def check(model: object, dataset: Dataset, *, without: Iterable[str] = (), as_recorded: bool = False) -> Checked:
+    """What a recording says about itself before any effect is looked for: signs, zeros, units, rows, clocks, glitches …
+
+    `model` as in `fit`; without one, what the samples show by themselves is found alone. The result's `mended` is the dataset with
+    the decisive findings applied (`as_recorded`: with none).
+    """
+    from jaxid.conventions import run_check
+
+    return run_check(model, dataset, without, as_recorded)
 
 
 def simulate(parameters: Fit | Mapping[str, Any], dataset: Dataset, *, model: object = None) -> Simulation:
