@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
+from dataclasses import replace
 from typing import Any
 
 from jaxid import catalogue, closed_loop as closed_loop, frequency as frequency  # register their residuals
@@ -15,6 +16,7 @@ from jaxid.fitter import AbstractFitter, Progress
 from jaxid.problem import LOSSES
 from jaxid.residual import Residual, RESIDUALS
 from jaxid.results import Diagnosis, Fit
+from jaxid.runtime import Interrupted
 from jaxid.simulation_result import Simulation
 
 
@@ -30,15 +32,26 @@ def fit(
     seed: int = 0,
     budget: int | None = None,
     progress: Progress | None = None,
+    as_recorded: bool = False,
 ) -> Fit:
     """Fits the parameters of a model to a dataset.
 
     `model` is an id, a mechanism, a chain, or None for the one that the dataset names; `effects` (`dead_zone@tau`) are added
-    and fitted, `without` takes built-in ones out. Raises `UsageError` for arguments that do not fit; a fit that fails is a
+    and fitted, `without` takes built-in ones out. The recording is checked first, and decisive findings are applied (`data`,
+    `jaxid.check`) unless `as_recorded`. Raises `UsageError` for arguments that do not fit; a fit that fails is a
     `Fit` with `failed` set and a sentence in `stopped_because`.
     """
-    binding = bind(model, dataset, effects=effects, without=without)
-    return _fit(binding, fitter, residual, loss, seed, budget, progress)
+    effects, without = tuple(effects), tuple(without)
+    checked = _checked(model, dataset, without, as_recorded)
+    binding = bind(model, checked.mended or dataset, effects=effects, without=without)
+    return replace(_fit(binding, fitter, residual, loss, seed, budget, progress), data=checked.findings)
+
+
+def _checked(model: object, dataset: Dataset, without: tuple[str, ...], as_recorded: bool) -> Checked:
+    """The check that comes before every answer."""
+    from jaxid.conventions.checking import run_check
+
+    return run_check(model, dataset, without, as_recorded)
 
 
 def _fit(binding: Binding, fitter, residual, loss, seed: int, budget: int | None, progress) -> Fit:
@@ -64,25 +77,35 @@ def diagnose(
     residual: Residual | str | None = None,
     seed: int = 0,
     progress: Progress | None = None,
+    as_recorded: bool = False,
 ) -> Diagnosis:
     """Says where the model is wrong, which effect is missing, and how far the gap shrinks once it is added.
 
     `effects` limits the candidates (ids; default: all that the model lacks), `max_effects` how many may be named.
+    The recording is checked first (`jaxid.check`), and decisive findings are applied unless `as_recorded`.
     """
     from jaxid.diagnosis import run_diagnosis
 
     if max_effects < 1:
         raise UsageError(f"max_effects is {max_effects}; a diagnosis needs at least 1")
-    return run_diagnosis(model, dataset, max_effects, effects, without, resolve_residual(residual), seed, progress)
+    without = tuple(without)
+    checked = _checked(model, dataset, without, as_recorded)
+    data = checked.mended or dataset
+    try:
+        found = run_diagnosis(model, data, max_effects, effects, without, resolve_residual(residual), seed, progress)
+    except Interrupted as stop:
+        partial = None if stop.partial is None else replace(stop.partial, data=checked.findings)
+        raise Interrupted(partial) from stop
+    return replace(found, data=checked.findings)
 
 
 def check(model: object, dataset: Dataset, *, without: Iterable[str] = (), as_recorded: bool = False) -> Checked:
     """What a recording says about itself before any effect is looked for: signs, zeros, units, rows, clocks, glitches …
 
-    `model` as in `fit`; without one, what the samples show by themselves is found alone. The result's `mended` is the dataset with
-    the decisive findings applied (`as_recorded`: with none).
+    `model` as in `fit`; without one, what the samples show by themselves is found alone. The result's `mended` is the dataset
+    with the decisive findings applied (`as_recorded`: with none).
     """
-    from jaxid.conventions import run_check
+    from jaxid.conventions.checking import run_check
 
     return run_check(model, dataset, without, as_recorded)
 

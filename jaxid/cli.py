@@ -27,6 +27,7 @@ T = TypeVar("T")
 #: Commands that live in modules of their own, as light to import as this one: name -> module that has it under that name.
 MODULES = {
     "batch": "jaxid.cli_batch",
+    "check": "jaxid.cli_check",
     "compare": "jaxid.cli_compare",
     "excite": "jaxid.cli_excite",
     "identify": "jaxid.cli_identify",
@@ -86,6 +87,7 @@ WITHOUT = click.option(
     "--without", callback=names, metavar="E,…", help="Built-in effects to leave out; each becomes a candidate."
 )
 RESIDUAL = click.option("--residual", metavar="R", type=click.Choice(RESIDUALS), help=f"{', '.join(RESIDUALS)}.")
+AS_RECORDED = click.option("--as-recorded", is_flag=True, help="Take the data as they are: apply no finding of the check.")
 SEED = click.option("--seed", type=click.IntRange(0, 2**31 - 1), default=0, show_default=True, help="Random seed.")
 
 
@@ -100,8 +102,9 @@ SEED = click.option("--seed", type=click.IntRange(0, 2**31 - 1), default=0, show
 @click.option("--loss", metavar="L", type=click.Choice(LOSSES), help=f"{', '.join(LOSSES)}.")
 @SEED
 @click.option("--budget", type=click.IntRange(1), metavar="N", help="Most evaluations of the loss.")
+@AS_RECORDED
 @output_options
-def fit(dataset, out, model, fitter, effects, without, residual, loss, seed, budget, as_json, quiet) -> int:
+def fit(dataset, out, model, fitter, effects, without, residual, loss, seed, budget, as_recorded, as_json, quiet) -> int:
     """Fit a model to a dataset.
 
     Writes fit.json and report.html into DIR.
@@ -121,6 +124,7 @@ def fit(dataset, out, model, fitter, effects, without, residual, loss, seed, bud
                 seed=seed,
                 budget=budget,
                 progress=progress.callback,
+                as_recorded=as_recorded,
             ),
         )
     save(result, out)
@@ -142,8 +146,11 @@ def fit(dataset, out, model, fitter, effects, without, residual, loss, seed, bud
 @SEED
 @click.option("--next", "next_", type=click.Path(path_type=Path), metavar="DIR", help="Also design what to record next.")
 @click.option("--limits", type=click.Path(path_type=Path), metavar="FILE", help="TOML: of that run; default: what was recorded.")
+@AS_RECORDED
 @output_options
-def diagnose(dataset, out, model, max_effects, effects, without, residual, seed, next_, limits, as_json, quiet) -> int:
+def diagnose(
+    dataset, out, model, max_effects, effects, without, residual, seed, next_, limits, as_recorded, as_json, quiet
+) -> int:
     """Say where a model is wrong, and which effect is missing.
 
     Also says how far the gap shrinks once it is added. Writes diagnosis.json and report.html into DIR. With --next, also the
@@ -165,6 +172,7 @@ def diagnose(dataset, out, model, max_effects, effects, without, residual, seed,
                 residual=residual,
                 seed=seed,
                 progress=progress.callback,
+                as_recorded=as_recorded,
             ),
         )
     save(result, out)

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 import click
 
 from jaxid import terminal
-from jaxid.cli import DATASET, MODEL, OUT, output_options, start, SUCCESS
+from jaxid.cli import AS_RECORDED, DATASET, MODEL, OUT, output_options, start, SUCCESS
 
 
 if TYPE_CHECKING:
@@ -43,8 +43,11 @@ if TYPE_CHECKING:
     "--gain-std", type=click.FloatRange(0, 1), default=0.0, show_default=True, metavar="S",
     help="Relative standard deviation of the drive gains, for the payload's interval.",
 )  # fmt: skip
+@AS_RECORDED
 @output_options
-def identify(dataset, out, model, method, friction, cutoff, motion_cutoff, reference, gain_std, as_json, quiet) -> int:
+def identify(
+    dataset, out, model, method, friction, cutoff, motion_cutoff, reference, gain_std, as_recorded, as_json, quiet
+) -> int:
     """Identify a serial arm: base parameters, friction, payload.
 
     Writes identification.json and report.html into DIR.
@@ -55,7 +58,7 @@ def identify(dataset, out, model, method, friction, cutoff, motion_cutoff, refer
     with terminal.Progress(quiet):
         result = jaxid.identify(
             model, data, method=method, friction=friction, cutoff_hz=cutoff, motion_hz=motion_cutoff, reference=reference,
-            gain_std=gain_std,
+            gain_std=gain_std, as_recorded=as_recorded,
         )  # fmt: skip
     save_json(result, out / "identification.json")
     result.report(out / "report.html")
@@ -68,11 +71,13 @@ def identify(dataset, out, model, method, friction, cutoff, motion_cutoff, refer
 
 def identification_text(result: Identification) -> str:
     """The result as tables for a terminal."""
+    from jaxid.conventions.finding import data_lines
     from jaxid.report.identified import base_rows, friction_rows, headline, payload_rows
     from jaxid.text import table
 
     joints = [f"q{j + 1}" for j in range(result.joints)]
     parts = [
+        *data_lines(result.data),
         f"{result.dataset}, model {result.model}: {result.method}, friction law {result.law}. {headline(result)}",
         table(
             ("recording", "data", "all joints", *joints, "unfiltered"),

@@ -51,9 +51,7 @@ class Reading:
 
         entry = self.entry
         column = "" if entry.columns is not None else str(self.column)
-        stated = Stated(
-            entry.unit, self.conversion.factor, entry.scale, entry.offset, column, entry.shift, entry.clock_ppm
-        )
+        stated = Stated(entry.unit, self.conversion.factor, entry.scale, entry.offset, column, entry.shift, entry.clock_ppm)
         noise, step = width(entry.noise_std), width(entry.resolution)
         return Channel(self.name, entry.role, self.conversion.si, noise, step, entry.hold, stated)
 

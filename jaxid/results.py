@@ -9,6 +9,8 @@ from typing import Any, TYPE_CHECKING
 
 import numpy as np
 
+from jaxid.conventions.finding import as_data, DataFinding
+
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -125,6 +127,7 @@ class Fit:
     history: tuple[tuple[int, float], ...] = ()  # (evaluations, best loss so far)
     traces: tuple[Trace, ...] = ()
     theta: np.ndarray = field(default_factory=lambda: np.zeros(0))  # every number of the model, in the order of its layout
+    data: tuple[DataFinding, ...] = ()  # what the recording says about itself
 
     def to_dict(self) -> dict[str, Any]:
         return {
@@ -150,6 +153,7 @@ class Fit:
             "dataset_sha256": self.dataset_sha256,
             "versions": versions(),
             "notes": list(self.notes),
+            **as_data(self.data),
         }
 
     def report(self, path: str | Path) -> Path:
@@ -352,6 +356,7 @@ class Diagnosis:
     notes: tuple[str, ...] = ()
     unseen: tuple[Unseen, ...] = ()
     rivals: Rivals | None = field(default=None, repr=False, compare=False)
+    data: tuple[DataFinding, ...] = ()  # what the recording says about itself
 
     def next_run(self, **settings: Any) -> Excitation:
         """What to record next: the input that best tells the two leading hypotheses apart, within what the recorded runs reached,
@@ -381,6 +386,7 @@ class Diagnosis:
             "wall_time_s": self.wall_time_s,
             "notes": list(self.notes),
             "versions": versions(),
+            **as_data(self.data),
         }
 
     def report(self, path: str | Path) -> Path:

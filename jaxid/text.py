@@ -8,6 +8,7 @@ import textwrap
 from collections.abc import Iterable, Sequence
 from typing import TYPE_CHECKING
 
+from jaxid.conventions.finding import data_lines
 from jaxid.terminal import one_line
 
 
@@ -194,6 +195,7 @@ def diagnosis_text(diagnosis: Diagnosis) -> str:
     which, how_far = diagnosis.which, diagnosis.how_far
     channels = list(how_far.per_channel)[:3]
     parts = [
+        *map(wrapped, data_lines(diagnosis.data)),
         f"{one_line(diagnosis.dataset)}, model {one_line(diagnosis.model)}",
         "" if which.verdict == "none" else paragraph("WHERE", (where_sentence(f) for f in diagnosis.where[:2])),
         paragraph("WHICH", [which_sentence(which), confusable_sentence(which)]),
@@ -223,6 +225,7 @@ def fit_text(fit: Fit) -> str:
     names = [fit.model, *(effect_name(e) for e in fit.effects)]
     state = "failed" if fit.failed else "converged" if fit.converged else "not converged"
     parts = [
+        *map(wrapped, data_lines(fit.data)),
         wrapped(
             f"{fit.dataset}, model {listed(names)}: {fit.fitter} on {fit.residual}, {state} ({fit.stopped_because}),"
             f" loss {number(fit.loss)} (1 = down to the noise)"

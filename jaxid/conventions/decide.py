@@ -265,11 +265,11 @@ def _shifted(binding: Binding, names: Names, k: int, rows: int, late: Late) -> S
     forms = {"shift": rows}
     interval = (late.rows - 1.96 * late.std, late.rows + 1.96 * late.std)
     step = f"{abs(rows)} row{'s' * (abs(rows) > 1)}"
+    by = f"{abs(late.rows):.2f} ± {late.std:.2f} rows"
     if rows > 0:
-        text = (
-            f"{_listed(tuple(names.joints))} move{'s' * (len(names.joints) == 1)} {abs(late.rows):.2f} ± {late.std:.2f} rows before "
-            f"{name}, the cause: row k seems to hold the {name} of the step before it."
-        )
+        moves = "moves" if len(names.joints) == 1 else "move"
+        text = f"{_listed(tuple(names.joints))} {moves} {by} before {name}, the cause: row k seems to hold the "
+            f"{name} of the step before it."
         headline = f"{name} stands {step} late; everything below takes it that much earlier"
         same = tuple(("row_shift", j) for j in names.joints) if len(names.inputs) == 1 else ()
         finding = DataFinding(
@@ -277,10 +277,8 @@ def _shifted(binding: Binding, names: Names, k: int, rows: int, late: Late) -> S
             same_as=same, headline=headline,
         )  # fmt: skip
         return Shown(finding, Mending({name: forms}))
-    text = (
-        f"The motion follows {name} {abs(late.rows):.2f} ± {late.std:.2f} rows later: whole rows, as of a log that writes the output "
-        "late, or a delay of the drive or the sensor (input_delay, sensor_delay). The recording cannot tell; nothing is shifted."
-    )
+    text = f"The motion follows {name} {by} later: whole rows, as of a log that writes the output late, or a delay of the drive "
+        "or the sensor (input_delay, sensor_delay). The recording cannot tell; nothing is shifted."
     finding = DataFinding(
         "row_shift", name, float(rows), text, lines(binding.dataset, name, forms), interval,
         same_as=(("input_delay", name), *(("sensor_delay", j) for j in names.joints)),
@@ -307,8 +305,8 @@ def _unsigned(binding: Binding, fit: ForceFit, m: Motion, names: Names) -> Shown
         left = fit.fit(signed).worst
         if left < DECISIVE * plain.worst:
             text = (
-                f"{name} never changes its sign, and the motion asks for both: the sensor seems to read its size alone (what is "
-                f"missing falls from {100 * plain.worst:.2g} to {100 * left:.2g} % of it with the signs that the motion asks for). "
+                f"{name} never changes its sign, and the motion asks for both: the sensor seems to read its size alone (with "
+                f"the signs that the motion asks for, what is missing falls from {100 * plain.worst:.2g} to {100 * left:.2g} %). "
                 "Record the signed reading, or multiply by the sign of the command."
             )
             return Shown(DataFinding("unsigned", name, None, text, decisive=False), Mending())

@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
 from jaxid.experiment import Dataset
+from jaxid.terminal import one_line
 
 
 KINDS = (
@@ -100,6 +102,11 @@ class Checked:
         from jaxid.report import check_fragment
 
         return check_fragment(self)
+
+
+def data_lines(findings: Sequence[DataFinding]) -> list[str]:
+    """What comes first in every answer: `DATA: tau has the opposite sign; everything below takes it negated.`"""
+    return [f"DATA: {one_line(f.headline)}." for f in findings if f.applied]
 
 
 def as_data(findings: tuple[DataFinding, ...]) -> dict[str, Any]:

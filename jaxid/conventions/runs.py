@@ -22,7 +22,7 @@ FLICKER = 8.0
 
 
 def refused(error: DatasetError) -> list[DataFinding]:
-    """The findings among the faults for which a dataset was refused: a time that cannot be in seconds, outputs that never move."""
+    """What a dataset was refused for as findings: a time that cannot be in seconds, outputs that never move; else none."""
     out = []
     for p in error.problems:
         if "time_unit =" in f"{p.message}{p.remedy}":
@@ -103,14 +103,16 @@ def does_not_move(dataset: Dataset, noise: dict[str, Noise]) -> Iterator[Shown]:
             several = len(flicker) > 1
             text = (
                 f"{c.name} does not move in {', '.join(flicker[:4])}{' …' if len(flicker) > 4 else ''}: its readings flicker by "
-                f"no more than its noise ({floor:.2g} {c.unit}). Leave {'these runs' if several else 'this run'} out, or record motion."
+                f"no more than its noise ({floor:.2g} {c.unit}). Leave {'these runs' if several else 'this run'} out, or record "
+                "motion."
             )
             yield Shown(DataFinding("does_not_move", c.name, 0.0, text), Mending())
     ends = [(e, end) for e in dataset.experiments if (end := _moves_until(dataset, e, noise)) is not None]
     for e, end in ends[:3]:
         start = float(e.t[0])
+        share = (e.t[-1] - end) / e.duration
         text = (
-            f"{e.name} stands still from {end:.3g} s on, {100 * (e.t[-1] - end) / e.duration:.0f} % of it: what is kept from its end "
+            f"{e.name} stands still from {end:.3g} s on, {100 * share:.0f} % of it: what is kept from its end "
             "for choosing and reporting says nothing. Take the part that moves, or record on."
         )
         yield Shown(DataFinding("does_not_move", e.name, end, text, f"window_s = [{start:.4g}, {end:.4g}]"), Mending())

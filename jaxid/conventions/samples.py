@@ -112,10 +112,12 @@ def glitch(dataset: Dataset, channel: Channel) -> Shown | None:
     if not count or count > FEW * total:
         return None
     e, at = next((e, at) for e, at in found if len(at))
-    off = max(float(np.max(np.abs(y[a] - y[np.maximum(a - 4, 0)]))) for (_, a), (_, y) in zip(found, parts, strict=True) if len(a))
+    off = max(
+        float(np.max(np.abs(y[a] - y[np.maximum(a - 4, 0)]))) for (_, a), (_, y) in zip(found, parts, strict=True) if len(a)
+    )
     text = (
-        f"{count} of {total} samples of {channel.name} lie far off their neighbours (by up to {off:.3g} {channel.unit}; the first "
-        f"at {e.t[at[0]]:.4g} s of {e.name}): left out, they count in no loss."
+        f"{count} of {total} samples of {channel.name} lie far off their neighbours (by up to {off:.3g} {channel.unit}; the "
+        f"first at {e.t[at[0]]:.4g} s of {e.name}): left out, they count in no loss."
     )
     finding = DataFinding(
         "glitch", channel.name, float(count), text, lines(dataset, channel.name, {"drop_glitches": True}), decisive=True,
@@ -184,8 +186,8 @@ def saturated(dataset: Dataset, channel: Channel) -> Shown | None:
         else "the range of the sensor or of the log: record within it, or leave these runs out"
     )
     text = (
-        f"{channel.name} stays at {' and '.join(ends)} {channel.unit} for {count} of {total} samples, in {len(where)} stretches that "
-        f"it runs into: {remedy}."
+        f"{channel.name} stays at {' and '.join(ends)} {channel.unit} for {count} of {total} samples, in {len(where)} stretches "
+        f"that it runs into: {remedy}."
     )
     return Shown(DataFinding("saturated", channel.name, float(where[0][0]), text), Mending())
 
@@ -220,8 +222,8 @@ def filtered(dataset: Dataset, channel: Channel, step: float) -> Shown | None:
     corner = float(np.median([f for f in ends if f is not None]))
     text = (
         f"the noise of {channel.name} ends at about {corner:.3g} Hz, far below what {1 / step:.4g} samples a second show: it was "
-        f"filtered. A causal filter delays it by some {1 / (2 * pi * corner):.2g} s or more, which is sensor_lag at {channel.name}; "
-        "how large its noise is is not known."
+        f"filtered. A causal filter delays it by some {1 / (2 * pi * corner):.2g} s or more, which is sensor_lag at "
+        f"{channel.name}; how large its noise is is not known."
     )
     return Shown(DataFinding("filtered", channel.name, corner, text), Mending())
 

@@ -55,9 +55,7 @@ def lateness(fit: ForceFit, m: Motion) -> tuple[list[Late], Motion]:
         sure = [bool(abs(m.drift[k] + d) > SURE * p[1]) for k, (d, p) in enumerate(zip(drift, steps[nu:], strict=True))]
         change = np.where(sure, drift, -m.drift)
         rows = np.array([good(p, 2.0) for p in steps[:nu]]) - change * m.since.mean() / m.step
-        late = [
-            Late(float(m.rows[k] + rows[k]), steps[k][1], float(m.drift[k] + change[k]), steps[nu + k][1]) for k in range(nu)
-        ]
+        late = [Late(float(m.rows[k] + rows[k]), steps[k][1], float(m.drift[k] + change[k]), steps[nu + k][1]) for k in range(nu)]
         m = replace(m, rows=np.clip(m.rows + rows, -MOST_ROWS, MOST_ROWS), drift=m.drift + change)
     return late, m
 

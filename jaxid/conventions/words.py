@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
 from jaxid import text
@@ -11,11 +10,6 @@ from jaxid.terminal import one_line
 
 if TYPE_CHECKING:
     from jaxid.conventions.finding import Checked, DataFinding
-
-
-def data_lines(findings: Sequence[DataFinding]) -> list[str]:
-    """What comes first in every answer: `DATA: tau has the opposite sign; everything below takes it negated.`"""
-    return [f"DATA: {one_line(f.headline)}." for f in findings if f.applied]
 
 
 def finding_text(f: DataFinding) -> str:
@@ -44,7 +38,7 @@ def headline(checked: Checked) -> str:
     if not applied:
         count = len(checked.findings)
         return f"Nothing is decisive; {count} question{'s' * (count > 1)}."
-    return " ".join(f"{f.headline.split(';')[0][:1].upper()}{f.headline.split(';')[0][1:]}." for f in applied)
+    return " ".join(f"{f.headline.split(';')[0]}." for f in applied)
 
 
 def checked_text(checked: Checked) -> str:

@@ -9,6 +9,7 @@ from jaxid.report import (
     answer,
     background,
     breakdown,
+    checked,
     compared,
     fitted,
     identified,
@@ -26,6 +27,7 @@ from jaxid.terminal import one_line
 
 if TYPE_CHECKING:
     from jaxid.comparison import Comparison
+    from jaxid.conventions.finding import Checked
     from jaxid.experiment import Dataset
     from jaxid.identification import Identification
     from jaxid.results import Diagnosis, Fit
@@ -35,6 +37,7 @@ if TYPE_CHECKING:
 def write_diagnosis(diagnosis: Diagnosis, path: str | Path) -> Path:
     """Writes the page of a diagnosis (whole or not at all) and returns its path."""
     sections = [
+        checked.before(diagnosis.data),
         answer.section(diagnosis),
         unseen.section(diagnosis.unseen),
         traces.section(diagnosis.traces),
@@ -50,6 +53,7 @@ def write_diagnosis(diagnosis: Diagnosis, path: str | Path) -> Path:
 def write_fit(fit: Fit, path: str | Path) -> Path:
     """Writes the page of a fit (whole or not at all) and returns its path."""
     sections = [
+        checked.before(fit.data),
         fitted.section(fit),
         parameters.section(fit),
         traces.section(fit.traces),
@@ -71,7 +75,19 @@ def comparison_fragment(comparison: Comparison) -> str:
 
 def write_identification(result: Identification, path: str | Path) -> Path:
     """Writes the page of an identification (whole or not at all) and returns its path."""
-    return _write(render(f"{one_line(result.dataset)}: identification", [identified.section(result)]), path)
+    return _write(
+        render(f"{one_line(result.dataset)}: identification", [checked.before(result.data), identified.section(result)]), path
+    )
+
+
+def write_check(result: Checked, path: str | Path) -> Path:
+    """Writes the page of a check (whole or not at all) and returns its path."""
+    return _write(render(f"{one_line(result.dataset)}: check", [checked.section(result)]), path)
+
+
+def check_fragment(result: Checked) -> str:
+    """The findings of a check as an HTML fragment, for a notebook."""
+    return render_fragment([checked.section(result)])
 
 
 def write_study(result: StudyResult, path: str | Path) -> Path:
