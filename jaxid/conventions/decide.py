@@ -268,8 +268,10 @@ def _shifted(binding: Binding, names: Names, k: int, rows: int, late: Late) -> S
     by = f"{abs(late.rows):.2f} ± {late.std:.2f} rows"
     if rows > 0:
         moves = "moves" if len(names.joints) == 1 else "move"
-        text = f"{_listed(tuple(names.joints))} {moves} {by} before {name}, the cause: row k seems to hold the "
-            f"{name} of the step before it."
+        text = (
+            f"{_listed(tuple(names.joints))} {moves} {by} before {name}, the cause: row k seems to hold the {name} of the step "
+            "before it."
+        )
         headline = f"{name} stands {step} late; everything below takes it that much earlier"
         same = tuple(("row_shift", j) for j in names.joints) if len(names.inputs) == 1 else ()
         finding = DataFinding(
@@ -277,8 +279,10 @@ def _shifted(binding: Binding, names: Names, k: int, rows: int, late: Late) -> S
             same_as=same, headline=headline,
         )  # fmt: skip
         return Shown(finding, Mending({name: forms}))
-    text = f"The motion follows {name} {by} later: whole rows, as of a log that writes the output late, or a delay of the drive "
+    text = (
+        f"The motion follows {name} {by} later: whole rows, as of a log that writes the output late, or a delay of the drive "
         "or the sensor (input_delay, sensor_delay). The recording cannot tell; nothing is shifted."
+    )
     finding = DataFinding(
         "row_shift", name, float(rows), text, lines(binding.dataset, name, forms), interval,
         same_as=(("input_delay", name), *(("sensor_delay", j) for j in names.joints)),
