@@ -32,8 +32,10 @@ BUDGET, GONE = 400, 0.7
 BY_MODEL = ("sign", "zero", "scale", "swapped_channels", "row_shift", "clock")
 
 
-def run_check(model: object, dataset: Dataset, without: Iterable[str] = (), as_recorded: bool = False) -> Checked:
-    """See `jaxid.check`."""
+def run_check(
+    model: object, dataset: Dataset, without: Iterable[str] = (), as_recorded: bool = False, confirm: bool = True
+) -> Checked:
+    """See `jaxid.check`; `confirm`: by a simulation, as recorded and mended."""
     began = time.perf_counter()
     found, data, change = _by_itself(dataset, as_recorded)
     notes: list[str] = []
@@ -43,7 +45,7 @@ def run_check(model: object, dataset: Dataset, without: Iterable[str] = (), as_r
         name = binding.chain.mechanism.name if binding is not None else ""
         notes += [why] if why else []
         if binding is not None:
-            more, data = _by_model(binding, data, as_recorded)
+            more, data = _by_model(binding, data, as_recorded, confirm)
             found += more
     return Checked(
         dataset.name, dataset.sha256, tuple(found), data, name, _usable(found, dataset), tuple(notes),
@@ -129,7 +131,7 @@ def _bound(model: object, data: Dataset, without: tuple[str, ...]) -> tuple[Bind
         return None, f"the model was not asked: {error}"
 
 
-def _by_model(binding: Binding, data: Dataset, as_recorded: bool) -> tuple[list[DataFinding], Dataset]:
+def _by_model(binding: Binding, data: Dataset, as_recorded: bool, confirm: bool) -> tuple[list[DataFinding], Dataset]:
     """What the model tells, confirmed by a simulation, applied."""
     motion = measured(binding)
     if motion is None:
@@ -138,7 +140,7 @@ def _by_model(binding: Binding, data: Dataset, as_recorded: bool) -> tuple[list[
     total = Mending()
     for s in shown:
         total = total.then(s.mending)
-    if total:
+    if total and confirm:
         shown = _confirmed(binding, data, total, shown)
     out, change = [], Mending()
     for s in shown:

@@ -17,6 +17,8 @@ from jaxid.noise import Noise
 SLOW = 0.5
 #: A start at rest is refuted by a speed of so many standard deviations and that share of the run's own.
 SURE, SHARE = 8.0, 0.02
+#: It is that share of the speed soon after, too.
+SOON = 0.7
 #: A channel that spans less than so many standard deviations of its noise does not move.
 FLICKER = 8.0
 
@@ -66,7 +68,7 @@ def not_at_rest(dataset: Dataset, noise: dict[str, Noise]) -> Iterator[Shown]:
     text = f"at_rest = true, but {name} moves at {speed:.3g} {unit}/s when {e.name} begins: remove at_rest, or state the speed."
     yield Shown(
         DataFinding(
-            "not_at_rest", name, speed, text, "at_rest = false", decisive=True,
+            "not_at_rest", name, float(speed), text, "at_rest = false", decisive=True,
             headline=f"{e.name} does not begin at rest; everything below estimates how runs begin",
         ),
         Mending(moving=True),
@@ -76,22 +78,28 @@ def not_at_rest(dataset: Dataset, noise: dict[str, Noise]) -> Iterator[Shown]:
 def _first_speed(t: np.ndarray, y: np.ndarray, noise: float) -> tuple[float, float, float]:
     """Speed at the first sample, how many standard deviations it is from rest, and the run's usual speed.
 
-    The least certain of several polynomials counts: a drive that sets in at once bends the first samples.
+    The least of several polynomials counts, and one that is not most of the speed soon after is none: a drive that sets in at
+    once bends the first samples.
     """
     usual = float(np.percentile(np.abs(np.gradient(y, t)), 95))
     found = []
-    for count, degree in ((8, 2), (14, 3), (24, 3), (40, 4)):
+    for count, degree in ((8, 2), (14, 2), (24, 3), (40, 4)):
         x = (t[:count] - t[0]) / (t[count - 1] - t[0])
         basis = np.vander(x, degree + 1, increasing=True)
         inverse = np.linalg.pinv(basis)
         rest = y[:count] - basis @ (inverse @ y[:count])
         level = max(noise, float(np.sqrt(np.sum(rest**2) / (count - degree - 1))), 1e-300)
         width = t[count - 1] - t[0]
-        found.append((float(inverse[1] @ y[:count]) / width, level * float(np.linalg.norm(inverse[1])) / width))
-    if len({np.sign(v) for v, _ in found}) > 1:
+        soon = np.abs(
+            np.polynomial.polynomial.polyval(x[: count // 2 + 1], np.polynomial.polynomial.polyder(inverse @ y[:count]))
+        )
+        speed = float(inverse[1] @ y[:count])
+        steady = abs(speed) > SOON * float(soon.max())
+        found.append((speed / width, level * float(np.linalg.norm(inverse[1])) / width, steady))
+    speed = min((v for v, _, _ in found), key=abs)
+    if len({np.sign(v) for v, _, _ in found}) > 1 or not all(steady for _, _, steady in found):
         return 0.0, 0.0, usual
-    speed, std = min(found, key=lambda f: abs(f[0]))
-    return speed, max(abs(v) / s for v, s in found[1:3]) if abs(speed) > 3 * std or abs(speed) > 0.1 * usual else 0.0, usual
+    return speed, max(abs(v) / std for v, std, _ in found), usual
 
 
 def does_not_move(dataset: Dataset, noise: dict[str, Noise]) -> Iterator[Shown]:
