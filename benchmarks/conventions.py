@@ -3,8 +3,8 @@
     python benchmarks/conventions.py [--seed N] [--simulate]
 
 The motion is a multisine; the torque that it takes is worked out by the equations of benchmarks/twins.py, so no simulation and no
-line of the product makes the data. Prints what `jaxid.check` finds: of each kind the finding, its size, and what else was claimed.
-With --simulate the findings are confirmed by simulation, as the command does.
+line of the product makes the data. Prints what `jaxid.check` finds: of each kind the finding, its size, and what else was
+claimed. With --simulate the findings are confirmed by simulation, as the command does.
 """
 
 from __future__ import annotations
@@ -63,7 +63,7 @@ def recording(model: str, seed: int, effect: str = "", reach: float = 1.0, noise
     runs = len(SPLITS)
     u, y = np.zeros((runs, len(t), plant.n)), np.zeros((runs, len(t), plant.n))
     for r in range(runs):
-        waves = [_wave(rng, reach * (0.3 if model == "tracker" else 0.9)) for _ in range(plant.n)]
+        waves = [_wave(rng, reach * (0.3 if model == "tracker" else 0.5)) for _ in range(plant.n)]
         y[r] = np.stack([w(t)[0] for w in waves], 1)
         # A held input acts by its mean over the step.
         fine = [np.stack(a, 1) for a in zip(*(w(t + h / 2) for w in waves), strict=True)]
@@ -90,7 +90,7 @@ def torque(plant: Plant, q: np.ndarray, v: np.ndarray, acceleration: np.ndarray,
     p = {k: wide(plant.nominal.get(k, NEUTRAL.get(k, 0.0)))[None] for k in (*plant.nominal, *NEUTRAL)}
     M, bias = plant.matrices(q, v, {k: np.repeat(x, len(q), 0) for k, x in p.items()})
     T, V = np.array(plant.torque), np.array(plant.speed)
-    lacking = {"": 0 * v, "drag": 0.5 * T / V**2 * v * np.abs(v), "spring": 0.1 * T * q}[effect]
+    lacking = {"": 0 * v, "drag": 0.15 * T / V**2 * v * np.abs(v), "spring": 0.1 * T * q}[effect]
     friction = p["viscous"] * v + p["coulomb"] * np.sign(v) + p["offset"]
     return np.einsum("tij,tj->ti", M, acceleration) + bias + friction + lacking
 

@@ -34,6 +34,8 @@ SHARE, DECISIVE = 0.7, 0.5
 ALIKE = 1.15
 #: Beside any law that the model may lack at its joints, a reading still leaves that share of what is missing.
 BEYOND_LAWS = 0.7
+#: A reading that leaves no more than that share is not challenged by the many of the next kind.
+CLEAR = 0.2
 #: What is missing is known to about that share of the drive: filters, friction near rest.
 FLOOR = 0.01
 MOST = 4
@@ -72,8 +74,12 @@ def _next(binding: Binding, fit: ForceFit, m: Motion, names: Names) -> tuple[Sho
     before = plain.worst + FLOOR
     if before <= 2 * FLOOR or before <= ALIKE * (fit.noise(plain, binding) + FLOOR):
         return None, None
-    tried = [Judged(r, fit.fit(r.change(m), laws=False)) for r in _readings(names, before, fit.driven)]
-    tried = sorted((t for t in tried if np.isfinite(t.left)), key=lambda t: t.left)
+    tried: list[Judged] = []
+    for readings in _readings(names, before, fit.driven):
+        tried += [Judged(r, fit.fit(r.change(m), laws=False, hopeless=before)) for r in readings]
+        tried = sorted((t for t in tried if np.isfinite(t.left)), key=lambda t: t.left)
+        if tried and tried[0].left <= CLEAR * before:
+            break
     if not tried or tried[0].left > SHARE * before:
         return None, None
     best = tried[0]
@@ -119,14 +125,11 @@ def _next(binding: Binding, fit: ForceFit, m: Motion, names: Names) -> tuple[Sho
     return Shown(finding, mending if decisive else Mending()), (change(m) if decisive else None)
 
 
-def _readings(names: Names, before: float, driven: bool) -> Iterator[Reading]:
-    """Those that could close a gap of this size: a wrong unit or sign leaves no small one."""
-    if driven:
-        yield from signs(names)
-        yield from exchanges(names)
-    yield from zeros(names)
+def _readings(names: Names, before: float, driven: bool) -> Iterator[list[Reading]]:
+    """Those that could close a gap of this size, the many last: a wrong unit leaves no small one."""
+    yield [*(signs(names) if driven else ()), *(exchanges(names) if driven else ()), *zeros(names)]
     if before > 0.1:
-        yield from scales(names)
+        yield list(scales(names))
 
 
 def _refined(fit: ForceFit, m: Motion, best: Judged, names: Names):

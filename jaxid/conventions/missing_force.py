@@ -27,7 +27,7 @@ from jaxid.traced import key_of, Traced
 
 
 #: Samples at which the force is looked at, and the longest part of a run that is filtered for them.
-ROWS, LONGEST = 1500, 200_000
+ROWS, LONGEST = 1200, 200_000
 #: Share of the usual speed below which a joint counts as standing still: its friction may take any value.
 STILL = 0.08
 BLOCKS, EDGE = 10, 4
@@ -205,8 +205,16 @@ class ForceFit:
         scaled = [a / max(1e-300, float(np.sqrt(np.mean(a**2)))) for a in sizes]
         return np.stack(scaled, -1)
 
-    def fit(self, m: Motion, laws: bool = True, more: Callable[[np.ndarray], Motion] | None = None, size: int = 0) -> Fitted:
-        """Gauss-Newton between the bounds of all numbers. `more` gives the motion by `size` further numbers of the reading."""
+    def fit(
+        self,
+        m: Motion,
+        laws: bool = True,
+        more: Callable[[np.ndarray], Motion] | None = None,
+        size: int = 0,
+        hopeless: float = np.inf,
+    ) -> Fitted:
+        """Gauss-Newton between the bounds of all numbers. `more` gives the motion by `size` further numbers of the reading; what
+        after three steps still leaves more than `hopeless` of the drive is given up."""
         from scipy.optimize import lsq_linear
 
         b, free = self.binding, self.free
@@ -232,15 +240,17 @@ class ForceFit:
         r = residual(x)
         cost = float(np.sum(r[train] ** 2))
         J = np.concatenate([np.zeros((*r.shape, p + k)), blocks], -1)
-        for _ in range(12):
+        weighed = max(1, np.count_nonzero(m.weight[train]))
+        for round_ in range(10):
             for i in range(p + k):
                 h = 1e-6 * scale[i] * (1 if x[i] + 1e-6 * scale[i] <= upper[i] else -1)
                 J[..., i] = (residual(x + h * (np.arange(x.size) == i)) - r) / h
             A = (J[train] * scale).reshape(-1, x.size)
             ridge = 1e-7 * np.sqrt(np.mean(A**2) * len(A)) * np.eye(x.size)
+            Q, R = np.linalg.qr(np.concatenate([A, ridge]))
             low, high = (lower - x) / scale, (upper - x) / scale
-            found = lsq_linear(np.concatenate([A, ridge]), np.concatenate([-r[train].ravel(), np.zeros(x.size)]),
-                               (np.minimum(low, -1e-12), np.maximum(high, 1e-12)), method="trf", max_iter=60)  # fmt: skip
+            right = -Q[: len(A)].T @ r[train].ravel()
+            found = lsq_linear(R, right, (np.minimum(low, -1e-12), np.maximum(high, 1e-12)), method="bvls", max_iter=60)
             step, ahead = found.x * scale, 1.0
             for _ in range(6):
                 trial = np.clip(x + ahead * step, lower, upper)
@@ -250,8 +260,9 @@ class ForceFit:
                 ahead /= 4
             else:
                 break
-            done = new > cost * (1 - 1e-4) or new < 1e-14
+            done = new > cost * (1 - 1e-3) or new < 1e-14
             x, r, cost = trial, tried, new
+            done |= round_ >= 2 and cost > hopeless**2 * weighed
             if done:
                 break
         rms = lambda keep: float(np.sqrt(np.sum(r[keep] ** 2) / max(1, np.count_nonzero(m.weight[keep]))))
