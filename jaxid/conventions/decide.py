@@ -25,7 +25,7 @@ from jaxid.conventions.readings import (
     zeros,
 )
 from jaxid.conventions.samples import Shown
-from jaxid.conventions.timing import CLOSE, DRIFT, KNOWN, Late, lateness, SURE
+from jaxid.conventions.timing import CLOSE, DRIFT, KNOWN, lateness, SURE, together
 
 
 #: A reading is looked at where it leaves that share of what is missing, and decisive where it leaves so much of it.
@@ -213,19 +213,17 @@ def _timed(binding: Binding, fit: ForceFit, m: Motion, names: Names) -> Iterator
             return
         m = drifting
     late, _ = lateness(fit, m)
-    duration = float(m.since.max())
-    clocked = [
-        k for k, x in enumerate(late)
-        if abs(x.drift) > SURE * x.drift_std and abs(x.drift) * duration > DRIFT * m.step and abs(x.drift) < 0.015
-    ]  # fmt: skip
-    if clocked and len(clocked) == len(late):
-        yield _clock(binding, m, names, late)
+    column = lambda name: np.array([getattr(x, name) for x in late])
+    drifting = together(column("drift"), column("drift_std"))
+    if drifting is not None and DRIFT * m.step < abs(drifting[0]) * float(m.since.max()) and abs(drifting[0]) < 0.015:
+        yield _clock(binding, m, names, *drifting)
         return
+    common = together(column("rows"), column("std"))
     for k, x in enumerate(late):
-        whole = round(x.rows)
-        if not whole or abs(whole) > 3 or x.std > KNOWN or abs(x.rows - whole) > CLOSE or abs(x.rows) < SURE * x.std:
-            continue
-        yield _shifted(binding, names, k, whole, x)
+        rows, std = common if common is not None else (x.rows, x.std)
+        whole = round(rows)
+        if whole and abs(whole) <= 3 and std <= KNOWN and abs(rows - whole) <= CLOSE and abs(rows) > SURE * std:
+            yield _shifted(binding, names, k, whole, rows, std)
 
 
 def _far_drift(fit: ForceFit, m: Motion, plain: Fitted) -> Motion | None:
@@ -239,12 +237,9 @@ def _far_drift(fit: ForceFit, m: Motion, plain: Fitted) -> Motion | None:
     return moved if left < DECISIVE * plain.worst else None
 
 
-def _clock(binding: Binding, m: Motion, names: Names, late: list[Late]) -> Shown:
+def _clock(binding: Binding, m: Motion, names: Names, drift: float, std: float) -> Shown:
     channels = names.inputs if len(names.inputs) == 1 or len(names.joints) > 1 else names.joints
     way = 1 if channels is names.inputs else -1
-    weight = np.array([1 / x.drift_std**2 for x in late])
-    drift = float(np.sum(weight * [x.drift for x in late]) / weight.sum())
-    std = float(1 / np.sqrt(weight.sum()))
     ppm, spread = way * 1e6 * drift, 1e6 * std
     forms = {"clock_ppm": float(f"{ppm:.4g}")}
     text = (
@@ -262,13 +257,13 @@ def _clock(binding: Binding, m: Motion, names: Names, late: list[Late]) -> Shown
     return Shown(finding, Mending({c: dict(forms) for c in channels}))
 
 
-def _shifted(binding: Binding, names: Names, k: int, rows: int, late: Late) -> Shown:
+def _shifted(binding: Binding, names: Names, k: int, rows: int, late: float, std: float) -> Shown:
     """Whole rows: the output before its cause is a convention; a cause that comes early is a delay as well."""
     name = names.inputs[k]
     forms = {"shift": rows}
-    interval = (late.rows - 1.96 * late.std, late.rows + 1.96 * late.std)
+    interval = (late - 1.96 * std, late + 1.96 * std)
     step = f"{abs(rows)} row{'s' * (abs(rows) > 1)}"
-    by = f"{abs(late.rows):.2f} ± {late.std:.2f} rows"
+    by = f"{abs(late):.2f} ± {std:.2f} rows"
     if rows > 0:
         moves = "moves" if len(names.joints) == 1 else "move"
         text = (
@@ -300,30 +295,26 @@ def _unsigned(binding: Binding, fit: ForceFit, m: Motion, names: Names) -> Shown
     plain = fit.fit(m)
     if plain.worst < 0.3:
         return None
-    for j, name in enumerate(names.inputs):
-        u = m.u[:, j]
-        size = np.percentile(np.abs(u), 99)
-        raw = np.concatenate([e.u[:, [c.name for c in binding.dataset.inputs].index(name)] for e in binding.dataset.experiments])
-        if size <= 0 or abs(raw.min()) > 0.02 * size and abs(raw.max()) > 0.02 * size:
-            continue
-        signed = _signed(fit, m, j)
-        if signed is None:
-            continue
-        left = fit.fit(signed).worst
+    inputs = [c.name for c in binding.dataset.inputs]
+    raw = {n: np.concatenate([e.u[:, inputs.index(n)] for e in binding.dataset.experiments]) for n in names.inputs}
+    one_way = [n for n, u in raw.items() if min(abs(u.min()), abs(u.max())) <= 0.02 * np.percentile(np.abs(u), 99) and u.any()]
+    signed = _signed(fit, m, [names.inputs.index(n) for n in one_way]) if one_way else None
+    if signed is not None:
+        name, left = one_way[0], fit.fit(signed).worst
         if left < DECISIVE * plain.worst:
             text = (
-                f"{name} never changes its sign, and the motion asks for both: the sensor seems to read its size alone (with "
-                f"the signs that the motion asks for, what is missing falls from {100 * plain.worst:.2g} to {100 * left:.2g} %). "
-                "Record the signed reading, or multiply by the sign of the command."
+                f"{_listed(tuple(one_way))} never changes its sign, and the motion asks for both: the sensor seems to read its "
+                f"size alone (with the signs that the motion asks for, what is missing falls from {100 * plain.worst:.2g} to "
+                f"{100 * left:.2g} %). Record the signed reading, or multiply by the sign of the command."
             )
-            return Shown(DataFinding("unsigned", name, None, text, decisive=False), Mending())
+            return Shown(DataFinding("unsigned", name, None, text), Mending())
     return None
 
 
-def _signed(fit: ForceFit, m: Motion, j: int) -> Motion | None:
-    """The motion with input j given the signs that the model itself asks for, starting from those of the acceleration."""
+def _signed(fit: ForceFit, m: Motion, which: list[int]) -> Motion | None:
+    """The motion with these inputs given the signs that the model itself asks for, starting from those of the acceleration."""
     sources, first = [], 0
-    sign = np.sign(m.qdd[:, j])
+    sign = np.sign(m.qdd[:, which])
     for _ in range(6):
         sources, first = [], 0
         for s in m.sources:
@@ -331,13 +322,13 @@ def _signed(fit: ForceFit, m: Motion, j: int) -> Motion | None:
             first += len(s.at)
             u = np.array(s.u)
             at = np.clip(np.searchsorted(s.at, s.t), 0, len(s.at) - 1)
-            u[:, j] = u[:, j] * own[at]
+            u[:, which] = u[:, which] * own[at]
             sources.append(replace(s, u=u))
         now = replace(m, sources=tuple(sources))
         fitted = fit.fit(now, laws=False)
         theta = fit.binding.theta.copy()
         theta[fit.free] = fitted.x[: len(fit.free)]
-        asked = -fit.missing(theta, replace(now, mix=0 * now.mix))[:, j]
+        asked = -fit.missing(theta, replace(now, mix=0 * now.mix))[:, which]
         new = np.where(asked >= 0, 1.0, -1.0)
         if np.array_equal(new, sign):
             break

@@ -141,7 +141,7 @@ _PROGRAMS: dict[Any, Traced] = {}
 
 
 def _program(layout: Layout) -> Traced:
-    """`force` at all samples by all numbers of a layout: one program for all chains of its structure."""
+    """`force` at all samples [sets rows nq] by sets of all numbers of a layout: one program for all chains of its structure."""
     structure = jax.tree.structure(layout.chain)
     if structure not in _PROGRAMS:
         key = key_of(force, layout.model(np.zeros(len(layout))), layout.names)
@@ -150,7 +150,7 @@ def _program(layout: Layout) -> Traced:
             chain = layout.model(theta)
             return jax.vmap(lambda *s: force(chain, *s))(q, qd, qdd, u)
 
-        _PROGRAMS[structure] = Traced(run, key)
+        _PROGRAMS[structure] = Traced(jax.vmap(run, (0, None, None, None, None)), key)
     return _PROGRAMS[structure]
 
 
@@ -184,11 +184,15 @@ class ForceFit:
 
     def missing(self, theta: np.ndarray, m: Motion) -> np.ndarray:
         """Missing force [rows nq] at these numbers."""
+        return self.all_missing(theta[None], m)[0]
+
+    def all_missing(self, thetas: np.ndarray, m: Motion) -> np.ndarray:
+        """Missing force [sets rows nq] at sets of numbers."""
         count = len(m.q)
         pad = lambda a: np.concatenate([a, np.repeat(a[-1:], ROWS - count, 0)]) if count < ROWS else a
         with float64():
-            found = self.program(theta, *(pad(a) for a in (m.q, m.qd, m.qdd, m.u)))
-        return np.nan_to_num(np.asarray(found)[:count], nan=1e12, posinf=1e12, neginf=-1e12)
+            found = self.program(thetas, *(pad(a) for a in (m.q, m.qd, m.qdd, m.u)))
+        return np.nan_to_num(np.asarray(found)[:, :count], nan=1e12, posinf=1e12, neginf=-1e12)
 
     def norm(self, m: Motion) -> np.ndarray:
         """What the force is measured by, [nq]: the drive where it is measured, else what the motion takes at start values."""
@@ -242,9 +246,18 @@ class ForceFit:
         J = np.concatenate([np.zeros((*r.shape, p + k)), blocks], -1)
         weighed = max(1, np.count_nonzero(m.weight[train]))
         for round_ in range(10):
-            for i in range(p + k):
-                h = 1e-6 * scale[i] * (1 if x[i] + 1e-6 * scale[i] <= upper[i] else -1)
-                J[..., i] = (residual(x + h * (np.arange(x.size) == i)) - r) / h
+            h = 1e-6 * scale * np.where(x + 1e-6 * scale <= upper, 1, -1)
+            theta = b.theta.copy()
+            theta[free] = x[:p]
+            moved = m if more is None else more(x[p : p + k])
+            here = self.missing(theta, moved)
+            if p:
+                thetas = np.repeat(theta[None], p, 0)
+                thetas[np.arange(p), free] += h[:p]
+                slopes = (self.all_missing(thetas, moved) - here) / h[:p, None, None]
+                J[..., :p] = np.moveaxis(slopes * weight, 0, -1)
+            for i in range(p, p + k):
+                J[..., i] = (residual(x + h[i] * (np.arange(x.size) == i)) - r) / h[i]
             A = (J[train] * scale).reshape(-1, x.size)
             ridge = 1e-7 * np.sqrt(np.mean(A**2) * len(A)) * np.eye(x.size)
             Q, R = np.linalg.qr(np.concatenate([A, ridge]))

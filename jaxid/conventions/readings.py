@@ -26,6 +26,9 @@ FACTORS = {
     "kilogram-force read as newtons": 1 / 9.80665, "newtons read as kilogram-force": 9.80665,
     **{f"counts of {n} per turn read as radians": n / (2 * pi) for n in (1000, 1024, 2000, 2048, 4000, 4096, 8192, 16384, 65536)},
 }  # fmt: skip
+#: Where a channel's factor is looked for; which one it is, is found from there.
+TURNS = 180 / pi, pi / 180, 2 * pi, 1 / (2 * pi), 4096 / (2 * pi), 0.03, 15.0, 30.0, 100.0, 200.0
+SIZES = 1000.0, 1e-3, 9.80665, 1 / 9.80665, 50.0, 0.02
 #: What sensor_scale and torque_scale may be: a factor in it stays theirs.
 EFFECT_RANGE = 0.1, 3.0
 #: Up to so many inputs or outputs, all their signs are tried together.
@@ -125,13 +128,8 @@ def scales(names: Names) -> Iterator[Reading]:
         for j, unit in enumerate(units):
             if unit == "1":
                 continue
-            for what, factor in FACTORS.items():
-                turning = any(word in what for word in ("rad", "turn"))
-                if turning == (unit in ("rad", "rad/s")):
-                    yield Reading("scale", (group[j],), factor, lambda m, j=j, f=factor, s=scale: s(m, j, 1 / f), what)
-            for ratio in (0.02, 0.05, 5.0, 10.0, 20.0, 50.0, 100.0, 200.0):  # a gear's, found more closely afterwards
-                change = lambda m, j=j, f=ratio, s=scale: s(m, j, 1 / f)
-                yield Reading("scale", (group[j],), ratio, change, "a gear ratio")
+            for factor in TURNS if unit in ("rad", "rad/s") else SIZES:
+                yield Reading("scale", (group[j],), factor, lambda m, j=j, f=factor, s=scale: s(m, j, 1 / f))
 
 
 def mending_of(reading: Reading, value: float, dataset_units: dict[str, str]) -> Mending:

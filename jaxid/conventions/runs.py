@@ -34,7 +34,8 @@ def refused(error: DatasetError) -> list[DataFinding]:
         elif "never moves" in p.message:
             name = p.message.split("'")[1]
             out.append(DataFinding("does_not_move", name, 0.0, f"{p.file}: {p.message}. {p.remedy}"))
-    return out if len(out) == len(error.problems) else []
+    each = {(f.kind, f.channel, f.line): f for f in reversed(out)}
+    return list(reversed(each.values())) if len(out) == len(error.problems) else []
 
 
 def time_unit(dataset: Dataset) -> Iterator[Shown]:

@@ -52,12 +52,23 @@ def lateness(fit: ForceFit, m: Motion) -> tuple[list[Late], Motion]:
         steps = [fit.spread(whole, m, first + k) for k in range(2 * nu)]
         good = lambda pair, most: float(np.clip(pair[0], -most, most)) if np.isfinite(pair[1]) else 0.0
         drift = np.array([good(p, MOST_DRIFT) for p in steps[nu:]])
-        sure = [bool(abs(m.drift[k] + d) > SURE * p[1]) for k, (d, p) in enumerate(zip(drift, steps[nu:], strict=True))]
-        change = np.where(sure, drift, -m.drift)
+        sure = together(m.drift + drift, np.array([s for _, s in steps[nu:]])) is not None
+        change = drift if sure else -m.drift
         rows = np.array([good(p, 2.0) for p in steps[:nu]]) - change * m.since.mean() / m.step
         late = [Late(float(m.rows[k] + rows[k]), steps[k][1], float(m.drift[k] + change[k]), steps[nu + k][1]) for k in range(nu)]
         m = replace(m, rows=np.clip(m.rows + rows, -MOST_ROWS, MOST_ROWS), drift=m.drift + change)
     return late, m
+
+
+def together(values: np.ndarray, stds: np.ndarray) -> tuple[float, float] | None:
+    """Mean and standard deviation of what several inputs say, where that is surely not zero and they agree."""
+    known = np.isfinite(stds) & (stds > 0)
+    if not known.any():
+        return None
+    weight = np.where(known, 1 / np.where(known, stds, 1.0) ** 2, 0.0)
+    mean, std = float(np.sum(weight * values) / weight.sum()), float(1 / np.sqrt(weight.sum()))
+    agree = bool(np.all(np.abs(values - mean)[known] <= 3 * stds[known] + 0.02 * abs(mean)))
+    return (mean, std) if agree and abs(mean) > SURE * std else None
 
 
 def _own_laws(m: Motion) -> np.ndarray:
