@@ -13,7 +13,7 @@ from jaxid import forked as _forked  # noqa: F401  it has to be there when a pro
 
 if _TYPE_CHECKING:
     from jaxid import fitters as fitters, models as models, runtime as runtime
-    from jaxid.api import compare as compare, diagnose as diagnose, fit as fit, simulate as simulate
+    from jaxid.api import check as check, compare as compare, diagnose as diagnose, fit as fit, simulate as simulate
     from jaxid.chain import Chain as Chain
     from jaxid.comparison import Comparison as Comparison
     from jaxid.dataset_io import load_dataset as load_dataset, save_dataset as save_dataset
@@ -44,6 +44,7 @@ _HOME = {
     "Fit": "jaxid.results",
     "Problem": "jaxid.make_problem",
     "UsageError": "jaxid.errors",
+    "check": "jaxid.api",
     "compare": "jaxid.api",
     "diagnose": "jaxid.api",
     "excite": "jaxid.excitation",

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import warnings
 from collections.abc import Iterable, Mapping
+from dataclasses import replace
 from typing import Any
 
 from jaxid import catalogue, closed_loop as closed_loop, frequency as frequency  # register their residuals
@@ -11,6 +12,7 @@ from jaxid.binding import bind, Binding
 from jaxid.capacity import foreseen, refuse_too_large
 from jaxid.chain import Effect
 from jaxid.comparison import Comparison
+from jaxid.conventions.finding import Checked
 from jaxid.errors import nearest, UsageError
 from jaxid.experiment import Dataset
 from jaxid.fitter import AbstractFitter, Progress
@@ -19,6 +21,7 @@ from jaxid.problem import LOSSES
 from jaxid.residual import Residual, RESIDUALS
 from jaxid.results import Diagnosis, Fit
 from jaxid.robots.limbs import each, effects_at, limbs_of
+from jaxid.runtime import Interrupted
 from jaxid.simulation_result import Simulation
 
 
@@ -35,11 +38,13 @@ def fit(
     budget: int | None = None,
     solver: Any = None,
     progress: Progress | None = None,
+    as_recorded: bool = False,
 ) -> Fit:
     """Fits the parameters of a model to a dataset.
 
     `model` is an id, a mechanism, a chain, or None for the one that the dataset names; `effects` (`dead_zone@tau`, or one of
-    your own) are added and fitted, `without` takes built-in ones out; `fitter` is one or its text, `de(popsize=20)`; `solver` (a
+    your own) are added and fitted, `without` takes built-in ones out. The recording is checked first, and decisive findings are
+    applied (`data`, `jaxid.check`) unless `as_recorded`. `fitter` is one or its text, `de(popsize=20)`; `solver` (a
     solver of diffrax, or `jaxid.Diffrax`) simulates in place of jaxid's own stepping. Raises `UsageError` for arguments that do
     not fit; a fit that fails is a `Fit` with `failed` set and a sentence in `stopped_because`. More rows than there
     is memory for are refused before anything is computed.
@@ -48,12 +53,21 @@ def fit(
         chosen = tuple(effects)
         work = lambda robot, data: fit(
             robot, data, fitter=fitter, residual=residual, loss=loss, effects=effects_at(chosen, robot), without=without,
-            seed=seed, budget=budget, progress=progress, solver=solver,
+            seed=seed, budget=budget, progress=progress, solver=solver, as_recorded=as_recorded,
         )  # fmt: skip
         return each(limbs, work, dataset)
     refuse_too_large(foreseen("fit", model, dataset))
-    binding = bind(model, dataset, effects=effects, without=without)
-    return _fit(binding, fitter, residual, loss, seed, budget, progress, solver)
+    effects, without = tuple(effects), tuple(without)
+    checked = _checked(model, dataset, without, as_recorded)
+    binding = bind(model, checked.mended or dataset, effects=effects, without=without)
+    return replace(_fit(binding, fitter, residual, loss, seed, budget, progress, solver), data=checked.findings)
+
+
+def _checked(model: object, dataset: Dataset, without: tuple[str, ...], as_recorded: bool) -> Checked:
+    """The check that comes before every answer."""
+    from jaxid.conventions.checking import run_check
+
+    return run_check(model, dataset, without, as_recorded)
 
 
 def _fit(binding: Binding, fitter, residual, loss, seed: int, budget: int | None, progress, solver: Any = None) -> Fit:
@@ -80,18 +94,39 @@ def diagnose(
     residual: Residual | str | None = None,
     seed: int = 0,
     progress: Progress | None = None,
+    as_recorded: bool = False,
 ) -> Diagnosis:
     """Says where the model is wrong, which effect is missing, and how far the gap shrinks once it is added.
 
     `effects` limits the candidates (ids, and effects of your own; default: all of the library that the model lacks),
     `max_effects` how many may be named. Of recordings that would need more memory than there is, or more
     than about an hour, the first part is looked at, and a note says so.
+    The recording is checked first (`jaxid.check`), and decisive findings are applied unless `as_recorded`.
     """
     from jaxid.diagnosis import run_diagnosis
 
     if max_effects < 1:
         raise UsageError(f"max_effects is {max_effects}; a diagnosis needs at least 1")
-    return run_diagnosis(model, dataset, max_effects, effects, without, resolve_residual(residual), seed, progress)
+    without = tuple(without)
+    checked = _checked(model, dataset, without, as_recorded)
+    data = checked.mended or dataset
+    try:
+        found = run_diagnosis(model, data, max_effects, effects, without, resolve_residual(residual), seed, progress)
+    except Interrupted as stop:
+        partial = None if stop.partial is None else replace(stop.partial, data=checked.findings)
+        raise Interrupted(partial) from stop
+    return replace(found, data=checked.findings)
+
+
+def check(model: object, dataset: Dataset, *, without: Iterable[str] = (), as_recorded: bool = False) -> Checked:
+    """What a recording says about itself before any effect is looked for: signs, zeros, units, rows, clocks, glitches …
+
+    `model` as in `fit`; without one, what the samples show by themselves is found alone. The result's `mended` is the dataset
+    with the decisive findings applied (`as_recorded`: with none).
+    """
+    from jaxid.conventions.checking import run_check
+
+    return run_check(model, dataset, without, as_recorded)
 
 
 def simulate(

@@ -27,6 +27,7 @@ LOSSES = ("sum_of_squares", "sum_of_norms", "sum_of_abs")
 #: Commands that live in modules of their own, as light to import as this one: name -> module that has it under that name.
 MODULES = {
     "batch": "jaxid.cli_batch",
+    "check": "jaxid.cli_check",
     "compare": "jaxid.cli_compare",
     "excite": "jaxid.cli_excite",
     "identify": "jaxid.cli_identify",
@@ -95,6 +96,7 @@ RESIDUAL = click.option("--residual", metavar="R", type=click.Choice(RESIDUALS),
 SOLVER = click.option(
     "--solver", metavar="own|diffrax:S", help="What simulates: jaxid's own stepping, or a solver of diffrax (diffrax:Tsit5)."
 )
+AS_RECORDED = click.option("--as-recorded", is_flag=True, help="Take the data as they are: apply no finding of the check.")
 SEED = click.option("--seed", type=click.IntRange(0, 2**31 - 1), default=0, show_default=True, help="Random seed.")
 
 
@@ -110,8 +112,9 @@ SEED = click.option("--seed", type=click.IntRange(0, 2**31 - 1), default=0, show
 @SEED
 @click.option("--budget", type=click.IntRange(1), metavar="N", help="Most evaluations of the loss.")
 @SOLVER
+@AS_RECORDED
 @output_options
-def fit(dataset, out, model, fitter, effects, without, residual, loss, seed, budget, solver, as_json, quiet) -> int:
+def fit(dataset, out, model, fitter, effects, without, residual, loss, seed, budget, solver, as_recorded, as_json, quiet) -> int:
     """Fit a model to a dataset.
 
     Writes fit.json and report.html into DIR.
@@ -133,6 +136,7 @@ def fit(dataset, out, model, fitter, effects, without, residual, loss, seed, bud
             budget=budget,
             solver=solver,
             progress=output.progress,
+            as_recorded=as_recorded,
         )
         code = output.deliver(result, fit_text)
     if result.failed:
@@ -152,8 +156,11 @@ def fit(dataset, out, model, fitter, effects, without, residual, loss, seed, bud
 @SEED
 @click.option("--next", "next_", type=click.Path(path_type=Path), metavar="DIR", help="Also design what to record next.")
 @click.option("--limits", type=click.Path(path_type=Path), metavar="FILE", help="TOML: of that run; default: what was recorded.")
+@AS_RECORDED
 @output_options
-def diagnose(dataset, out, model, max_effects, effects, without, residual, seed, next_, limits, as_json, quiet) -> int:
+def diagnose(
+    dataset, out, model, max_effects, effects, without, residual, seed, next_, limits, as_recorded, as_json, quiet
+) -> int:
     """Say where a model is wrong, and which effect is missing.
 
     Also says how far the gap shrinks once it is added. Writes diagnosis.json and report.html into DIR. With --next, also the
@@ -175,6 +182,7 @@ def diagnose(dataset, out, model, max_effects, effects, without, residual, seed,
             residual=residual,
             seed=seed,
             progress=output.progress,
+            as_recorded=as_recorded,
         )
         code = output.deliver(result, diagnosis_text)
     if next_ is not None:

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 
 import click
 
-from jaxid.cli import DATASET, foretell, MODEL, OUT, output_options, start
+from jaxid.cli import AS_RECORDED, DATASET, foretell, MODEL, OUT, output_options, start
 from jaxid.cli_output import Output
 
 
@@ -44,8 +44,11 @@ if TYPE_CHECKING:
 )  # fmt: skip
 @click.option("--tip", metavar="LINK", help="Last link of the chain in the URDF that --model names.")
 @click.option("--root", metavar="LINK", help="First link of the chain in the URDF that --model names.")
+@AS_RECORDED
 @output_options
-def identify(dataset, out, model, method, friction, cutoff, motion_cutoff, reference, gain_std, tip, root, as_json, quiet) -> int:
+def identify(
+    dataset, out, model, method, friction, cutoff, motion_cutoff, reference, gain_std, tip, root, as_recorded, as_json, quiet
+) -> int:
     """Identify a serial arm: base parameters, friction, payload.
 
     Writes identification.json and report.html into DIR.
@@ -60,18 +63,20 @@ def identify(dataset, out, model, method, friction, cutoff, motion_cutoff, refer
     with Output(out, as_json, quiet) as output:
         result = jaxid.identify(
             model, data, method=method, friction=friction, cutoff_hz=cutoff, motion_hz=motion_cutoff, reference=reference,
-            gain_std=gain_std,
+            gain_std=gain_std, as_recorded=as_recorded,
         )  # fmt: skip
         return output.deliver(result, identification_text)
 
 
 def identification_text(result: Identification) -> str:
     """The result as tables for a terminal."""
+    from jaxid.conventions.finding import data_lines
     from jaxid.report.identified import base_rows, friction_rows, headline, payload_rows
     from jaxid.text import table
 
     joints = result.labels
     parts = [
+        *data_lines(result.data),
         f"{result.dataset}, model {result.model}: {result.method}, friction law {result.law}. {headline(result)}",
         table(
             ("recording", "data", "all joints", *joints, "unfiltered"),

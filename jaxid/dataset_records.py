@@ -12,7 +12,7 @@ from jaxid.dataset_schema import ChannelEntry, ExperimentEntry
 from jaxid.dataset_table import ragged_rows, Table
 from jaxid.dataset_time import impossible, seconds
 from jaxid.errors import nearest
-from jaxid.experiment import Channel, Experiment, FrequencyResponse, Problem
+from jaxid.experiment import Channel, Experiment, FrequencyResponse, Problem, Stated
 from jaxid.units import Conversion
 
 
@@ -50,7 +50,10 @@ class Reading:
             return None if value is None else value * self.conversion.factor
 
         entry = self.entry
-        return Channel(self.name, entry.role, self.conversion.si, width(entry.noise_std), width(entry.resolution), entry.hold)
+        column = "" if entry.columns is not None else str(self.column)
+        stated = Stated(entry.unit, self.conversion.factor, entry.scale, entry.offset, column, entry.shift, entry.clock_ppm)
+        noise, step = width(entry.noise_std), width(entry.resolution)
+        return Channel(self.name, entry.role, self.conversion.si, noise, step, entry.hold, stated)
 
 
 @dataclass

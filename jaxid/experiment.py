@@ -63,8 +63,22 @@ def _frozen(values: Any, dtype: type = float) -> np.ndarray:
 
 
 @dataclass(frozen=True)
+class Stated:
+    """How `dataset.toml` says a channel was recorded: value = scale * raw + offset in `unit`, and factor * value in SI."""
+
+    unit: str
+    factor: float = 1.0
+    scale: float = 1.0
+    offset: float = 0.0
+    column: str = ""
+    shift: int = 0
+    clock_ppm: float = 0.0
+
+
+@dataclass(frozen=True)
 class Channel:
-    """One measured signal, in SI; `noise_std` (one standard deviation) and `resolution` (quantisation step) too."""
+    """One measured signal, in SI; `noise_std` (one standard deviation) and `resolution` (quantisation step) too. `stated` is what
+    the dataset says of how it was recorded, for messages."""
 
     name: str
     role: str  # "input" | "output" | "auxiliary"
@@ -72,6 +86,7 @@ class Channel:
     noise_std: float | None = None
     resolution: float | None = None
     hold: str = "zero"  # an input between its samples: "zero" | "linear"
+    stated: Stated | None = field(default=None, compare=False, repr=False)
 
 
 @dataclass(frozen=True, eq=False)

@@ -15,6 +15,8 @@ from jaxid.base_parameters import BaseParameters
 from jaxid.binding import resolve_model
 from jaxid.capacity import need, refuse_too_large
 from jaxid.chain import Chain
+from jaxid.conventions.checking import run_check
+from jaxid.conventions.finding import as_data, DataFinding
 from jaxid.errors import nearest, UsageError
 from jaxid.experiment import Dataset
 from jaxid.identification_rows import (
@@ -117,6 +119,7 @@ class Identification:
     labels: tuple[str, ...] = ()  # what tables call the joints: their names, else q1 …
     stated: tuple[dict[str, Any], ...] = ()
     per_joint: tuple[dict[str, Any], ...] = ()
+    data: tuple[DataFinding, ...] = ()  # what the recording says about itself
 
     @property
     def torque_units(self) -> tuple[str, ...]:
@@ -185,6 +188,7 @@ class Identification:
             "wall_time_s": self.wall_time_s,
             "versions": versions(),
             "notes": list(self.notes),
+            **as_data(self.data),
         }
 
     def report(self, path: str | Path) -> Path:
@@ -214,6 +218,7 @@ def identify(
     motion_hz: float | None = None,
     reference: Identification | Mapping[str, Any] | str | Path | None = None,
     gain_std: float = 0.0,
+    as_recorded: bool = False,
 ) -> Identification:
     """Base parameters and friction of a serial arm from recorded motion and torque.
 
@@ -221,14 +226,17 @@ def identify(
     converged), tls or constrained; `friction` linear, power, stribeck, or auto: the simplest that no richer law beats on every
     held-out run. Torque and columns are low-passed at `cutoff_hz`, positions at `motion_hz` (twice that) before they are
     differentiated. `reference`, the identification of the unloaded arm (or its JSON), gives the payload; `gain_std` is the
-    relative standard deviation of the drive gains, which moves payload and torque alike. Raises `UsageError` for a model that is
-    no serial arm and data that lack its channels.
+    relative standard deviation of the drive gains, which moves payload and torque alike. The recording is checked first
+    (`jaxid.check`), and decisive findings are applied unless `as_recorded`. Raises `UsageError` for a model that is no serial
+    arm and data that lack its channels.
     """
     began = time.perf_counter()
     if method not in METHODS:
         raise UsageError(f"there is no method {method!r}{nearest(method, METHODS)}")
     if friction not in (*LAWS, "auto"):
         raise UsageError(f"there is no friction law {friction!r}{nearest(friction, (*LAWS, 'auto'))}")
+    checked = run_check(model, dataset, (), as_recorded)
+    dataset = checked.mended or dataset
     model, dataset = as_arm(model, dataset)
     held_out = any(e.split != "fit" for e in dataset.experiments)
     data = dataset if held_out else dataset.with_splits()
@@ -270,6 +278,7 @@ def identify(
         notes=tuple([*data.notes, *_notes(found, names, method, law)]), wall_time_s=time.perf_counter() - began,
         labels=names_of_joints(arm, data, len(arm.prismatic)),
         traces=tuple((r.name, r.split, r.t, r.tau, own[chosen]) for r, own in zip(runs, predicted, strict=True)),
+        data=checked.findings,
     )  # fmt: skip
     result = replace(result, **beside_the_file(arm, base, law, runs, result))
     if before is None:

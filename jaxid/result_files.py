@@ -16,7 +16,7 @@ from jaxid.results import json_bytes
 #: Folder inside that of a result for what was known when a run was stopped, and the page's name.
 PARTIAL, PAGE = "partial", "report.html"
 #: Kinds of results that have a page.
-DRAWN = ("fit", "diagnosis", "comparison", "identification")
+DRAWN = ("fit", "diagnosis", "comparison", "identification", "check")
 
 
 def save(result: Any, folder: Path) -> Path:
@@ -57,7 +57,7 @@ def drop_partial(folder: Path) -> None:
 
 
 def kind_of(result: Any) -> str:
-    """`fit`, `diagnosis`, `comparison`, `identification` or `simulation`: the stem of its JSON file."""
+    """`fit`, `diagnosis`, `comparison`, `identification`, `check` or `simulation`: the stem of its JSON file."""
     return result.to_dict()["kind"]
 
 

@@ -10,6 +10,7 @@ from typing import Any, TYPE_CHECKING
 import numpy as np
 
 from jaxid.atomic_files import replace_files
+from jaxid.conventions.finding import as_data, DataFinding
 
 
 if TYPE_CHECKING:
@@ -139,6 +140,7 @@ class Fit:
     chain: Chain | None = field(default=None, repr=False, compare=False)
     """The fitted model with its effects, None where the fit failed: `.ode()`, `jaxid.simulate(fit.chain, other_data)`."""
     solver: str = "own"  # what simulated: jaxid's own stepping, or a solver of diffrax
+    data: tuple[DataFinding, ...] = ()  # what the recording says about itself
 
     @property
     def state(self) -> str:
@@ -185,6 +187,7 @@ class Fit:
             "dataset_sha256": self.dataset_sha256,
             "versions": versions(),
             "notes": list(self.notes),
+            **as_data(self.data),
         }
 
     def report(self, path: str | Path) -> Path:
@@ -389,6 +392,7 @@ class Diagnosis:
     notes: tuple[str, ...] = ()
     unseen: tuple[Unseen, ...] = ()
     rivals: Rivals | None = field(default=None, repr=False, compare=False)
+    data: tuple[DataFinding, ...] = ()  # what the recording says about itself
 
     def next_run(self, **settings: Any) -> Excitation:
         """What to record next: the input that best tells the two leading hypotheses apart, within what the recorded runs reached,
@@ -428,6 +432,7 @@ class Diagnosis:
             "wall_time_s": self.wall_time_s,
             "notes": list(self.notes),
             "versions": versions(),
+            **as_data(self.data),
         }
 
     def report(self, path: str | Path) -> Path:

@@ -8,6 +8,7 @@ import textwrap
 from collections.abc import Iterable, Sequence
 from typing import TYPE_CHECKING
 
+from jaxid.conventions.finding import data_lines
 from jaxid.terminal import one_line
 
 
@@ -241,6 +242,7 @@ def diagnosis_text(diagnosis: Diagnosis) -> str:
     which, how_far = diagnosis.which, diagnosis.how_far
     channels = telling(how_far)[:3]
     parts = [
+        *map(wrapped, data_lines(diagnosis.data)),
         f"{one_line(diagnosis.dataset)}, model {one_line(diagnosis.model)}",
         paragraph("STATED", [sentence(s.text) for s in diagnosis.final.stated if s.refuted]),
         "" if which.verdict == "none" else paragraph("WHERE", (where_sentence(f) for f in diagnosis.where[:2])),
@@ -271,6 +273,7 @@ def fit_text(fit: Fit) -> str:
     names = [fit.model, *(effect_name(e) for e in fit.effects)]
     state = {"budget": "not converged"}.get(fit.state, fit.state)
     parts = [
+        *map(wrapped, data_lines(fit.data)),
         wrapped(
             f"{fit.dataset}, model {listed(names)}: {fit.fitter} on {fit.residual}, {state} ({fit.stopped_because}),"
             f" loss {number(fit.loss)} (1 = down to the noise)"

@@ -10,6 +10,7 @@ from jaxid.report import (
     answer,
     background,
     breakdown,
+    checked,
     compared,
     fitted,
     identified,
@@ -28,6 +29,7 @@ from jaxid.terminal import one_line
 
 if TYPE_CHECKING:
     from jaxid.comparison import Comparison
+    from jaxid.conventions.finding import Checked
     from jaxid.experiment import Dataset
     from jaxid.identification import Identification
     from jaxid.results import Diagnosis, Fit
@@ -37,6 +39,7 @@ if TYPE_CHECKING:
 def diagnosis_page(diagnosis: Diagnosis) -> str:
     """The page of a diagnosis. Like every page it carries the name and the SHA-256 of its JSON file in `meta` tags."""
     sections = [
+        checked.before(diagnosis.data),
         answer.section(diagnosis),
         unseen.section(diagnosis.unseen),
         traces.section(diagnosis.traces),
@@ -52,6 +55,7 @@ def diagnosis_page(diagnosis: Diagnosis) -> str:
 def fit_page(fit: Fit) -> str:
     """The page of a fit."""
     sections = [
+        checked.before(fit.data),
         fitted.section(fit),
         parameters.section(fit),
         traces.section(fit.traces),
@@ -68,8 +72,13 @@ def comparison_page(comparison: Comparison) -> str:
 
 def identification_page(result: Identification) -> str:
     """The page of an identification."""
-    sections = [identified.section(result)]
+    sections = [checked.before(result.data), identified.section(result)]
     return render(f"{one_line(result.dataset)}: identification", sections, "identification.json", json_bytes(result))
+
+
+def check_page(result: Checked) -> str:
+    """The page of a check."""
+    return render(f"{one_line(result.dataset)}: check", [checked.section(result)], "check.json", json_bytes(result))
 
 
 def study_page(result: StudyResult, table: bytes) -> str:
@@ -100,6 +109,16 @@ def write_identification(result: Identification, path: str | Path) -> Path:
 def comparison_fragment(comparison: Comparison) -> str:
     """Table and pictures as an HTML fragment, for a notebook."""
     return render_fragment([compared.section(comparison)])
+
+
+def write_check(result: Checked, path: str | Path) -> Path:
+    """Writes the page of a check (whole or not at all) and returns its path; raises `NotSaved`."""
+    return _write(check_page(result), path)
+
+
+def check_fragment(result: Checked) -> str:
+    """The findings of a check as an HTML fragment, for a notebook."""
+    return render_fragment([checked.section(result)])
 
 
 def identification_fragment(result: Identification) -> str:

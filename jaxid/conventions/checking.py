@@ -1,0 +1,191 @@
+"""Before physics: what a recording says about itself. `jaxid.check`, and the first step of fit, diagnose and identify.
+
+What the samples show by themselves comes first (`runs`, `samples`), then what a model tells (`decide`, `readings`, `timing`) by
+regression on the missing force, without a simulation; a decisive finding that needs the model is confirmed by one.
+"""
+
+from __future__ import annotations
+
+import os
+import time
+import warnings
+from collections.abc import Callable, Iterable
+from dataclasses import replace
+
+import numpy as np
+
+from jaxid.binding import bind, Binding
+from jaxid.conventions import runs, samples
+from jaxid.conventions.decide import judged
+from jaxid.conventions.finding import Checked, DataFinding
+from jaxid.conventions.mending import mended, Mending
+from jaxid.conventions.missing_force import ForceFit, measured
+from jaxid.conventions.samples import Shown
+from jaxid.errors import UsageError
+from jaxid.experiment import Dataset, DatasetError, DatasetWarning
+from jaxid.noise import noise_floor
+
+
+#: Evaluations of each of the two fits that confirm a finding, and the share of the gap that has to go.
+BUDGET, GONE = 400, 0.7
+#: Kinds that a model tells, and that its simulation has to confirm.
+BY_MODEL = ("sign", "zero", "scale", "swapped_channels", "row_shift", "clock")
+
+
+def run_check(
+    model: object, dataset: Dataset, without: Iterable[str] = (), as_recorded: bool = False, confirm: bool = True
+) -> Checked:
+    """See `jaxid.check`; `confirm`: by a simulation, as recorded and mended."""
+    began = time.perf_counter()
+    found, data, change = _by_itself(dataset, as_recorded)
+    notes: list[str] = []
+    name = ""
+    if dataset.experiments and _has_model(model, dataset):
+        binding, why = _bound(model, data, tuple(without))
+        name = binding.chain.mechanism.name if binding is not None else ""
+        notes += [why] if why else []
+        if binding is not None:
+            more, data = _by_model(binding, data, as_recorded, confirm)
+            found += more
+    return Checked(
+        dataset.name, dataset.sha256, tuple(found), data, name, _usable(found, dataset), tuple(notes),
+        time.perf_counter() - began,
+    )  # fmt: skip
+
+
+def check_folder(model: object, path: str | os.PathLike[str], without: Iterable[str] = (), as_recorded: bool = False) -> Checked:
+    """The check of a dataset's folder; one that is refused for what a finding says is a result, not an error.
+
+    Raises `DatasetError` for a folder with other faults.
+    """
+    from jaxid.dataset_io import load_dataset
+
+    try:
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore", DatasetWarning)
+            dataset = load_dataset(path)
+    except DatasetError as error:
+        found = runs.refused(error)
+        if not found:
+            raise
+        name = os.path.basename(os.path.abspath(path))
+        return Checked(name, "", tuple(found), None, usable=False)
+    return run_check(model, dataset, without, as_recorded)
+
+
+def _usable(found: list[DataFinding], dataset: Dataset) -> bool:
+    """Whether any run of the recording moves."""
+    return not any(f.kind == "does_not_move" and all(e.name in f.text for e in dataset.experiments[:4])
+                   and f.channel in [c.name for c in dataset.outputs] for f in found)  # fmt: skip
+
+
+def _has_model(model: object, dataset: Dataset) -> bool:
+    return model is not None or (dataset.model is not None and dataset.model.name is not None)
+
+
+def _by_itself(dataset: Dataset, as_recorded: bool) -> tuple[list[DataFinding], Dataset, Mending]:
+    """What needs no model; each is looked for in what those before it mend."""
+    found: list[DataFinding] = []
+    total = Mending()
+    data = dataset
+
+    def take(shown: Shown) -> None:
+        nonlocal data, total
+        applied = bool(shown.mending) and shown.finding.decisive and not as_recorded
+        found.append(replace(shown.finding, applied=applied))
+        if shown.mending:
+            data, total = mended(data, shown.mending), total.then(shown.mending)
+
+    for shown in runs.time_unit(data):
+        take(shown)
+    for channel in runs.outputs_first(data):
+        for look in LOOKS:
+            if (shown := look(data, channel)) is not None:
+                take(shown)
+    if data.experiments:
+        noise = noise_floor(data)
+        for look in RUN_LOOKS:
+            for shown in look(data, noise):
+                take(shown)
+    return found, (dataset if as_recorded else data), total
+
+
+def _filtered(dataset: Dataset, channel):
+    if not dataset.experiments:
+        return None
+    step = float(np.median([np.median(np.diff(e.t)) for e in dataset.experiments]))
+    return samples.filtered(dataset, channel, step)
+
+
+#: Every look at a channel, and at whole runs, in the order in which they are taken.
+LOOKS: tuple[Callable, ...] = (samples.wrapped, samples.glitch, samples.repeated_rows, samples.saturated, _filtered)
+RUN_LOOKS: tuple[Callable, ...] = (
+    runs.not_at_rest, runs.does_not_move, lambda data, noise: runs.constant_inputs(data),
+)  # fmt: skip
+
+
+def _bound(model: object, data: Dataset, without: tuple[str, ...]) -> tuple[Binding | None, str]:
+    try:
+        return bind(model, data, without=without), ""
+    except UsageError as error:
+        return None, f"the model was not asked: {error}"
+
+
+def _by_model(binding: Binding, data: Dataset, as_recorded: bool, confirm: bool) -> tuple[list[DataFinding], Dataset]:
+    """What the model tells, confirmed by a simulation, applied."""
+    motion = measured(binding)
+    if motion is None:
+        return [], data
+    shown = list(judged(binding, ForceFit(binding, motion), motion))
+    total = Mending()
+    for s in shown:
+        total = total.then(s.mending)
+    if total and confirm:
+        shown = _confirmed(binding, data, total, shown)
+    out, change = [], Mending()
+    for s in shown:
+        applied = bool(s.mending) and s.finding.decisive and not as_recorded
+        change = change.then(s.mending) if applied else change
+        out.append(replace(s.finding, applied=applied))
+    return out, mended(data, change)
+
+
+def _confirmed(binding: Binding, data: Dataset, total: Mending, shown: list[Shown]) -> list[Shown]:
+    """Gaps by simulation as recorded and mended; what does not hold there is a question."""
+    before, after = gap(binding, data), gap(binding, mended(data, total))
+    if before is None or after is None:
+        return shown
+    held = after <= GONE * before
+    out = []
+    for s in shown:
+        if not s.mending:
+            out.append(s)
+        elif held:
+            out.append(Shown(replace(s.finding, gap_before=before, gap_if_mended=after), s.mending))
+        else:
+            text = f"{s.finding.text} A simulation does not bear it out ({before:.3g} to {after:.3g} times the noise)."
+            finding = replace(s.finding, gap_before=before, gap_if_mended=after, decisive=False, text=text)
+            out.append(Shown(finding, Mending()))
+    return out
+
+
+def gap(binding: Binding, data: Dataset) -> float | None:
+    """What the model as it stands leaves of a dataset after a short fit, times the noise; None where nothing is simulated."""
+    from jaxid.estimation import default_residual
+    from jaxid.fitters import LevenbergMarquardt
+    from jaxid.fitting import fit_binding
+    from jaxid.residual import InverseDynamics
+
+    chain = binding.chain
+    try:
+        own = bind(chain, data)
+        residual = default_residual(own)
+        if isinstance(residual, InverseDynamics):
+            return None
+        found = fit_binding(own, LevenbergMarquardt(restarts=0), residual, "sum_of_squares", 0, BUDGET, None)
+    except (UsageError, ValueError):
+        return None
+    return float(np.sqrt(found.loss)) if np.isfinite(found.loss) and found.loss < 1e30 else None
+
+
+__all__ = ["Checked", "DataFinding", "run_check"]

@@ -1,0 +1,135 @@
+"""What mends a recording: the change of its samples, and the line of `dataset.toml` that says the same."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field, replace
+from typing import Any
+
+import numpy as np
+
+from jaxid.dataset_forms import signal
+from jaxid.dataset_schema import ChannelEntry
+from jaxid.experiment import Channel, Dataset, Experiment, Stated
+from jaxid.units import Conversion, conversion, UnitError
+
+
+@dataclass(frozen=True)
+class Mending:
+    """Forms by channel (`scale`, `offset`, `unwrap`, `shift` …, on SI values), channels that take each other's samples, and
+    whether a start at rest is no longer claimed."""
+
+    forms: dict[str, dict[str, Any]] = field(default_factory=dict)
+    exchanged: tuple[tuple[str, str], ...] = ()
+    moving: bool = False
+
+    def then(self, other: Mending) -> Mending:
+        """Both, one after the other; scales and offsets of a channel compose."""
+        forms = {name: dict(own) for name, own in self.forms.items()}
+        for name, more in other.forms.items():
+            own = forms.setdefault(name, {})
+            for key, value in more.items():
+                if key == "scale":
+                    own["scale"] = own.get("scale", 1.0) * value
+                    if "offset" in own:
+                        own["offset"] *= value
+                elif key in ("offset", "shift", "clock_ppm"):
+                    own[key] = own.get(key, 0) + value
+                else:
+                    own[key] = value
+        return Mending(forms, self.exchanged + other.exchanged, self.moving or other.moving)
+
+    def __bool__(self) -> bool:
+        return bool(self.forms or self.exchanged or self.moving)
+
+
+def mended(dataset: Dataset, mending: Mending) -> Dataset:
+    """The dataset with these changes made to every run."""
+    if not mending:
+        return dataset
+    return replace(dataset, experiments=tuple(_run(dataset, e, mending) for e in dataset.experiments))
+
+
+def _run(dataset: Dataset, e: Experiment, mending: Mending) -> Experiment:
+    past = None if e.past is None else _run(dataset, e.past, mending)
+    left = ~e.read
+    read: dict[str, tuple[np.ndarray, np.ndarray]] = {}
+    for k, c in enumerate(dataset.inputs):
+        read[c.name] = e.u[:, k], np.zeros(len(e), bool)
+    for k, c in enumerate(dataset.outputs):
+        read[c.name] = e.y[:, k], left[:, k]
+    read |= {name: (v, np.zeros(len(e), bool)) for name, v in e.auxiliary.items()}
+    for a, b in mending.exchanged:
+        read[a], read[b] = read[b], read[a]
+    known = np.ones(len(e), bool)
+    for channel in dataset.channels:
+        if channel.name not in mending.forms or channel.name not in read:
+            continue
+        entry = ChannelEntry(role=channel.role, unit=channel.unit, hold=channel.hold, **mending.forms[channel.name])  # pyright: ignore
+        values, out = read[channel.name]
+        found = signal(values, e.t, ~out, entry, Conversion(1.0, channel.unit))
+        read[channel.name] = found.values, found.left_out
+        known &= found.known
+    there = np.flatnonzero(known)
+    span = slice(int(there[0]), int(there[-1]) + 1)
+    take = lambda channels, k: [read[c.name][k][span] for c in channels]
+    stack = lambda parts, dtype: np.stack(parts, 1) if parts else np.zeros((span.stop - span.start, 0), dtype)
+    return replace(
+        e,
+        t=e.t[span],
+        u=stack(take(dataset.inputs, 0), float),
+        y=stack(take(dataset.outputs, 0), float),
+        left_out=stack(take(dataset.outputs, 1), bool),
+        auxiliary={name: read[name][0][span] for name in e.auxiliary},
+        scatter=None if e.scatter is None else e.scatter[span],
+        at_rest=e.at_rest and not mending.moving,
+        past=past,
+    )
+
+
+def lines(dataset: Dataset, channel: str, forms: Mapping[str, Any]) -> str:
+    """What to write for a channel in `dataset.toml`, in its stated unit and with what stands there already."""
+    found = next(c for c in dataset.channels if c.name == channel)
+    s = found.stated or Stated(found.unit)
+    out = []
+    unit = _unit(found, s, forms["scale"]) if "scale" in forms and "offset" not in forms else ""
+    if unit:
+        out.append(f'unit = "{unit}"')
+    elif "scale" in forms:
+        out.append(f"scale = {_short(forms['scale'] * s.scale)}")
+    offset = forms.get("scale", 1.0) * s.offset + forms.get("offset", 0.0) / s.factor
+    if not unit and abs(offset - s.offset) > 1e-9 * max(1.0, abs(s.offset)):
+        out.append(f"offset = {_short(offset)}")
+    for key, value in forms.items():
+        if key == "unwrap":
+            turn = found.unit == "rad" and abs(value - 2 * np.pi) < 1e-6
+            out.append("unwrap = true" if turn else f"unwrap = {_short(value / s.factor / abs(s.scale))}")
+        elif key == "shift":
+            out.append(f"shift = {s.shift + value}")
+        elif key == "clock_ppm":
+            out.append(f"clock_ppm = {s.clock_ppm + value:.4g}")
+        elif key not in ("scale", "offset"):
+            out.append(f"{key} = {str(value).lower() if isinstance(value, bool) else value}")
+    return "\n".join(out)
+
+
+def _unit(channel: Channel, s: Stated, factor: float) -> str:
+    """The unit that the values are in if they are to be multiplied by `factor`, where it has a name."""
+    for name in ("deg", "rad", "rev", "mrad", "mm", "m", "mA", "A", "mV", "V", "mN m", "N m", "mN", "N"):
+        try:
+            other = conversion(name, channel.unit)
+        except UnitError:
+            continue
+        if other.si == channel.unit and abs(other.factor / (s.factor * factor) - 1) < 1e-6:
+            return name
+    return ""
+
+
+def _short(value: float) -> str:
+    return f"{value:.6g}" if value != int(value) or abs(value) > 1e9 else str(int(value))
+
+
+def exchange_lines(dataset: Dataset, a: str, b: str) -> str:
+    """The `column` lines that make two channels take each other's samples."""
+    column = {c.name: (c.stated.column if c.stated and c.stated.column else c.name) for c in dataset.channels}
+    return f'column = "{column[b]}"  # of {a}\ncolumn = "{column[a]}"  # of {b}'

@@ -1,0 +1,332 @@
+"""The force that a model lacks along a measured motion, under any reading of the channels: fast, without a simulation.
+
+The measured joints are filtered without phase and differentiated, the inputs pass the same filter, and the model's numbers are
+fitted to what is missing, drive(u) - (M qdd + bias + friction), beside laws of the joint's own motion that a model may lack (an
+offset, a spring, friction that brakes). A reading changes the channels (negated, offset, scaled, exchanged, late); the program is
+the same for all of them.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from jaxid.binding import Binding
+from jaxid.chain import Command
+from jaxid.layout import Layout
+from jaxid.precision import float64
+from jaxid.samples import columns, content_cutoff
+from jaxid.signals import differentiate, filter_ends, zero_phase
+from jaxid.traced import key_of, Traced
+
+
+#: Samples at which the force is looked at, and the longest part of a run that is filtered for them.
+ROWS, LONGEST = 1200, 200_000
+#: Share of the usual speed below which a joint counts as standing still: its friction may take any value.
+STILL = 0.08
+BLOCKS, EDGE = 10, 4
+LAWS = 5  # of each joint: offset, spring, viscous, dry, quadratic
+
+
+@dataclass(frozen=True)
+class Source:
+    """The inputs of a run, filtered: `t [time]`, `u [time nu]`, and the times [rows] at which the motion is looked at."""
+
+    t: np.ndarray
+    u: np.ndarray
+    at: np.ndarray
+
+
+@dataclass(frozen=True)
+class Motion:
+    """Samples of all runs that are looked at: [rows n], SI. `since [rows]` is the time since the run began, `weight [rows nq]` 0
+    where a joint stands still, `held [rows]` marks what is kept for judging. Input j is the sources' columns times
+    `mix [nu nu]`, taken `rows [nu]` later, and the later the longer the run by `drift [nu]` s/s."""
+
+    q: np.ndarray
+    qd: np.ndarray
+    qdd: np.ndarray
+    since: np.ndarray
+    weight: np.ndarray
+    held: np.ndarray
+    block: np.ndarray
+    step: float
+    sources: tuple[Source, ...]
+    mix: np.ndarray
+    rows: np.ndarray
+    drift: np.ndarray
+
+    @cached_property
+    def u(self) -> np.ndarray:
+        """Inputs at the samples, [rows nu]."""
+        out = np.zeros((len(self.q), len(self.mix)))
+        first = 0
+        for s in self.sources:
+            part = slice(first, first := first + len(s.at))
+            for j in range(len(self.mix)):
+                at = s.at + self.rows[j] * self.step + self.drift[j] * (s.at - s.t[0])
+                for i in np.flatnonzero(self.mix[:, j]):
+                    out[part, j] += self.mix[i, j] * np.interp(at, s.t, s.u[:, i])
+        return out
+
+
+def measured(binding: Binding) -> Motion | None:
+    """The motion of the runs to fit and to choose by; None where the model's joints are not all measured or hidden states move
+    beside them."""
+    chain = binding.chain
+    if not binding.motions or chain.mechanism.hidden_states:
+        return None
+    runs = [e for e in binding.dataset.experiments if e.split != "report"]
+    share = max(1, ROWS // max(1, len(runs)))
+    parts = [p for k, e in enumerate(runs) if (p := _part(binding, e, share, k)) is not None]
+    if not parts:
+        return None
+    join = lambda name: np.concatenate([getattr(p, name) for p in parts])
+    qd, held = join("qd"), join("held")
+    weight = 1.0 * (np.abs(qd) > STILL * np.percentile(np.abs(qd), 95, axis=0))
+    if held.all() or not weight[held].any():
+        held = np.zeros(len(held), bool)
+    step = float(np.median([p.step for p in parts]))
+    sources = tuple(s for p in parts for s in p.sources)
+    return replace(
+        parts[0], q=join("q"), qd=qd, qdd=join("qdd"), since=join("since"), weight=weight, held=held, block=join("block"),
+        step=step, sources=sources,
+    )  # fmt: skip
+
+
+def _part(binding: Binding, e: Any, count: int, number: int) -> Motion | None:
+    chain = binding.chain
+    iu, iy = columns(binding.dataset, chain)
+    part = slice(0, LONGEST)
+    t, y = e.t[part], e.motion()[part]
+    if len(t) < 60:
+        return None
+    joints = [iy[k] for k in chain.joint_outputs]
+    sigma = e.noise_rms(binding.sigma, iy)
+    cutoff = max(content_cutoff(t, y[:, i], sigma[k]) for i, k in zip(joints, chain.joint_outputs, strict=True))
+    q, qd, qdd, _ = differentiate(t, y[:, joints], cutoff)
+    nu = len(iu)
+    u = e.u[part][:, iu] if nu else np.zeros((len(t), 0))
+    linear = np.array([binding.dataset.inputs[i].hold == "linear" for i in iu], bool)
+    # An input that is held from its sample on acts, as a mean over both sides of a sample, half a row later.
+    acting = np.where(linear, u, (u + np.concatenate([u[:1], u[:-1]])) / 2) if nu else u
+    smooth = zero_phase(t, acting, cutoff) if nu else u
+    ends = filter_ends(t, cutoff) + EDGE
+    if len(t) - 2 * ends < 30:
+        return None
+    at = np.arange(ends, len(t) - ends, max(1, (len(t) - 2 * ends) // count))[:count]
+    count = len(at)
+    return Motion(
+        q[at], qd[at], qdd[at], t[at] - t[0], np.ones((count, chain.nq)), np.full(count, e.split != "fit"),
+        number * BLOCKS + np.arange(count) * BLOCKS // count, float(np.median(np.diff(t))), (Source(t, smooth, t[at]),),
+        np.eye(nu), np.zeros(nu), np.zeros(nu),
+    )  # fmt: skip
+
+
+def force(chain: Any, q: Any, qd: Any, qdd: Any, u: Any) -> Any:
+    """Missing torque and drive torque [nq] of one sample."""
+    still = chain.start(q, jnp.zeros_like(q), u).z
+    command = Command(jnp.zeros(()), jnp.full((), 1e-3), u, u, lambda d: u)
+    missing, _ = chain.inverse(command, still, q, qd, qdd)
+    return missing
+
+
+_PROGRAMS: dict[Any, Traced] = {}
+
+
+def _program(layout: Layout) -> Traced:
+    """`force` at all samples [sets rows nq] by sets of all numbers of a layout: one program for all chains of its structure."""
+    structure = jax.tree.structure(layout.chain)
+    if structure not in _PROGRAMS:
+        key = key_of(force, layout.model(np.zeros(len(layout))), layout.names)
+
+        def run(theta, q, qd, qdd, u):
+            chain = layout.model(theta)
+            return jax.vmap(lambda *s: force(chain, *s))(q, qd, qdd, u)
+
+        _PROGRAMS[structure] = Traced(jax.vmap(run, (0, None, None, None, None)), key)
+    return _PROGRAMS[structure]
+
+
+@dataclass(frozen=True)
+class Fitted:
+    """Numbers fitted under one reading: what is left of the drive (rms, share) on fitted and on held-out samples, and the
+    residual [rows nq] with its slopes by all numbers [rows nq numbers]."""
+
+    x: np.ndarray
+    left: float
+    held: float
+    residual: np.ndarray
+    slopes: np.ndarray
+
+    @property
+    def worst(self) -> float:
+        return max(self.left, self.held)
+
+
+class ForceFit:
+    """Fits of a bound model to the missing force under readings of a motion."""
+
+    def __init__(self, binding: Binding, motion: Motion):
+        self.binding, self.motion = binding, motion
+        self.program = _program(binding.layout)
+        self.free = [i for i in binding.free if np.isfinite(binding.theta[i])]
+        self.nq = binding.chain.nq
+        self.driven = motion.u.shape[1] > 0 and bool(np.any(motion.u))
+        if not self.driven and self.free:  # without a drive nothing says how large the inertia is: one number is held
+            self.free = self.free[1:]
+
+    def missing(self, theta: np.ndarray, m: Motion) -> np.ndarray:
+        """Missing force [rows nq] at these numbers."""
+        return self.all_missing(theta[None], m)[0]
+
+    def all_missing(self, thetas: np.ndarray, m: Motion) -> np.ndarray:
+        """Missing force [sets rows nq] at sets of numbers."""
+        count = len(m.q)
+        pad = lambda a: np.concatenate([a, np.repeat(a[-1:], ROWS - count, 0)]) if count < ROWS else a
+        with float64():
+            found = self.program(thetas, *(pad(a) for a in (m.q, m.qd, m.qdd, m.u)))
+        return np.nan_to_num(np.asarray(found)[:, :count], nan=1e12, posinf=1e12, neginf=-1e12)
+
+    def norm(self, m: Motion) -> np.ndarray:
+        """What the force is measured by, [nq]: the drive where it is measured, else what the motion takes at start values."""
+        if self.binding.chain.direct and self.driven:
+            size = np.sqrt(np.mean((m.u - (m.u.mean(0) if len(m.u) else 0)) ** 2, axis=0))
+        else:
+            still = replace(m, mix=0 * m.mix)
+            size = np.sqrt(np.mean(self.missing(self.binding.theta, still) ** 2, axis=0))
+        return np.maximum(size, 1e-3 * np.max(size) + 1e-300)
+
+    def laws(self, m: Motion) -> np.ndarray:
+        """Forces [rows nq LAWS] that a model may lack at each joint, of unit size; those that brake or hold come negative."""
+        sizes = [np.ones_like(m.q), -m.q, -m.qd, -np.sign(m.qd), -m.qd * np.abs(m.qd)]
+        scaled = [a / max(1e-300, float(np.sqrt(np.mean(a**2)))) for a in sizes]
+        return np.stack(scaled, -1)
+
+    def fit(
+        self,
+        m: Motion,
+        laws: bool = True,
+        more: Callable[[np.ndarray], Motion] | None = None,
+        size: int = 0,
+        hopeless: float = np.inf,
+    ) -> Fitted:
+        """Gauss-Newton between the bounds of all numbers. `more` gives the motion by `size` further numbers of the reading; what
+        after three steps still leaves more than `hopeless` of the drive is given up."""
+        from scipy.optimize import lsq_linear
+
+        b, free = self.binding, self.free
+        norm = self.norm(m)
+        train = ~m.held
+        weight = m.weight / norm
+        law = self.laws(m) * weight[..., None] * norm[None, :, None] if laws else np.zeros((*m.q.shape, 0))
+        blocks = np.zeros((*m.q.shape, self.nq * law.shape[2]))
+        for j in range(self.nq):
+            blocks[:, j, j * law.shape[2] : (j + 1) * law.shape[2]] = law[:, j]
+        p, k = len(free), size
+        lower = np.concatenate([b.lower[free], np.full(k, -np.inf), np.tile([-np.inf, 0, 0, 0, 0], self.nq) if laws else []])
+        upper = np.concatenate([b.upper[free], np.full(lower.size - p, np.inf)])
+        x = np.concatenate([b.theta[free], np.zeros(lower.size - p)])
+        scale = np.concatenate([np.maximum(np.abs(b.theta[free]), b.scale[free]), np.ones(lower.size - p)])
+
+        def residual(x: np.ndarray) -> np.ndarray:
+            theta = b.theta.copy()
+            theta[free] = x[:p]
+            moved = m if more is None else more(x[p : p + k])
+            return self.missing(theta, moved) * weight + blocks @ x[p + k :]
+
+        r = residual(x)
+        cost = float(np.sum(r[train] ** 2))
+        J = np.concatenate([np.zeros((*r.shape, p + k)), blocks], -1)
+        weighed = max(1, np.count_nonzero(m.weight[train]))
+        for round_ in range(10):
+            h = 1e-6 * scale * np.where(x + 1e-6 * scale <= upper, 1, -1)
+            theta = b.theta.copy()
+            theta[free] = x[:p]
+            moved = m if more is None else more(x[p : p + k])
+            here = self.missing(theta, moved)
+            if p:
+                thetas = np.repeat(theta[None], p, 0)
+                thetas[np.arange(p), free] += h[:p]
+                slopes = (self.all_missing(thetas, moved) - here) / h[:p, None, None]
+                J[..., :p] = np.moveaxis(slopes * weight, 0, -1)
+            for i in range(p, p + k):
+                J[..., i] = (residual(x + h[i] * (np.arange(x.size) == i)) - r) / h[i]
+            A = (J[train] * scale).reshape(-1, x.size)
+            ridge = 1e-7 * np.sqrt(np.mean(A**2) * len(A)) * np.eye(x.size)
+            Q, R = np.linalg.qr(np.concatenate([A, ridge]))
+            low, high = (lower - x) / scale, (upper - x) / scale
+            right = -Q[: len(A)].T @ r[train].ravel()
+            found = lsq_linear(R, right, (np.minimum(low, -1e-12), np.maximum(high, 1e-12)), method="bvls", max_iter=60)
+            step, ahead = found.x * scale, 1.0
+            for _ in range(6):
+                trial = np.clip(x + ahead * step, lower, upper)
+                tried = residual(trial)
+                if (new := float(np.sum(tried[train] ** 2))) < cost:
+                    break
+                ahead /= 4
+            else:
+                break
+            done = new > cost * (1 - 1e-3) or new < 1e-14
+            x, r, cost = trial, tried, new
+            done |= round_ >= 2 and cost > hopeless**2 * weighed
+            if done:
+                break
+        rms = lambda keep: float(np.sqrt(np.sum(r[keep] ** 2) / max(1, np.count_nonzero(m.weight[keep]))))
+        return Fitted(x, rms(train), rms(m.held) if m.held.any() else rms(train), r, J)
+
+    def noise(self, fitted: Fitted, binding: Binding) -> float:
+        """What the sensors' noise alone leaves of a fit, as a share of the drive."""
+        rng = np.random.default_rng(0)
+        m = self.motion
+        norm = self.norm(m)
+        runs = [e for e in binding.dataset.experiments if e.split != "report"]
+        noisy = _noise_motion(binding, runs, rng, len(m.q))
+        theta = binding.theta.copy()
+        theta[self.free] = fitted.x[: len(self.free)]
+        moved = replace(m, q=m.q + noisy[0], qd=m.qd + noisy[1], qdd=m.qdd + noisy[2])
+        # Signs of slow velocities flip: no more than any reading would show, so only smooth parts are compared.
+        change = (self.missing(theta, moved) - self.missing(theta, m)) * m.weight / norm
+        return float(np.sqrt(np.mean(change**2)))
+
+    def spread(self, fitted: Fitted, m: Motion, at: int) -> tuple[float, float]:
+        """A number's change from the fit, and its standard deviation: by leaving parts of the recording out, since what a model
+        lacks is no noise."""
+        J = fitted.slopes.reshape(-1, fitted.slopes.shape[-1])
+        r = fitted.residual.ravel()
+        block = np.repeat(m.block, self.nq)
+        size = np.sqrt(np.mean(J**2, axis=0)) + 1e-300
+        others = [i for i in range(J.shape[1]) if i != at]
+        U, s, _ = np.linalg.svd(J[:, others] / size[others], full_matrices=False)
+        U = U[:, s > 1e-6 * s[0]]
+        c = J[:, at] - U @ (U.T @ J[:, at])
+        total = float(c @ c)
+        if total < 1e-8 * float(J[:, at] @ J[:, at]) or total == 0:
+            return 0.0, np.inf
+        names = np.unique(block)
+        parts = np.array([(c[block == n] @ r[block == n], c[block == n] @ c[block == n]) for n in names])
+        whole = -parts[:, 0].sum() / total
+        rest = [-(parts[:, 0].sum() - a) / (total - d) for a, d in parts if total - d > 1e-3 * total]
+        n = len(rest)
+        return whole, float(np.sqrt((n - 1) / n * np.sum((np.array(rest) - np.mean(rest)) ** 2))) if n > 2 else np.inf
+
+
+def _noise_motion(binding: Binding, runs: Sequence[Any], rng: Any, count: int) -> list[np.ndarray]:
+    """Position, velocity and acceleration [rows nq] of white noise as the sensors', through the filters of the motion."""
+    chain = binding.chain
+    _, iy = columns(binding.dataset, chain)
+    e = max(runs, key=len)
+    t = e.t[: max(200, min(len(e), 4 * count))]
+    joints = [iy[k] for k in chain.joint_outputs]
+    sigma = np.array([binding.sigma[k] for k in chain.joint_outputs])
+    y = e.motion()[: len(t)]
+    cutoff = max(content_cutoff(t, y[:, i], s) for i, s in zip(joints, sigma, strict=True))
+    white = differentiate(t, sigma * rng.standard_normal((len(t), len(joints))), cutoff)[:3]
+    pick = np.linspace(0, len(t) - 1, count).astype(int)
+    return [a[pick] for a in white]

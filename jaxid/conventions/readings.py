@@ -1,0 +1,175 @@
+"""Readings of a recording that need a model to be told apart: signs, zeros, scales, exchanged channels. Each changes a motion and
+is undone by a mending; rows and clocks are in `timing`."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass, replace
+from itertools import combinations
+from math import pi
+
+import numpy as np
+
+from jaxid.binding import Binding
+from jaxid.conventions.mending import Mending
+from jaxid.conventions.missing_force import Motion
+from jaxid.samples import columns
+
+
+Change = Callable[[Motion], Motion]
+
+#: Factors by which a channel is off where its unit, or a constant, was forgotten.
+FACTORS = {
+    "degrees read as radians": 180 / pi, "radians read as degrees": pi / 180, "turns read as radians": 1 / (2 * pi),
+    "radians read as turns": 2 * pi, "rad/s read as rpm": pi / 30, "rpm read as rad/s": 30 / pi,
+    "thousandths read as the unit": 1000.0, "the unit read as thousandths": 1e-3, "gram-force metres per N m": 1 / 9.80665,
+    "kilogram-force read as newtons": 1 / 9.80665, "newtons read as kilogram-force": 9.80665,
+    **{f"counts of {n} per turn read as radians": n / (2 * pi) for n in (1000, 1024, 2000, 2048, 4000, 4096, 8192, 16384, 65536)},
+}  # fmt: skip
+#: Where a channel's factor is looked for; which one it is, is found from there.
+TURNS = 180 / pi, pi / 180, 2 * pi, 1 / (2 * pi), 4096 / (2 * pi), 0.03, 15.0, 30.0, 100.0, 200.0
+SIZES = 1000.0, 1e-3, 9.80665, 1 / 9.80665, 50.0, 0.02
+#: What sensor_scale and torque_scale may be: a factor in it stays theirs.
+EFFECT_RANGE = 0.1, 3.0
+#: Up to so many inputs or outputs, all their signs are tried together.
+TOGETHER = 3
+
+
+@dataclass(frozen=True)
+class Reading:
+    """One way in which channels may have been recorded: `change` gives the motion as it would then be."""
+
+    kind: str
+    channels: tuple[str, ...]
+    value: float
+    change: Change
+    what: str = ""
+
+
+def scaled_input(m: Motion, j: int, factor: float) -> Motion:
+    """The motion with input j times a factor."""
+    by = np.ones(len(m.mix))
+    by[j] = factor
+    return replace(m, mix=m.mix * by)
+
+
+def scaled_joint(m: Motion, j: int, factor: float) -> Motion:
+    """The motion with joint j times a factor."""
+    by = np.ones(m.q.shape[1])
+    by[j] = factor
+    return replace(m, q=m.q * by, qd=m.qd * by, qdd=m.qdd * by)
+
+
+def offset_joint(m: Motion, j: int, offset: float) -> Motion:
+    """The motion with an offset added to joint j."""
+    return replace(m, q=m.q + offset * (np.arange(m.q.shape[1]) == j))
+
+
+def _exchanged(m: Motion, a: int, b: int, inputs: bool) -> Motion:
+    order = np.arange(m.u.shape[1] if inputs else m.q.shape[1])
+    order[[a, b]] = b, a
+    if inputs:
+        return replace(m, mix=m.mix[:, order], rows=m.rows[order], drift=m.drift[order])
+    return replace(m, q=m.q[:, order], qd=m.qd[:, order], qdd=m.qdd[:, order], weight=m.weight[:, order])
+
+
+def _each(changes: list[Change]) -> Change:
+    def change(m: Motion) -> Motion:
+        for c in changes:
+            m = c(m)
+        return m
+
+    return change
+
+
+class Names:
+    """Names and units of the inputs and joints of a motion, in its order."""
+
+    def __init__(self, binding: Binding):
+        iu, _ = columns(binding.dataset, binding.chain)
+        inputs = [binding.dataset.inputs[i] for i in iu]
+        self.inputs = [c.name for c in inputs]
+        self.input_units = [c.unit for c in inputs]
+        outputs = dict(binding.chain.signature.outputs)
+        self.joints = list(binding.chain.signature.joints)
+        self.joint_units = [outputs[j] for j in self.joints]
+
+
+def signs(names: Names) -> Iterator[Reading]:
+    """Inputs or outputs negated, one by one and together."""
+    for group, units, scale in ((names.inputs, names.input_units, scaled_input), (names.joints, names.joint_units, scaled_joint)):
+        own = [k for k, unit in enumerate(units) if unit != "1"]
+        sizes = range(1, len(own) + 1) if len(own) <= TOGETHER else (1, len(own))
+        for size in sizes:
+            for chosen in combinations(own, size):
+                change = _each([lambda m, j=j, s=scale: s(m, j, -1.0) for j in chosen])
+                yield Reading("sign", tuple(group[j] for j in chosen), -1.0, change)
+
+
+def exchanges(names: Names) -> Iterator[Reading]:
+    """Two inputs or two outputs of one unit exchanged."""
+    for group, units, inputs in ((names.inputs, names.input_units, True), (names.joints, names.joint_units, False)):
+        for a, b in combinations(range(len(group)), 2):
+            if units[a] == units[b] and units[a] != "1":
+                yield Reading("swapped_channels", (group[a], group[b]), 1.0, lambda m, a=a, b=b, i=inputs: _exchanged(m, a, b, i))
+
+
+def zeros(names: Names) -> Iterator[Reading]:
+    """A joint's angle off by quarter turns."""
+    for j, unit in enumerate(names.joint_units):
+        if unit == "rad":
+            for offset in (pi / 2, -pi / 2, pi):
+                yield Reading("zero", (names.joints[j],), offset, lambda m, j=j, c=offset: offset_joint(m, j, -c))
+
+
+def scales(names: Names) -> Iterator[Reading]:
+    """A channel off by a known factor."""
+    for group, units, scale in ((names.joints, names.joint_units, scaled_joint), (names.inputs, names.input_units, scaled_input)):
+        for j, unit in enumerate(units):
+            if unit == "1":
+                continue
+            for factor in TURNS if unit in ("rad", "rad/s") else SIZES:
+                yield Reading("scale", (group[j],), factor, lambda m, j=j, f=factor, s=scale: s(m, j, 1 / f))
+
+
+def mending_of(reading: Reading, value: float, dataset_units: dict[str, str]) -> Mending:
+    """What undoes a reading with this fault."""
+    if reading.kind == "sign":
+        return Mending({c: {"scale": -1.0} for c in reading.channels})
+    if reading.kind == "swapped_channels":
+        a, b = reading.channels
+        return Mending(exchanged=((a, b),))
+    if reading.kind == "zero":
+        return Mending({reading.channels[0]: {"offset": -value}})
+    return Mending({reading.channels[0]: {"scale": 1 / value}})
+
+
+def refinement(reading: Reading, names: Names) -> tuple[Callable[[Motion, np.ndarray], Motion], Callable[[float], float]] | None:
+    """For a reading with a size: the motion by one number beside its own value, and the size by that number."""
+    if reading.kind == "zero":
+        j = names.joints.index(reading.channels[0])
+        return (lambda m, x: offset_joint(m, j, -reading.value - float(x[0]))), (lambda x: reading.value + x)
+    if reading.kind == "scale":
+        name = reading.channels[0]
+        joint = name in names.joints
+        j = (names.joints if joint else names.inputs).index(name)
+        scale = scaled_joint if joint else scaled_input
+        factor = lambda x: reading.value * float(np.exp(np.clip(x, -2.0, 2.0)))
+        return (lambda m, x: scale(m, j, 1 / factor(x[0]))), factor
+    return None
+
+
+def nearest_convention(kind: str, value: float, std: float, travel: float) -> tuple[float, str] | None:
+    """The convention's own value that a fitted size stands for, and its name; None where it stays an effect."""
+    if kind == "zero":
+        wound = (value + pi) % (2 * pi) - pi
+        quarter = round(wound / (pi / 2)) * (pi / 2)
+        if quarter and abs(wound - quarter) <= max(0.1, 3 * std) and std < 0.1:
+            return (pi if abs(quarter) == pi else quarter), f"{abs(quarter) / (pi / 2):.0f} quarter turn"
+        beyond = max(0.5, 0.5 * travel)  # what a tilted base and a sensor's bias may be
+        return (wound, "an offset") if abs(wound) > beyond and std < 0.1 else None
+    name, factor = min(FACTORS.items(), key=lambda item: abs(np.log(value / item[1])))
+    if abs(np.log(value / factor)) <= max(0.03, 3 * std) and std < 0.2:
+        return factor, name
+    low, high = EFFECT_RANGE
+    return (value, "a factor, as of a gear") if not low < value < high and std < 0.05 else None

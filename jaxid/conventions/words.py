@@ -1,0 +1,51 @@
+"""Findings about a recording in words, for the terminal and the report."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+from jaxid import text
+from jaxid.terminal import one_line
+
+
+if TYPE_CHECKING:
+    from jaxid.conventions.finding import Checked, DataFinding
+
+
+def finding_text(f: DataFinding) -> str:
+    """A finding with what it does to the gap and the line that mends it."""
+    parts = [f"{f.kind}: {one_line(f.text)}"]
+    if f.gap_before is not None and f.gap_if_mended is not None:
+        parts.append(f"The gap goes from {text.times(f.gap_before)} to {text.times(f.gap_if_mended)} times the noise.")
+    if f.same_as:
+        same = text.listed(f"{kind} of {channel}" for kind, channel in f.same_as[:6])
+        parts.append(f"These data cannot tell it from {one_line(same)}.")
+    if f.line:
+        place = "under [[experiments]]" if f.kind in ("not_at_rest", "does_not_move") else f"under [channels.{f.channel}]"
+        place = "at the top" if f.kind == "time_unit" else place
+        said = "; ".join(one_line(line) for line in f.line.split("\n"))
+        parts.append(f"In dataset.toml, {one_line(place)}: {said}")
+    return " ".join(parts)
+
+
+def headline(checked: Checked) -> str:
+    """The answer in one sentence."""
+    applied = [f for f in checked.findings if f.decisive]
+    if not checked.findings:
+        return "Nothing found: the recording contradicts neither itself nor the model."
+    if not checked.usable:
+        return "The recording cannot be used as it is."
+    if not applied:
+        count = len(checked.findings)
+        return f"Nothing is decisive; {count} question{'s' * (count > 1)}."
+    return " ".join(f"{f.headline.split(';')[0]}." for f in applied)
+
+
+def checked_text(checked: Checked) -> str:
+    """About ten lines for the terminal."""
+    of = f", model {one_line(checked.model)}" if checked.model else ""
+    parts = [text.wrapped(f"{one_line(checked.dataset)}{of}: {headline(checked)}")]
+    for f in checked.findings:
+        label = "FOUND" if f.decisive or f.kind in ("time_unit",) else "ASKED"
+        parts.append(text.paragraph(label, [finding_text(f)]))
+    return "\n".join([*parts, *(text.paragraph("note", [n]) for n in checked.notes)])

@@ -1,0 +1,55 @@
+"""What a recording says about itself: the page of `jaxid check`, and the first lines of every other page."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import TYPE_CHECKING
+
+from jaxid import text
+from jaxid.conventions import words
+from jaxid.conventions.finding import data_lines
+from jaxid.report.page import Section
+
+
+if TYPE_CHECKING:
+    from jaxid.conventions.finding import Checked, DataFinding
+
+
+def section(checked: Checked) -> Section:
+    """All findings, and that there are none."""
+    return _section(checked.findings, words.headline(checked), checked.dataset, checked.model, checked.notes)
+
+
+def before(findings: Sequence[DataFinding]) -> Section | None:
+    """Findings before an answer; None where there are none."""
+    if not findings:
+        return None
+    applied = data_lines(findings)
+    return _section(findings, " ".join(applied) or "Questions about the recording", "", "", ())
+
+
+def _section(findings, headline: str, dataset: str, model: str, notes) -> Section:
+    return Section(
+        "checked.html",
+        {
+            "headline": headline,
+            "dataset": dataset,
+            "model": model,
+            "rows": [(f, _state(f), _gap(f), f.line.split("\n") if f.line else [], _same(f)) for f in findings],
+            "notes": notes,
+        },
+    )
+
+
+def _state(f: DataFinding) -> str:
+    return "applied" if f.applied else "found, not applied" if f.decisive else "question"
+
+
+def _gap(f: DataFinding) -> str:
+    if f.gap_before is None or f.gap_if_mended is None:
+        return ""
+    return f"{text.times(f.gap_before)} to {text.times(f.gap_if_mended)}"
+
+
+def _same(f: DataFinding) -> str:
+    return text.listed(f"{kind} of {channel}" for kind, channel in f.same_as[:6])

@@ -1,0 +1,176 @@
+"""What a recording says about itself: each kind of finding, its size, the line that mends it, and silence where all is well."""
+
+import json
+import os
+from dataclasses import replace
+from math import pi
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import jaxid
+from benchmarks.conventions import broken, found, KINDS, recording
+from jaxid.cli import main
+from jaxid.conventions import checking
+from jaxid.conventions.mending import mended, Mending
+
+
+CASES = Path(os.environ.get("JAXID_DATA", Path(__file__).parents[2] / "shared" / "data")).parent / "cases"
+LINES = {
+    "sign": "scale = -1",
+    "zero": "offset = -1.5708", "scale": 'unit = "deg"', "row_shift": "shift = 1", "wrapped": "unwrap = true",
+    "glitch": "drop_glitches = true", "repeated_rows": "sampled_every = 4", "time_unit": 'time_unit = "ms"',
+    "not_at_rest": "at_rest = false",
+}  # fmt: skip
+#: What no line mends, or what is one of several explanations.
+QUESTIONS = ("time_unit", "does_not_move", "unsigned", "filtered", "saturated")
+
+
+def case(name: str) -> Path:
+    if not (CASES / name).is_dir():
+        pytest.skip(f"{name} is not in {CASES}: set JAXID_DATA to the folder of recordings beside them")
+    return CASES / name
+
+
+def checked(dataset: jaxid.Dataset):
+    """Without the simulation that confirms."""
+    return checking.run_check(None, dataset, confirm=False)
+
+
+@pytest.mark.parametrize("kind", KINDS)
+@pytest.mark.parametrize(("model", "effect"), [("pendulum", ""), ("pendulum", "drag"), ("planar_arm", "")])
+def test_each_kind_is_found_with_its_size_and_its_line(model, effect, kind):
+    if kind == "swapped_channels" and model == "pendulum":
+        pytest.skip("a pendulum has one input and one output")
+    r, channel, value = broken(kind, recording(model, 5, effect), np.random.default_rng(KINDS.index(kind)))
+    findings = found(r)
+    anywhere = kind in ("not_at_rest", "row_shift", "clock")  # all inputs, or any output
+    own = [f for f in findings if f.kind == kind and (anywhere or f.channel == channel)]
+    assert own, [str(f.kind) for f in findings]
+    assert not [f for f in findings if f not in own and f.decisive]
+    assert own[0].decisive == (kind not in QUESTIONS)
+    assert own[0].line.split("  #")[0] == LINES.get(kind, own[0].line.split("  #")[0])
+    if value is not None and own[0].interval_95 is not None:
+        low, high = own[0].interval_95
+        assert low - 0.05 * abs(value) <= value <= high + 0.05 * abs(value)
+    elif value is not None:
+        assert own[0].value == pytest.approx(value, rel=0.15, abs=1e-6)
+
+
+@pytest.mark.parametrize("effect", ["", "drag", "spring"])
+@pytest.mark.parametrize("model", ["joint", "pendulum", "planar_arm"])
+def test_nothing_is_claimed_of_a_sound_recording(model, effect):
+    assert not [f for f in found(recording(model, 11, effect)) if f.decisive]
+
+
+def test_small_faults_stay_the_effects_that_they_are():
+    r = recording("pendulum", 3)
+    for u, y in ((r.u, r.y + 0.03), (r.u, 1.07 * r.y), (1.07 * r.u, r.y), (r.u[:, :-3], r.y[:, 3:] + 0.0)):
+        late = replace(r, t=r.t[: u.shape[1]], u=u, y=y)
+        claimed = [f for f in found(late) if f.decisive and f.kind != "row_shift"]
+        assert not claimed
+
+
+def test_a_causal_delay_of_whole_rows_is_a_question_beside_input_delay():
+    r = recording("pendulum", 3)
+    late = replace(r, t=r.t[:-2], u=r.u[:, 2:], y=r.y[:, :-2])
+    (finding,) = [f for f in found(late) if f.kind == "row_shift"]
+    assert (finding.value, finding.decisive, finding.line) == (-2.0, False, "shift = -2")
+    assert ("input_delay", "tau") in finding.same_as
+
+
+def test_a_lone_joint_cannot_tell_the_sign_of_torque_and_angle_apart():
+    r, _, _ = broken("sign", recording("joint", 4), np.random.default_rng(0))
+    result = checked(r.dataset())
+    (finding,) = result.findings
+    assert (finding.kind, finding.channel, finding.same_as) == ("sign", "tau", (("sign", "q"),))
+    assert finding.applied and result.mended is not None
+    assert np.array_equal(result.mended.experiments[0].u, -r.u[0])
+
+
+def test_lines_compose_with_what_the_file_says():
+    r = recording("pendulum", 5)
+    y = np.degrees(r.y + pi / 2)
+    raw = (y - 20.0) / 0.5
+    data = replace(r, y=raw).dataset(scale={"q": 0.5}, offset={"q": 20.0}).channels
+    plain = replace(r, y=r.y).dataset()
+    degrees = jaxid.Dataset.from_arrays(
+        [r.t] * 3, {"tau": list(r.u[:, :, 0])}, {"q": list(raw[:, :, 0])}, units={"q": "deg"}, scale={"q": 0.5},
+        offset={"q": 20.0}, split=["fit", "fit", "validation"], model="pendulum",
+    )  # fmt: skip
+    assert len(data) == len(plain.channels)
+    (finding,) = checked(degrees).findings
+    assert (finding.kind, finding.line) == ("zero", "offset = -70")
+
+
+def test_mending_is_what_the_line_would_do():
+    r = recording("pendulum", 5)
+    data = r.dataset()
+    change = Mending({"tau": {"scale": -1.0, "shift": 1}}).then(Mending({"q": {"scale": 2.0, "offset": 0.5}}))
+    got = mended(data, change)
+    want = r.dataset(scale={"tau": -1.0, "q": 2.0}, offset={"q": 0.5}, shift={"tau": 1})
+    for a, b in zip(got.experiments, want.experiments, strict=True):
+        assert np.array_equal(a.t, b.t) and np.allclose(a.u, b.u) and np.allclose(a.y, b.y)
+
+
+@pytest.mark.parametrize(
+    ("name", "kind", "channel", "line"),
+    [
+        ("data_03_torque_sign_joint", "sign", "tau", "scale = -1"),
+        ("data_05_wrapped_angle", "wrapped", "q", "unwrap = true"),
+        ("data_10_input_one_row_late", "row_shift", "tau", "shift = 1"),
+        ("data_12_pendulum_zero_is_horizontal", "zero", "q", "offset = -1.5708"),
+        ("data_15_at_rest_is_false", "not_at_rest", "q", "at_rest = false"),
+        ("rig_05_swapped_sign_no_hint", "sign", "tau", "scale = -1"),
+    ],
+)
+def test_shared_cases(name, kind, channel, line):
+    (finding,) = checked(jaxid.load_dataset(case(name))).findings
+    assert (finding.kind, finding.channel, finding.line, finding.applied) == (kind, channel, line, True)
+
+
+@pytest.mark.filterwarnings("ignore::jaxid.experiment.DatasetWarning")
+def test_a_run_that_comes_to_rest_says_which_part_moves():
+    findings = checked(jaxid.load_dataset(case("rec_03_report_stands_still"))).findings
+    (still,) = [f for f in findings if f.channel == "run_1"]
+    assert still.kind == "does_not_move" and still.line.startswith("window_s = [0, 1.5")
+
+
+def test_asymmetric_friction_is_no_convention():
+    assert not checked(jaxid.load_dataset(case("rec_04_asymmetric_called_nothing"))).findings
+
+
+def test_command_writes_findings_and_exit_codes(tmp_path, capsys):
+    good = tmp_path / "good"
+    jaxid.save_dataset(recording("pendulum", 5).dataset(), good, format="csv")
+    assert main(["check", str(good), "--out", str(tmp_path / "out")]) == 0
+    assert "Nothing found" in capsys.readouterr().out
+    content = json.loads((tmp_path / "out" / "check.json").read_text())
+    assert content["data"] == {"findings": []} and content["usable"]
+    assert "Nothing found" in (tmp_path / "out" / "report.html").read_text()
+    slow = tmp_path / "slow"
+    slow.mkdir()
+    for file in good.iterdir():
+        text = file.read_text()
+        if file.suffix == ".csv":
+            head, *rows = text.splitlines()
+            text = "\n".join([head, *(f"{1000 * float(r.split(',')[0])},{','.join(r.split(',')[1:])}" for r in rows)])
+        (slow / file.name).write_text(text.replace('time_unit = "s"', ""))
+    assert main(["check", str(slow), "--json"]) == 1
+    (finding,) = json.loads(capsys.readouterr().out)["data"]["findings"]
+    assert (finding["kind"], finding["line"]) == ("time_unit", 'time_unit = "ms"')
+    assert main(["check", str(tmp_path / "nothing")]) == 2
+
+
+@pytest.mark.slow
+def test_an_answer_begins_with_what_was_applied_and_names_the_effect_after_it():
+    r, _, _ = broken("sign", recording("pendulum", 5, "drag"), np.random.default_rng(0))
+    data = r.dataset()
+    result = jaxid.diagnose(None, data, effects=["quadratic_drag", "spring_torque", "torque_ripple"])
+    assert [e.effect for e in result.which.effects] == ["quadratic_drag"] and result.which.verdict == "named"
+    (finding,) = result.to_dict()["data"]["findings"]
+    assert finding["applied"] and finding["gap_if_mended"] < 0.5 * finding["gap_before"]
+    assert repr(result).startswith("DATA: tau has the opposite sign; everything below takes it negated.")
+    plain = jaxid.fit(None, data, budget=20, as_recorded=True)
+    assert [f.applied for f in plain.data] == [False] and not repr(plain).startswith("DATA")
