@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from jaxid.experiment import Dataset, ParameterPrior
+from jaxid.experiment import Dataset
 
 
 def write_files(dataset: Dataset, folder: Path, format: str) -> None:
@@ -56,7 +56,7 @@ def _header(dataset: Dataset) -> dict[str, Any]:
         entry |= {"without": list(model.without)} if model.without else {}
         entry |= {"constants": dict(model.constants)} if model.constants else {}
         if model.parameters:
-            entry["parameters"] = {name: _prior(prior) for name, prior in model.parameters.items()}
+            entry["parameters"] = {name: _stated(prior.__dict__) for name, prior in model.parameters.items()}
         if (links := model.geometry) is not None and links.urdf:
             entry |= {"urdf": "arm.urdf"} | ({"tip": links.tip} if links.tip is not None else {})
         elif links is not None:
@@ -77,11 +77,6 @@ def _header(dataset: Dataset) -> dict[str, Any]:
         for c in dataset.channels
     }
     return top
-
-
-def _prior(prior: ParameterPrior) -> dict[str, Any]:
-    entry = _stated({k: v for k, v in prior.__dict__.items() if k not in ("mean", "std")})
-    return entry if prior.mean is None else {**entry, "prior": {"mean": prior.mean, "std": prior.std}}
 
 
 def _stated(entry: dict[str, Any]) -> dict[str, Any]:
