@@ -19,6 +19,8 @@ from jaxid.runtime import prepare  # noqa: E402
 
 prepare()
 
+from typing import Any
+
 import diffrax  # noqa: E402
 import jax  # noqa: E402
 import jax.numpy as jnp  # noqa: E402
@@ -43,7 +45,9 @@ def by_diffrax(chain: Chain, theta: np.ndarray, t: np.ndarray, u: np.ndarray, so
     def simulate(theta, t, u):
         model = layout.model(theta)
         controller = diffrax.PIDController(rtol=1e-9, atol=1e-12)
-        term = diffrax.ODETerm(lambda time, x, command: model.vector_field(time, x, command))  # pyright: ignore[reportArgumentType]
+        ode = model.ode()
+        held: Any = lambda time, x, command: ode(time, x, (ode.parameters, lambda _: command))
+        term = diffrax.ODETerm(held)
 
         def sample(x, k):
             found = diffrax.diffeqsolve(

@@ -213,7 +213,7 @@ def bind(
             stated.add(i)
     priors = {name: ParameterPrior(None, *known) for name, known in chain.mechanism.known().items()} | priors
     for name, prior in priors.items():
-        value = prior.value if prior.value is not None else prior.mean
+        value = prior.value if prior.value is not None or prior.prior is None else prior.prior["mean"]
         if value is not None:
             theta[layout.index(name)] = value
             stated.add(layout.index(name))
@@ -257,14 +257,14 @@ def _stated_scales(
     layout.log = layout.log.copy()
     for name, prior in priors.items():
         i = layout.index(name)
-        if prior.mean is not None and prior.std is not None:
-            known[i] = prior.mean, prior.std
-            reach = (prior.mean - 5 * prior.std, prior.mean + 5 * prior.std)
+        if prior.prior is not None:
+            known[i] = mean, std = prior.prior["mean"], prior.prior["std"]
+            reach = (mean - 5 * std, mean + 5 * std)
             upper[i] = upper[i] if prior.upper is not None else max(upper[i], reach[1])
             least = 0.0 if lower[i] >= 0 else -np.inf
             if prior.lower is None and not (lower[i] > 0 and reach[0] <= 0):
                 lower[i] = max(least, min(lower[i], reach[0]))
-            said.append(f"prior of {name}: {prior.mean:.4g} ± {prior.std:.4g} {layout.entries[i].unit} (stated)")
+            said.append(f"prior of {name}: {mean:.4g} ± {std:.4g} {layout.entries[i].unit} (stated)")
         if prior.log is not None:
             if prior.log and not lower[i] > 0:
                 raise UsageError(

@@ -127,8 +127,7 @@ def _model_spec(entry: ModelEntry) -> ModelSpec:
 
 
 def _prior(entry: PriorEntry) -> ParameterPrior:
-    mean, std = (None, None) if entry.prior is None else (entry.prior.mean, entry.prior.std)
-    return ParameterPrior(entry.value, entry.lower, entry.upper, entry.log, mean, std)
+    return ParameterPrior(**entry.model_dump())
 
 
 def _geometry(document: Document, places: Places, open_text: Any, problems: list[Problem]) -> Geometry | None:

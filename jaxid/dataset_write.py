@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from jaxid.dataset_time import impossible
-from jaxid.experiment import Dataset, Geometry, ParameterPrior
+from jaxid.experiment import Dataset, Geometry
 
 
 def write_files(dataset: Dataset, folder: Path, format: str) -> None:
@@ -67,7 +67,7 @@ def _header(dataset: Dataset, flagged: set[str]) -> dict[str, Any]:
         entry |= {"without": list(model.without)} if model.without else {}
         entry |= {"constants": dict(model.constants)} if model.constants else {}
         if model.parameters:
-            entry["parameters"] = {name: _prior(prior) for name, prior in model.parameters.items()}
+            entry["parameters"] = {name: _stated(prior.__dict__) for name, prior in model.parameters.items()}
         if (links := model.geometry) is not None and links.urdf:
             entry |= {"urdf": "arm.urdf"} | _stated({"tip": links.tip, "root": links.root})
         elif links is not None and links.robot:
@@ -101,11 +101,6 @@ def _header(dataset: Dataset, flagged: set[str]) -> dict[str, Any]:
 def robot_file(links: Geometry) -> str:
     """The name under which a robot's file is written."""
     return "robot.urdf" if links.file.lower().endswith(".urdf") else "robot.xml"
-
-
-def _prior(prior: ParameterPrior) -> dict[str, Any]:
-    entry = _stated({k: v for k, v in prior.__dict__.items() if k not in ("mean", "std")})
-    return entry if prior.mean is None else {**entry, "prior": {"mean": prior.mean, "std": prior.std}}
 
 
 def _stated(entry: dict[str, Any]) -> dict[str, Any]:

@@ -248,14 +248,13 @@ class FrequencyResponse:
 @dataclass(frozen=True)
 class ParameterPrior:
     """What the user knows beforehand of a fitted parameter: start value, bounds, whether its logarithm is searched (None: as the
-    model says), and a Gaussian prior by mean and standard deviation."""
+    model says), and a Gaussian prior {"mean": ..., "std": ...}."""
 
     value: float | None = None
     lower: float | None = None
     upper: float | None = None
     log: bool | None = None
-    mean: float | None = None
-    std: float | None = None
+    prior: dict[str, float] | None = None
 
 
 @dataclass(frozen=True)

@@ -129,7 +129,8 @@ def _value(fitter: str, field: dataclasses.Field, given: Any) -> Any:
         fits, wanted = False, "the text of a fitter, in quotes"
     if not fits:
         raise UsageError(f"{fitter}: {field.name} = {value!r}; it is {wanted}, as in {field.name}={_plain(default)!r}")
-    for v in value if isinstance(value, tuple) else (value,):
+    numbers: tuple[Any, ...] = value if isinstance(value, tuple) else (value,)
+    for v in numbers:
         if not number(v):
             continue
         below = bounds.low is not None and not v >= bounds.low
@@ -138,7 +139,9 @@ def _value(fitter: str, field: dataclasses.Field, given: Any) -> Any:
             ends = ("at least", bounds.low), ("at most", bounds.high)
             told = " and ".join(f"{word} {b:g}" for word, b in ends if b is not None)
             raise UsageError(f"{fitter}: {field.name} = {v!r}; it is {told or 'a finite number'}")
-    return float(value) if isinstance(default, float) else tuple(map(float, value)) if isinstance(default, tuple) else value
+    return (
+        float(numbers[0]) if isinstance(default, float) else tuple(map(float, numbers)) if isinstance(default, tuple) else value
+    )
 
 
 def _plain(value: Any) -> Any:

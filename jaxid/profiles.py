@@ -135,7 +135,7 @@ class Track:
         base = p.base.copy()
         base[p.free[k]] = np.exp(value) if p.log[k] else value
         low, high, scale = p.whole
-        held = Problem(p.runs, base, free, low, high, p.records, scale=scale)
+        held = Problem(p.runs, base, free, low, high, p.records, scale=scale, priors=p.priors)
         held.targets, held.weights = p.targets, p.weights
         return held, np.delete(guess, k)
 

@@ -225,7 +225,9 @@ class ForceFit:
         norm = self.norm(m)
         train = ~m.held
         weight = m.weight / norm
-        law = self.laws(m) * weight[..., None] * norm[None, :, None] if laws else np.zeros((*m.q.shape, 0))
+        law: np.ndarray = np.zeros((*m.q.shape, 0))
+        if laws:
+            law = self.laws(m) * weight[..., None] * norm[None, :, None]
         blocks = np.zeros((*m.q.shape, self.nq * law.shape[2]))
         for j in range(self.nq):
             blocks[:, j, j * law.shape[2] : (j + 1) * law.shape[2]] = law[:, j]

@@ -78,10 +78,10 @@ def _law(controller: Controller, every: Sequence[str], joints: Sequence[str]) ->
     return Controller(controller.kind, settings)
 
 
-def effects_at(effects: Sequence[str], robot: Any) -> tuple[str, ...]:
+def effects_at(effects: Sequence[Any], robot: Any) -> tuple[Any, ...]:
     """Those effects (`dead_zone@NAME_cmd`) that have no place, or one in this limb."""
     joints = robot.tree.tree.joints
-    at = lambda e: e.partition("@")[2]
+    at = lambda e: e.partition("@")[2] if isinstance(e, str) else ""
     return tuple(e for e in effects if not at(e) or at(e) in joints or at(e).rsplit("_", 1)[0] in joints)
 
 
