@@ -53,6 +53,9 @@ class AbstractOptimistix(AbstractFitter):
     steps: int = eqx.field(default=256, kw_only=True, metadata=about("most steps of a run", 1))
     restarts: int = eqx.field(default=0, kw_only=True, metadata=about("random starts beside the best given one", 0))
 
+    #: Relative gain of a run above which another one begins where it ended: a simplex collapses before its minimum.
+    again: ClassVar[float] = np.inf
+
     @abc.abstractmethod
     def made(self) -> Any:
         """The solver."""
@@ -65,8 +68,12 @@ class AbstractOptimistix(AbstractFitter):
         losses = problem.losses(np.array(every[:given]))
         log.add(given, float(losses.min()))
         for z in [every[int(np.argmin(losses))], *every[given:]]:
-            if not log.exhausted:
-                best = min(best, self._from(problem, z, log), key=lambda found: found[0])
+            found = np.inf, z, False, ""
+            while not log.exhausted:
+                before, found = found, self._from(problem, found[1], log)
+                if not before[0] - found[0] > self.again * found[0]:
+                    break
+            best = min(best, found, key=lambda found: found[0])
         return log.minimum(best[1], best[2], log.exhausted or best[3] or "the budget of evaluations is used up")
 
     def _from(self, problem: AbstractProblem, start: np.ndarray, log: Log) -> tuple[float, np.ndarray, bool, str]:
@@ -215,9 +222,11 @@ class OptimistixBFGS(AbstractOptimistix):
 
 
 class OptimistixNelderMead(AbstractOptimistix):
-    """Nelder and Mead's simplex of optimistix, for every loss, without derivatives; bounds by a sine transform."""
+    """Nelder and Mead's simplex of optimistix, for every loss, without derivatives, begun anew where it ends as long as that helps; bounds by a sine
+    transform."""
 
     name: ClassVar[str] = "optimistix_nelder_mead"
+    again: ClassVar[float] = 1e-3
     source: ClassVar[str] = Optimistix.source
 
     rtol: float = option(1e-6, "relative tolerance", 0)
@@ -227,4 +236,4 @@ class OptimistixNelderMead(AbstractOptimistix):
     def made(self):
         import optimistix
 
-        return optimistix.NelderMead(self.rtol, self.atol)
+        return optimistix.NelderMead(self.rtol, self.atol, adelta=0.5)
