@@ -43,7 +43,8 @@ def by_diffrax(chain: Chain, theta: np.ndarray, t: np.ndarray, u: np.ndarray, so
     def simulate(theta, t, u):
         model = layout.model(theta)
         controller = diffrax.PIDController(rtol=1e-9, atol=1e-12)
-        term = diffrax.ODETerm(lambda time, x, command: model.vector_field(time, x, command))  # pyright: ignore[reportArgumentType]
+        ode = model.ode()
+        term = diffrax.ODETerm(lambda time, x, command: ode(time, x, (None, lambda _: command)))  # pyright: ignore[reportArgumentType]
 
         def sample(x, k):
             found = diffrax.diffeqsolve(

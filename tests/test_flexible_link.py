@@ -284,7 +284,8 @@ def test_the_step_against_an_implicit_solver_on_the_vector_field():
     with float64():
         model = s.layout.model(jnp.asarray(s.theta(values)))
         held = lambda time: jnp.asarray(u)[jnp.clip(jnp.floor(time / 1e-3 + 1e-9).astype(int), 0, 300)][None]
-        field = lambda time, x, args: model.vector_field(time, x, held(time))
+        ode = model.ode()
+        field = lambda time, x, args: ode(time, x, (None, held))
         solution = diffrax.diffeqsolve(
             diffrax.ODETerm(field), diffrax.Kvaerno5(), 0.0, 0.3, 1e-5, model.body().start(jnp.zeros(1), jnp.zeros(1)),
             saveat=diffrax.SaveAt(ts=jnp.asarray(t)), max_steps=100_000,

@@ -350,7 +350,7 @@ def test_no_gradient_is_nan():
         return model.inverse(still, z, q, qd, qdd)[0]
 
     def acceleration(theta, q, qd, tau):
-        return layout.model(theta).vector_field(0.0, (q, qd), tau)[1]
+        return layout.model(theta).ode()(0.0, (q, qd), (None, lambda t: tau))[1]
 
     @jax.jit
     @jax.vmap
