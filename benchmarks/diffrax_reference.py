@@ -19,8 +19,6 @@ from jaxid.runtime import prepare  # noqa: E402
 
 prepare()
 
-from typing import Any
-
 import diffrax  # noqa: E402
 import jax  # noqa: E402
 import jax.numpy as jnp  # noqa: E402
@@ -46,8 +44,7 @@ def by_diffrax(chain: Chain, theta: np.ndarray, t: np.ndarray, u: np.ndarray, so
         model = layout.model(theta)
         controller = diffrax.PIDController(rtol=1e-9, atol=1e-12)
         ode = model.ode()
-        held: Any = lambda time, x, command: ode(time, x, (ode.parameters, lambda _: command))
-        term = diffrax.ODETerm(held)
+        term = diffrax.ODETerm(lambda time, x, command: ode(time, x, (None, lambda _: command)))  # pyright: ignore[reportArgumentType]
 
         def sample(x, k):
             found = diffrax.diffeqsolve(

@@ -106,7 +106,8 @@ def fitter_of(text: str) -> Any:
 
 def _value(fitter: str, field: dataclasses.Field, given: Any) -> Any:
     """A value as the type of the field's default; one number for a range of two."""
-    default, value = field.default, given
+    default: Any = field.default
+    value: Any = given
     bounds = _about(field)
     number = lambda v: isinstance(v, int | float) and not isinstance(v, bool)
     if isinstance(default, bool):
@@ -129,8 +130,8 @@ def _value(fitter: str, field: dataclasses.Field, given: Any) -> Any:
         fits, wanted = False, "the text of a fitter, in quotes"
     if not fits:
         raise UsageError(f"{fitter}: {field.name} = {value!r}; it is {wanted}, as in {field.name}={_plain(default)!r}")
-    numbers: tuple[Any, ...] = value if isinstance(value, tuple) else (value,)
-    for v in numbers:
+    several: tuple[Any, ...] = value if isinstance(value, tuple) else (value,)
+    for v in several:
         if not number(v):
             continue
         below = bounds.low is not None and not v >= bounds.low
@@ -139,9 +140,9 @@ def _value(fitter: str, field: dataclasses.Field, given: Any) -> Any:
             ends = ("at least", bounds.low), ("at most", bounds.high)
             told = " and ".join(f"{word} {b:g}" for word, b in ends if b is not None)
             raise UsageError(f"{fitter}: {field.name} = {v!r}; it is {told or 'a finite number'}")
-    return (
-        float(numbers[0]) if isinstance(default, float) else tuple(map(float, numbers)) if isinstance(default, tuple) else value
-    )
+    if isinstance(default, float | tuple):
+        several = tuple(float(v) for v in several)
+    return several[0] if isinstance(default, float) else several if isinstance(default, tuple) else value
 
 
 def _plain(value: Any) -> Any:

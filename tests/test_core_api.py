@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from dataclasses import replace
 from typing import Any, ClassVar
 
 import diffrax
@@ -25,6 +26,7 @@ from jaxid.models import Joint, MODELS, Panda, Pendulum, UR10e
 from jaxid.models.effects import ActuatorLag, SensorLag
 from jaxid.parameter import param, TORQUE
 from jaxid.precision import float64
+from jaxid.results import EffectEstimate, Estimate
 from jaxid.reverse import in_reverse
 
 
@@ -97,7 +99,7 @@ def test_a_random_walk_samples_the_posterior(problem):
             if np.log(draw.uniform()) < value - now[1]:
                 inside, now = inside + 1, (trial, value)
         constant = float(density(z0) + problem.residual(z0) @ problem.residual(z0) / 2)
-        outside = density(jnp.asarray(problem.upper + 1))
+        outside = float(density(jnp.asarray(problem.upper + 1)))
     assert inside > 5 and outside == -np.inf
     assert constant == pytest.approx(-len(problem._weights) * (np.log(NOISE) + np.log(2 * np.pi) / 2))
 
@@ -110,8 +112,6 @@ def test_a_problem_in_float32_says_what_to_type(problem):
 
 
 def test_a_prior_of_a_parameter_is_in_the_density(problem):
-    from dataclasses import replace
-
     i = problem.names.index("inertia")
     stated = np.array(problem._prior)
     stated[i] = 0.08, 0.01
@@ -219,25 +219,30 @@ def test_a_solver_of_diffrax_checks_the_own_stepping(data):
         jaxid.fit(model, data, solver="diffrax:Tsit5", residual="inverse_dynamics")
 
 
+@pytest.mark.slow
 def test_a_fit_by_a_solver_of_diffrax_finds_the_same(data):
     model = Chain(Pendulum(), smoothing_velocity=0.05)
     own = jaxid.fit(model, data)
     other = jaxid.fit(model, data, solver=diffrax.Tsit5(), fitter="lm(restarts=0)")
     assert other.solver == "diffrax:Tsit5" and other.fitter == "lm(restarts=0)"
     for name, found in own.parameters.items():
-        assert other.parameters[name].value == pytest.approx(found.value, rel=1e-4, abs=1e-5), name
+        assert found.std is not None and abs(other.parameters[name].value - found.value) < 0.1 * found.std, name
 
 
 # ---- fitters
 
 
-@pytest.mark.parametrize("fitter", ["optimistix_lm", "optimistix_dogleg", "optimistix_bfgs", "optimistix_nelder_mead"])
+SLOW = [pytest.param(f"optimistix_{m}", marks=pytest.mark.slow) for m in ("dogleg", "bfgs", "nelder_mead")]
+
+
+@pytest.mark.parametrize("fitter", ["optimistix_lm", *SLOW])
 def test_fitters_of_optimistix_reach_the_noise(data, fitter):
     found = jaxid.fit("pendulum", data, fitter=fitter)
     assert not found.failed and found.loss < 1.3, found.stopped_because
     assert found.parameters["gravity_torque"].value == pytest.approx(1.4, rel=0.05)
 
 
+@pytest.mark.slow
 def test_any_solver_of_optimistix_is_a_fitter(data):
     solver = optimistix.GaussNewton(rtol=1e-8, atol=1e-8)
     found = jaxid.compare("pendulum", data, fitters=[Optimistix(solver), "lm"], seeds=1, starts="guess")
@@ -283,9 +288,9 @@ def test_every_setting_has_a_meaning_and_can_be_given():
 
 def test_the_command_line_takes_settings(data, tmp_path, capsys):
     jaxid.save_dataset(data, tmp_path / "data")
-    run = ["fit", str(tmp_path / "data"), "--out", str(tmp_path / "out"), "--quiet", "--fitter", "de(popsize=8, generations=3)"]
+    run = ["fit", str(tmp_path / "data"), "--out", str(tmp_path / "out"), "--quiet", "--fitter", "lm(restarts=0, iterations=9)"]
     assert main(run) == 0
-    assert json.loads((tmp_path / "out" / "fit.json").read_text())["fitter"] == "de(popsize=8, generations=3)"
+    assert json.loads((tmp_path / "out" / "fit.json").read_text())["fitter"] == "lm(restarts=0, iterations=9)"
     assert main([*run[:-1], "de(popsize=1)"]) == 2 and "at least 4" in capsys.readouterr().err
     assert main(["fitters", "de"]) == 0 and "members of the population" in capsys.readouterr().out
     assert "F,…" in CliRunner().invoke(compare_command, ["--help"]).output
@@ -313,8 +318,9 @@ class Droop(InputEffect):
 
 
 def test_a_fit_gives_its_model_and_a_table(data):
-    fit = jaxid.fit("pendulum", data, effects=["dead_zone"])
-    assert list(fit.to_frame()["parameter"]) == [*TRUTH, "dead_zone.width@tau"]
+    fit = jaxid.fit("pendulum", data)
+    zone = EffectEstimate("dead_zone", "tau", {"width": Estimate(0.1, 0.01, "N m", 0.0, 1.0)})
+    assert list(replace(fit, effects=(zone,)).to_frame()["parameter"]) == [*TRUTH, "dead_zone.width@tau"]
     again, before = jaxid.simulate(fit.chain, data), jaxid.simulate(None, data, parameters=fit)
     np.testing.assert_allclose(again.runs[0]["q"], before.runs[0]["q"], atol=1e-12)
     with pytest.warns(DeprecationWarning, match=r"jaxid.simulate\(model, dataset"):
