@@ -19,6 +19,7 @@ from jaxid.runtime import prepare  # noqa: E402
 
 prepare()
 
+
 import diffrax  # noqa: E402
 import jax  # noqa: E402
 import jax.numpy as jnp  # noqa: E402

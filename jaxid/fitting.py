@@ -37,9 +37,27 @@ def fit_binding(
     """The whole of `jaxid.fit` once model and data are bound."""
     known = Interim()
     try:
-        return fit_seeds(binding, fitter, residual, loss, [seed], budget, progress, known=known)[0]
+        fit = fit_seeds(binding, fitter, residual, loss, [seed], budget, progress, known=known)[0]
+        if residual is None and fit.failed and not fit.parameters and by_torque(binding) and loss == "sum_of_squares":
+            torque = InverseDynamics()
+            again = fit_seeds(binding, fitter, torque, loss, [seed], budget, progress, known=known)[0]
+            fit = fit if again.failed else replace(again, notes=(*again.notes, DIVERGES))
+        return fit
     except KeyboardInterrupt as stop:
         raise Interrupted(known.latest()) from stop
+
+
+#: Said where the torque equation stands in for a free run.
+DIVERGES = (
+    "the free run diverges at every candidate, as that of an arm does which was recorded under position control: the torque that "
+    "the measured motion needs is compared instead (inverse_dynamics)"
+)
+
+
+def by_torque(binding: Binding) -> bool:
+    """Whether a measured motion under measured torques can be compared without being simulated."""
+    chain = binding.chain
+    return bool(binding.motions) and chain.direct and not chain.mechanism.hidden_states and bool(binding.experiments("fit"))
 
 
 def fit_seeds(

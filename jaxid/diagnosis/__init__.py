@@ -35,6 +35,7 @@ from jaxid.estimation import (
 from jaxid.experiment import Dataset
 from jaxid.fitter import Minimum, Progress
 from jaxid.fitters import descend, LevenbergMarquardt
+from jaxid.fitting import by_torque, DIVERGES
 from jaxid.interim import Interim
 from jaxid.residual import InverseDynamics, MultipleShooting, OutputError, Residual
 from jaxid.results import Diagnosis, EffectEstimate, Fit, HowFar, Ranked, Which
@@ -65,6 +66,14 @@ class Question:
     still: tuple[str, ...] = ()  # of "validation" and "report": what stands still, so that nothing can be judged on it
 
 
+class Diverged(UsageError):
+    """No free run of the nominal model stays finite; `by_torque` says whether it can be compared without one."""
+
+    def __init__(self, message: str, by_torque: bool):
+        super().__init__(message)
+        self.by_torque = by_torque
+
+
 def run_diagnosis(
     model: object,
     dataset: Dataset,
@@ -76,11 +85,18 @@ def run_diagnosis(
     progress: Progress | None,
 ) -> Diagnosis:
     """See `jaxid.diagnose`. On Ctrl-C `Interrupted` carries what is known."""
-    known, asked = Interim(), None if effects is None else tuple(catalogue.enrolled(e) for e in effects)
+    asked = None if effects is None else tuple(catalogue.enrolled(e) for e in effects)
+    known, without = Interim(), tuple(without)
     try:
-        return _run(model, dataset, max_effects, asked, tuple(without), residual, seed, progress, known)
+        return _run(model, dataset, max_effects, asked, without, residual, seed, progress, known)
     except Interrupted:
         raise
+    except Diverged as error:
+        if residual is not None or not error.by_torque:
+            raise
+        torque = InverseDynamics()
+        found = run_diagnosis(model, dataset, max_effects, asked, without, torque, seed, progress)
+        return dataclasses.replace(found, notes=(*found.notes, DIVERGES))
     except KeyboardInterrupt as stop:  # what is finished is a result too
         raise Interrupted(known.latest()) from stop
 
@@ -277,8 +293,9 @@ def _search(question: Question) -> tuple[Bench, Fit, Search, float]:
     fitter = LevenbergMarquardt()
     nominal, log = fitter.path(problem, [problem.z(g) for g in guesses], jax.random.key(seed), progress)
     if not np.isfinite(nominal.cost):
-        raise UsageError(
-            "the nominal model cannot be fitted: the simulation diverges at every candidate; give other start values or bounds"
+        raise Diverged(
+            "the nominal model cannot be fitted: the simulation diverges at every candidate; give other start values or bounds",
+            by_torque(binding),
         )
     converged, stopped = nominal.converged, nominal.stopped
     nominal = descend([(problem, nominal.z)], 3, 1e-9)[0]

@@ -35,9 +35,9 @@ def headline(fit: Fit) -> str:
         return f"The fit failed: {fit.stopped_because}."
     split = next((s for s in ("validation", "report", "fit") if fit.scores.get(s)), None)
     if split is None:
-        return "The fit has converged." if fit.converged else "The fit has not converged."
+        return "The fit has converged." if fit.converged else f"The fit has not converged: {fit.stopped_because}."
     channel, worst = max(fit.scores[split].items(), key=lambda item: item[1].relative_error)
-    tail = "" if fit.converged else " (not converged)"
+    tail = "" if fit.converged else f" ({'stalled' if fit.state == 'stalled' else 'not converged'}: {fit.stopped_because})"
     return f"{channel} is reproduced to {text.number(worst.rmse)} {worst.unit} rms on {split} data{tail}."
 
 

@@ -1,0 +1,108 @@
+"""How fits end, what is known beforehand, what is stated."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+import jaxid
+from jaxid.experiment import ModelSpec, ParameterPrior
+
+
+@pytest.fixture(scope="module")
+def data():
+    """A joint of 0.02 kg m^2, 0.03 N m s/rad, 0.05 N m that is pushed back and forth."""
+    t = np.arange(0, 6, 0.01)
+    u = 0.4 * np.sin(2 * np.pi * 0.4 * t) + 0.2 * np.sin(2 * np.pi * 1.1 * t)
+    q, v, out = 0.0, 0.0, []
+    for tau in u:
+        out.append(q)
+        for _ in range(20):
+            w = v + 5e-4 * (tau - 0.03 * v) / 0.02
+            w = np.sign(w) * max(0.0, abs(w) - 5e-4 * 0.05 / 0.02)
+            q, v = q + 5e-4 * (v + w) / 2, w
+    y = np.array(out) + 1e-3 * np.random.default_rng(0).standard_normal(len(t))
+    return jaxid.Dataset.from_arrays(t, {"tau": u}, {"q": y}, noise_std={"q": 1e-3}, at_rest=True)
+
+
+def fitted(data, **parameters):
+    spec = ModelSpec("joint", without=("constant_torque",), parameters={k: ParameterPrior(**v) for k, v in parameters.items()})
+    return jaxid.fit(None, replace(data, model=spec))
+
+
+def test_a_second_look_is_counted_and_a_budget_without_room_for_it_is_said(data):
+    spec = replace(data, model=ModelSpec("joint", without=("constant_torque",)))
+    whole = jaxid.fit(None, spec, fitter=jaxid.fitters.LevenbergMarquardt(restarts=0))
+    assert whole.state == "converged" and whole.to_dict()["state"] == "converged"
+    for budget in (whole.evaluations // 3, 40):
+        fit = jaxid.fit(None, spec, fitter=jaxid.fitters.LevenbergMarquardt(restarts=0), budget=budget)
+        assert fit.evaluations <= budget and fit.state in ("budget", "converged")
+    assert fit.state == "budget" and not fit.converged and not fit.failed
+
+
+def test_a_bound_beyond_which_the_loss_falls_stalls_a_fit(data):
+    fit = fitted(data, inertia={"value": 0.005, "lower": 0.004, "upper": 0.01})
+    assert fit.state == "stalled" and "inertia" in fit.stopped_because and not fit.converged
+
+
+def test_a_fit_that_keeps_everything_still_has_failed(data):
+    fit = fitted(data, coulomb={"value": 5.0, "lower": 4.0, "upper": 6.0})
+    assert fit.state == "failed" and "still" in fit.stopped_because
+
+
+def test_a_prior_pulls_by_its_width_and_is_stated(data):
+    free = fitted(data)
+    tight = fitted(data, viscous={"prior": {"mean": 0.04, "std": 1e-8}})
+    wide = fitted(data, viscous={"prior": {"mean": 0.04, "std": 10.0}})
+    own = free.parameters["viscous"]
+    assert tight.parameters["viscous"].value == pytest.approx(0.04, abs=1e-6) and tight.parameters["viscous"].std < 2e-8
+    assert wide.parameters["viscous"].value == pytest.approx(own.value, abs=0.05 * own.std)
+    middle = fitted(data, viscous={"prior": {"mean": own.value + 2 * own.std, "std": own.std}}).parameters["viscous"]
+    assert middle.value == pytest.approx(own.value + own.std, abs=0.2 * own.std)
+    assert middle.std == pytest.approx(own.std / np.sqrt(2), rel=0.1)
+    assert any("prior of viscous" in note for note in tight.notes)
+
+
+def test_the_search_scale_is_the_users(data):
+    linear = fitted(data, inertia={"log": False})
+    assert any("inertia is searched linearly" in note for note in linear.notes)
+    assert linear.parameters["inertia"].value == pytest.approx(fitted(data).parameters["inertia"].value, rel=1e-4)
+    with pytest.raises(jaxid.UsageError, match="state `lower` above 0"):
+        fitted(data, coulomb={"log": True})
+
+
+def test_stated_numbers_are_answered(data):
+    fit = fitted(data, inertia={"value": 0.06}, viscous={"value": 0.03})
+    by_name = {s.parameter: s for s in fit.stated}
+    assert by_name["inertia"].refuted and by_name["inertia"].deviation < -10 and fit.stated[0].parameter == "inertia"
+    assert (
+        "your stated inertia 0.0600 kg m^2 is" in by_name["inertia"].text
+        and "standard deviations from" in by_name["inertia"].text
+    )
+    assert not by_name["viscous"].refuted and "agrees" in by_name["viscous"].text
+    assert fit.to_dict()["stated"][0]["stated"] == 0.06 and "your stated inertia" in repr(fit)
+
+
+def test_priors_and_scales_are_saved_and_read(tmp_path, data):
+    spec = ModelSpec("joint", parameters={"inertia": ParameterPrior(log=False, prior={"mean": 0.02, "std": 0.001})})
+    jaxid.save_dataset(replace(data, model=spec), tmp_path / "d")
+    assert jaxid.load_dataset(tmp_path / "d").model.parameters == spec.parameters
+
+
+def test_a_fast_short_record_is_cut_so_that_every_part_is_judged(recwarn):
+    """Half a second at 2 kHz."""
+    t = np.arange(1000) * 5e-4
+    force = 60 + 80 * np.sin(2 * np.pi * 4 * t)
+    v, x, out = 0.0, 0.0, []
+    for u in force:
+        out.append(x)
+        for _ in range(5):
+            v += 1e-4 * (u - 30 * v - 15 * np.sign(v or u)) / 20
+            x += 1e-4 * v
+    y = np.array(out) + 2e-5 * np.random.default_rng(0).standard_normal(len(t))
+    fit = jaxid.fit("joint", jaxid.Dataset.from_arrays(t, {"force": force}, {"position": y}, noise_std={"position": 2e-5}))
+    assert all(np.isfinite(fit.scores[split]["position"].rmse) for split in ("fit", "validation", "report"))
+    assert fit.parameters["inertia"].value == pytest.approx(20, rel=0.01)
+    assert not [w for w in recwarn if issubclass(w.category, RuntimeWarning)]
