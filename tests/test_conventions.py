@@ -174,3 +174,22 @@ def test_an_answer_begins_with_what_was_applied_and_names_the_effect_after_it():
     assert repr(result).startswith("DATA: tau has the opposite sign; everything below takes it negated.")
     plain = jaxid.fit(None, data, budget=20, as_recorded=True)
     assert [f.applied for f in plain.data] == [False] and not repr(plain).startswith("DATA")
+
+
+def test_effects_that_cannot_be_believed_are_said_so():
+    from jaxid.diagnosis.believable import doubts
+    from jaxid.results import EffectEstimate, Estimate
+
+    number = lambda value, std, lower=-1.0, upper=1.0, at_bound=False: Estimate(value, std, "1", lower, upper, at_bound)
+    off = EffectEstimate("torque_scale", "tau", {"gain": number(-0.895, 0.001, -0.9, 5.0)})
+    nothing = EffectEstimate(
+        "torque_ripple", "q", {"sine": number(0.2, 0.49), "cosine": number(0.1, 0.3), "order": number(3, 0.1)}
+    )
+    pushed = EffectEstimate("spring_torque", "q", {"stiffness": number(4.0, 0.1, -4.0, 4.0, at_bound=True)})
+    sound = [
+        EffectEstimate("spring_torque", "q", {"stiffness": number(0.4, 0.01)}),
+        EffectEstimate("input_hold", "tau", {"linear": number(1.0, 0.01, 0.0, 1.0, at_bound=True)}),
+        EffectEstimate("torque_scale", "tau", {"gain": number(0.1, 0.001)}),
+    ]
+    assert len(doubts([off, nothing, pushed, *sound])) == 3
+    assert not doubts(sound)

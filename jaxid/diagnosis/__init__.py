@@ -14,6 +14,7 @@ from jaxid.binding import bind, Binding, JITTER, resolve_model
 from jaxid.capacity import need, shortened
 from jaxid.chain import Effect
 from jaxid.diagnosis import how_far as shrinking, timing, where as location
+from jaxid.diagnosis.believable import doubts
 from jaxid.diagnosis.choice import WHITE
 from jaxid.diagnosis.evidence import held_out, inflation, knowledge, worth
 from jaxid.diagnosis.hypothesis import Candidate, candidates, check_asked, Hypothesis, possible, Search
@@ -225,6 +226,8 @@ def _diagnosed(question: Question, scatter: timing.Scatter | None = None) -> tup
                 verdict, text = "unknown", not_reached(places, how_far.gap_retuned)
                 how_far = measure(verdict, final.theta)
     estimates = _effect_estimates(binding, final, named)
+    if verdict == "named" and (against := doubts(estimates)):
+        verdict, text = "partly", f"{text} It is not to be believed as it stands: {'; '.join(against)}."
     final_fit = _fit(bench, final, residual, seed, compile_time, time.perf_counter() - began)
     mates = search.confusable if named else []
     findings, pictures, rows = _where(bench, search.nominal, final, verdict, named, seed)
