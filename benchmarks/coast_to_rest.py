@@ -13,12 +13,12 @@ from jaxid.runtime import prepare
 
 
 prepare()
-sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "tests"))
+sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 
 import numpy as np  # noqa: E402
 
 import jaxid  # noqa: E402
-from test_rest import coast_down, deviations, TRUE  # noqa: E402
+from tests.test_rest import coast_down, deviations, TRUE  # noqa: E402
 
 
 def main(count: int = 200) -> dict[str, Any]:

@@ -38,16 +38,19 @@ from jaxid.parameter import constant, param  # noqa: E402
 from jaxid.residual import OutputError  # noqa: E402
 
 
-sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "tests"))
-from simulated import Simulator  # noqa: E402
+sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
+from tests.simulated import Simulator  # noqa: E402
 
 
 class VoltAxis(Rigid):
     """mass qdd = gain u - back_emf qd - friction."""
 
     name: ClassVar[str] = "volt_axis"
-    signatures: ClassVar = (Signature((("u", "V"),), (("position", "m"),), ("position",)),)
-    builtin: ClassVar = ((ViscousFriction, {"coefficient": "viscous"}), (CoulombFriction, {"level": "coulomb"}))
+    signatures: ClassVar[tuple[Signature, ...]] = (Signature((("u", "V"),), (("position", "m"),), ("position",)),)
+    builtin: ClassVar[tuple[tuple[type, dict[str, str]], ...]] = (
+        (ViscousFriction, {"coefficient": "viscous"}),
+        (CoulombFriction, {"level": "coulomb"}),
+    )
     equations: ClassVar[str] = "mass qdd = gain u - friction"
     source: ClassVar[str] = "textbook"
     mass: Array = param(2.0, 1e-3, 1e4, unit="{I}", log=True)
@@ -122,9 +125,8 @@ def by_scipy(chain: Chain, data: jaxid.Dataset) -> tuple[bool, dict[str, tuple[f
         return np.nan_to_num(r, nan=1e6, posinf=1e6), np.nan_to_num(J)
 
     z = problem.z(b.theta)
-    end = least_squares(
-        lambda z: both(z)[0], z, lambda z: both(z)[1], (problem.lower, problem.upper), x_scale="jac", max_nfev=100
-    )
+    box, slope_of = (problem.lower, problem.upper), lambda z: both(z)[1]
+    end = least_squares(lambda z: both(z)[0], z, slope_of, box, x_scale="jac", max_nfev=100)  # pyright: ignore[reportArgumentType]
     r, J = both(end.x)
     variance = np.diag(np.linalg.pinv(J.T @ J)) * max(1.0, float(np.mean(r**2)))
     theta, slope = problem.theta(end.x), problem.dtheta(end.x)
