@@ -1,8 +1,6 @@
 """Random fits: how many are right, say that they failed, or are wrong and say that they converged; beside SciPy on the same
 residuals from the same starts.
 
-    python benchmarks/robust_fits.py [N] [SEED]
-
 Models of the library and ones with a drive of their own, speeds as outputs, no offset (a joint stands still without any force),
 start values off by up to a factor of ten, and every tenth with data that cannot determine a number. A fit is right where every
 number that it calls determined lies within four of its standard deviations, or two percent, of the truth.
@@ -14,7 +12,7 @@ import sys
 from collections import Counter
 from dataclasses import replace
 from pathlib import Path
-from typing import ClassVar
+from typing import Any, ClassVar
 
 from jaxid.runtime import prepare
 
@@ -40,16 +38,19 @@ from jaxid.parameter import constant, param  # noqa: E402
 from jaxid.residual import OutputError  # noqa: E402
 
 
-sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "tests"))
-from simulated import Simulator  # noqa: E402
+sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
+from tests.simulated import Simulator  # noqa: E402
 
 
 class VoltAxis(Rigid):
     """mass qdd = gain u - back_emf qd - friction."""
 
     name: ClassVar[str] = "volt_axis"
-    signatures: ClassVar = (Signature((("u", "V"),), (("position", "m"),), ("position",)),)
-    builtin: ClassVar = ((ViscousFriction, {"coefficient": "viscous"}), (CoulombFriction, {"level": "coulomb"}))
+    signatures: ClassVar[tuple[Signature, ...]] = (Signature((("u", "V"),), (("position", "m"),), ("position",)),)
+    builtin: ClassVar[tuple[tuple[type, dict[str, str]], ...]] = (
+        (ViscousFriction, {"coefficient": "viscous"}),
+        (CoulombFriction, {"level": "coulomb"}),
+    )
     equations: ClassVar[str] = "mass qdd = gain u - friction"
     source: ClassVar[str] = "textbook"
     mass: Array = param(2.0, 1e-3, 1e4, unit="{I}", log=True)
@@ -124,17 +125,18 @@ def by_scipy(chain: Chain, data: jaxid.Dataset) -> tuple[bool, dict[str, tuple[f
         return np.nan_to_num(r, nan=1e6, posinf=1e6), np.nan_to_num(J)
 
     z = problem.z(b.theta)
-    end = least_squares(
-        lambda z: both(z)[0], z, lambda z: both(z)[1], (problem.lower, problem.upper), x_scale="jac", max_nfev=100
-    )
+    box, slope_of = (problem.lower, problem.upper), lambda z: both(z)[1]
+    end = least_squares(lambda z: both(z)[0], z, slope_of, box, x_scale="jac", max_nfev=100)  # pyright: ignore[reportArgumentType]
     r, J = both(end.x)
     variance = np.diag(np.linalg.pinv(J.T @ J)) * max(1.0, float(np.mean(r**2)))
     theta, slope = problem.theta(end.x), problem.dtheta(end.x)
-    numbers = {b.layout.names[i]: (float(theta[i]), float(np.sqrt(variance[k]) * slope[k])) for k, i in enumerate(problem.free)}
+    numbers: dict[str, tuple[float, float | None]] = {
+        b.layout.names[i]: (float(theta[i]), float(np.sqrt(variance[k]) * slope[k])) for k, i in enumerate(problem.free)
+    }
     return bool(end.success), numbers
 
 
-def main(count: int, seed: int) -> None:
+def main(count: int = 500, seed: int = 0) -> dict[str, Any]:
     ours: Counter[str] = Counter()
     theirs: Counter[str] = Counter()
     for number in range(count):
@@ -142,20 +144,34 @@ def main(count: int, seed: int) -> None:
         chain, data, truth, blind = one_case(number, rng)
         fit = jaxid.fit(chain, data, seed=number)
         found = {k: (p.value, p.std if p.identifiable else None) for k, p in fit.parameters.items()}
-        good = fit.state != "failed" and right(found, truth)
-        said = "right" if good and fit.state == "converged" else f"{'right' if good else 'wrong'}, says {fit.state}"
+        said = outcome(right(found, truth) and fit.state != "failed", fit.state)
         ours[said] += 1
         success, numbers = by_scipy(chain, data)
-        told = right(numbers, truth)
-        theirs["right" if told else f"wrong, says {'converged' if success else 'failed'}"] += 1
+        theirs[outcome(right(numbers, truth), "converged" if success else "failed")] += 1
         if said != "right":
-            print(
-                f"{number} {chain.mechanism.name} {'blind ' if blind else ''}{said}: loss {fit.loss:.3g}, {fit.stopped_because}"
-            )
-    for name, table in (("jaxid", ours), ("scipy least_squares", theirs)):
-        shares = ", ".join(f"{k} {100 * n / count:.1f} %" for k, n in table.most_common())
-        print(f"{name}: {count} fits: {shares}")
+            name = f"{number} {chain.mechanism.name}{', blind' if blind else ''}"
+            print(f"{name}: {said}, loss {fit.loss:.3g}, {fit.stopped_because}", file=sys.stderr)
+    rows = [
+        {"fitter": name, **{k: f"{100 * table[k] / count:.1f} %" for k in OUTCOMES}}
+        for name, table in (("jaxid", ours), ("SciPy least_squares", theirs))
+    ]
+    return {
+        "title": "Random fits: right, failed, wrong",
+        "text": f"{count} fits. {' '.join((__doc__ or '').split())}",
+        "rows": rows,
+    }
+
+
+OUTCOMES = ("right", "right, says it did not converge", "wrong, says it did not converge", "wrong, says converged")
+
+
+def outcome(good: bool, state: str) -> str:
+    if state == "converged":
+        return "right" if good else "wrong, says converged"
+    return OUTCOMES[1] if good else OUTCOMES[2]
 
 
 if __name__ == "__main__":
-    main(int(sys.argv[1]) if len(sys.argv) > 1 else 500, int(sys.argv[2]) if len(sys.argv) > 2 else 0)
+    import json
+
+    print(json.dumps(main(*map(int, sys.argv[1:])), indent=1))

@@ -325,7 +325,7 @@ class Chain(eqx.Module):
         """Outputs without effects of a run that begins at (q, qd) without acceleration, and their rate of change."""
 
         def outputs(q: Float[Array, " nq"]) -> Float[Array, " ny"]:
-            return self.readings(body, body.start(q, qd), jnp.zeros_like(q), jnp.ones_like(q, bool))
+            return self.signature.read(body, body.start(q, qd), jnp.zeros_like(q), jnp.ones_like(q, bool))
 
         return jax.jvp(outputs, (q,), (qd,))
 
@@ -353,20 +353,13 @@ class Chain(eqx.Module):
             z=tuple(b if isinstance(e, OutputEffect) else a for e, a, b in zip(self.effects, after.z, z, strict=True))
         ), y
 
-    def readings(self, body: Mechanism, x: Any, tau: Float[Array, " nq"], rests: Bool[Array, " nq"]) -> Float[Array, " ny"]:
-        """What ideal sensors read in state x: see `Mechanism.output`."""
-        s = self.signature
-        y = body.output(x, tau, rests)
-        y = y[: len(s.outputs) - len(s.speeds)] if s.shown is None else y[np.array(s.shown, int)]
-        return jnp.concatenate([y, body.port(x)[1][np.array(s.speeds)]]) if s.speeds else y
-
     def sense(
         self, body: Mechanism, carry: Carry, tau: Float[Array, " nq"], rests: Bool[Array, " nq"], command: Command
     ) -> tuple[Float[Array, " ny"], tuple]:
         """What the sensors record at the beginning of a step with net joint torque `tau`, and the effects' next states."""
         q, v = body.port(carry.x)
         s = Signals(command.t, q, v, jnp.zeros_like(q), command.h, command, v)
-        y, z = self.readings(body, carry.x, tau, rests), list(carry.z)
+        y, z = self.signature.read(body, carry.x, tau, rests), list(carry.z)
         for i, e in self.at(OutputEffect):
             y, z[i] = e(y, s, carry.z[i])
         return y, tuple(z)

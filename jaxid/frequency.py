@@ -67,7 +67,7 @@ def transfer(
 
         field = lambda x, u: ravel_pytree(body.vector_field(0.0, unravel(x), torque(x, u)))[0]
         moving = jnp.zeros(chain.nq, bool)
-        sensors = lambda x, u: chain.readings(body, unravel(x), torque(x, u), moving)
+        sensors = lambda x, u: chain.signature.read(body, unravel(x), torque(x, u), moving)
         A, B = jax.jacfwd(field, (0, 1))(x0, u0)
         C, D = jax.jacfwd(sensors, (0, 1))(x0, u0)
         X = jax.vmap(lambda w: solve(1j * w * jnp.eye(x0.size) - A, B))(omega)

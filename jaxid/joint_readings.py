@@ -73,7 +73,7 @@ def _read(chain: Chain, seeds: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
             q, qd = (jnp.asarray(np.cos(s * np.arange(a, a + chain.nq))) for a in (1, 101))
             x = body.start(q, qd)
             velocities.append(np.asarray(qd))
-            outputs.append(np.asarray(chain.readings(body, x, jnp.zeros_like(q), jnp.ones_like(q, bool))))
+            outputs.append(np.asarray(chain.signature.read(body, x, jnp.zeros_like(q), jnp.ones_like(q, bool))))
     return np.array(velocities), np.array(outputs)
 
 
@@ -102,7 +102,7 @@ def position_matters(chain: Chain) -> bool:
         u = jnp.asarray(np.cos(0.7 * np.arange(len(chain.signature.inputs))))
 
         def seen(q: Any) -> list[Any]:
-            y = chain.readings(body, body.start(q, qd), jnp.zeros_like(q), jnp.ones_like(q, bool))
+            y = chain.signature.read(body, body.start(q, qd), jnp.zeros_like(q), jnp.ones_like(q, bool))
             return [body.inverse(q, qd, qdd), body.drive(chain.signature, u, q, qd), y]
 
         return any(not np.array_equal(a, b) for a, b in zip(seen(q), seen(q + 0.37), strict=True))

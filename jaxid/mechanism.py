@@ -14,6 +14,7 @@ from typing import Any, ClassVar, NamedTuple, TYPE_CHECKING
 import equinox as eqx
 import jax
 import jax.numpy as jnp
+import numpy as np
 from jaxtyping import Array, Bool, Float
 
 from jaxid.arithmetic import dot, inverse
@@ -45,6 +46,12 @@ class Signature(NamedTuple):
         linear = self.linear or (joint < len(self.prismatic) and self.prismatic[joint]) or self._reads_length(joint)
         force, coordinate, inertia = ("N", "m", "kg") if linear else ("N m", "rad", "kg m^2")
         return template.replace("{F}", force).replace("{X}", coordinate).replace("{I}", inertia)
+
+    def read(self, body: Mechanism, x: Any, tau: Array, rests: Array) -> Array:
+        """What ideal sensors of these outputs read in state x, [ny]: see `Mechanism.output`."""
+        y = body.output(x, tau, rests)
+        y = y[: len(self.outputs) - len(self.speeds)] if self.shown is None else y[np.array(self.shown, int)]
+        return jnp.concatenate([y, body.port(x)[1][np.array(self.speeds)]]) if self.speeds else y
 
     def _reads_length(self, joint: int) -> bool:
         """Whether an output reads the joint's position in m, or its speed in m/s."""

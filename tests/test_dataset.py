@@ -27,6 +27,7 @@ from jaxid.experiment import (
     ParameterPrior,
     Problem,
 )
+from jaxid.mechanism import Signature
 
 
 TOML = """\
@@ -60,7 +61,7 @@ split = "validation"
 @pytest.fixture
 def pendulum(monkeypatch):
     """A catalogue with one model, so that the checks are tested apart from the models."""
-    signature = types.SimpleNamespace(inputs=(("tau", "N m"),), outputs=(("q", "rad"),))
+    signature = Signature((("tau", "N m"),), (("q", "rad"),), ("q",))
     info = types.SimpleNamespace(
         name="pendulum",
         signatures=(signature,),
@@ -466,9 +467,7 @@ def test_a_joint_held_in_one_run_is_sound(folder):
 
 
 def test_g_is_decided_by_the_model(folder, pendulum):
-    sys.modules["jaxid.catalogue"].describe("pendulum").signatures = (
-        types.SimpleNamespace(inputs=(("tau", "N m"),), outputs=(("q", "m/s^2"),)),
-    )
+    sys.modules["jaxid.catalogue"].describe("pendulum").signatures = (Signature((("tau", "N m"),), (("q", "m/s^2"),), ("q",)),)
     folder.replace('unit = "rad"', 'unit = "g"')
     dataset = load_dataset(folder.write())
     assert dataset.outputs[0].unit == "m/s^2"

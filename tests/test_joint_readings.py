@@ -22,8 +22,11 @@ class Coast(Rigid):
     """A body whose only sensor reads its speed."""
 
     name: ClassVar[str] = "coast"
-    signatures: ClassVar = (Signature((), (("velocity", "m/s"),), ("position",)),)
-    builtin: ClassVar = ((CoulombFriction, {"level": "rolling"}), (ViscousFriction, {"coefficient": "viscous"}))
+    signatures: ClassVar[tuple[Signature, ...]] = (Signature((), (("velocity", "m/s"),), ("position",)),)
+    builtin: ClassVar[tuple[tuple[type, dict[str, str]], ...]] = (
+        (CoulombFriction, {"level": "rolling"}),
+        (ViscousFriction, {"coefficient": "viscous"}),
+    )
     equations: ClassVar[str] = "mass qdd = -rolling sign(qd) - viscous qd"
     source: ClassVar[str] = "textbook"
     mass: Array = param(100.0, 1.0, 1e4, unit="{I}", log=True)
@@ -39,8 +42,8 @@ class Slow(Rigid):
     """A slow axis driven by volts."""
 
     name: ClassVar[str] = "slow"
-    signatures: ClassVar = (Signature((("u", "V"),), (("position", "m"),), ("position",)),)
-    builtin: ClassVar = (
+    signatures: ClassVar[tuple[Signature, ...]] = (Signature((("u", "V"),), (("position", "m"),), ("position",)),)
+    builtin: ClassVar[tuple[tuple[type, dict[str, str]], ...]] = (
         (ViscousFriction, {"coefficient": "viscous"}),
         (CoulombFriction, {"level": "coulomb"}),
         (ConstantTorque, {"torque": "offset"}),
@@ -61,8 +64,8 @@ class Cart(Rigid):
     """One input, two joints, and no law between them."""
 
     name: ClassVar[str] = "cart"
-    signatures: ClassVar = (Signature((("u", "V"),), (("x", "m"), ("phi", "rad")), ("x", "phi")),)
-    builtin: ClassVar = ((ViscousFriction, {"coefficient": "viscous"}),)
+    signatures: ClassVar[tuple[Signature, ...]] = (Signature((("u", "V"),), (("x", "m"), ("phi", "rad")), ("x", "phi")),)
+    builtin: ClassVar[tuple[tuple[type, dict[str, str]], ...]] = ((ViscousFriction, {"coefficient": "viscous"}),)
     equations: ClassVar[str] = "mass qdd = u"
     source: ClassVar[str] = "textbook"
     mass: Array = constant(0.5, unit="kg")
