@@ -38,7 +38,7 @@ def fit(
 
     `model` is an id, a mechanism, a chain, or None for the one that the dataset names; `effects` (`dead_zone@tau`, or one of
     your own) are added and fitted, `without` takes built-in ones out; `fitter` is one or its text, `de(popsize=20)`; `solver` (a
-    solver of diffrax, or `jaxid.Diffrax`) simulates in place of jaxid's own stepping. Raises `UsageError` for arguments that do
+    solver of diffrax, or `Diffrax`) simulates in place of jaxid's own stepping. Raises `UsageError` for arguments that do
     not fit; a fit that fails is a `Fit` with `failed` set and a sentence in `stopped_because`.
     """
     binding = bind(model, dataset, effects=effects, without=without)
@@ -93,7 +93,7 @@ def simulate(
     """Free runs of a model on a dataset's inputs.
 
     `model` as of `fit`, None for the one that the parameters or the dataset name; `parameters` a `Fit` or the content of a
-    fit.json, None for the numbers of the model itself, such as `fit.chain`. `solver` (a solver of diffrax, or `jaxid.Diffrax`)
+    fit.json, None for the numbers of the model itself, such as `fit.chain`. `solver` (a solver of diffrax, or `Diffrax`)
     checks jaxid's own stepping. Raises `UsageError` for arguments that do not fit.
     """
     from jaxid.simulation import simulate_dataset

@@ -191,7 +191,7 @@ class Problem(AbstractProblem):
         return lambda z, data: penalised(loss.total(sums(predict, length, loss, z, data), data.count, data.norm))
 
     def residual_function(self):
-        from jaxid.make_problem import pure, residual_of
+        from jaxid.pure_problem import pure, residual_of
 
         if self._pure is None:
             self._pure = pure(self, np.clip(self.z(self.base), self.lower, self.upper))

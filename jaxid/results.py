@@ -9,7 +9,9 @@ from typing import Any, TYPE_CHECKING
 
 import numpy as np
 
+from jaxid import frames
 from jaxid.atomic_files import replace_files
+from jaxid.versions import versions
 
 
 if TYPE_CHECKING:
@@ -129,19 +131,12 @@ class Fit:
     history: tuple[tuple[int, float], ...] = ()  # (evaluations, best loss so far)
     traces: tuple[Trace, ...] = ()
     theta: np.ndarray = field(default_factory=lambda: np.zeros(0))  # every number of the model, in the order of its layout
-    chain: Chain | None = field(default=None, repr=False, compare=False)
-    """The fitted model with its effects, None where the fit failed: `.ode()`, `jaxid.simulate(fit.chain, other_data)`."""
+    chain: Chain | None = field(default=None, repr=False, compare=False)  # the fitted model, None where the fit failed
     solver: str = "own"  # what simulated: jaxid's own stepping, or a solver of diffrax
 
     def to_frame(self) -> pandas.DataFrame:
         """A row for each fitted number, those of added effects as `dead_zone.width@tau`. Raises `UsageError` without pandas."""
-        from jaxid.frames import frame
-
-        found = dict(self.parameters)
-        for e in self.effects:
-            found |= {f"{e.effect}.{name}@{e.location}": estimate for name, estimate in e.parameters.items()}
-        columns = ("parameter", "value", "std", "unit", "lower", "upper", "at_bound", "identifiable")
-        return frame([{"parameter": name, **estimate.to_dict()} for name, estimate in found.items()], columns)
+        return frames.of_fit(self)
 
     def to_dict(self) -> dict[str, Any]:
         return {
@@ -382,13 +377,8 @@ class Diagnosis:
         return separate(self.rivals, **settings)
 
     def to_frame(self) -> pandas.DataFrame:
-        """A row for each candidate that was refitted, best first, and whether the verdict names it. Raises `UsageError` without
-        pandas."""
-        from jaxid.frames import frame
-
-        named = {(e.effect, e.location) for e in self.which.effects}
-        rows = [{**r.to_dict(), "named": (r.effect, r.location) in named} for r in self.which.ranking]
-        return frame(rows, ("effect", "location", "named", "validation_gap", "bic", "evidence", "text"))
+        """A row for each candidate that was refitted, best first, and whether it is named. Raises `UsageError` without pandas."""
+        return frames.of_diagnosis(self)
 
     def to_dict(self) -> dict[str, Any]:
         return {
@@ -459,15 +449,3 @@ def finite(value: Any) -> Any:
     if isinstance(value, float | np.floating):
         return float(value) if np.isfinite(value) else None
     return value
-
-
-def versions() -> dict[str, str]:
-    from importlib.metadata import PackageNotFoundError, version
-
-    out = {}
-    for name in ("jaxid", "jax", "numpy", "scipy"):
-        try:
-            out[name] = version(name)
-        except PackageNotFoundError:
-            out[name] = "not installed"
-    return out

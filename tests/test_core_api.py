@@ -26,6 +26,7 @@ from jaxid.models import Joint, MODELS, Panda, Pendulum, UR10e
 from jaxid.models.effects import ActuatorLag, SensorLag
 from jaxid.parameter import param, TORQUE
 from jaxid.precision import float64
+from jaxid.pure_problem import Problem
 from jaxid.results import EffectEstimate, Estimate
 from jaxid.reverse import in_reverse
 
@@ -54,7 +55,7 @@ def data() -> jaxid.Dataset:
 
 
 @pytest.fixture(scope="module")
-def problem(data) -> jaxid.Problem:
+def problem(data) -> Problem:
     return jaxid.make_problem("pendulum", data)
 
 
@@ -232,7 +233,7 @@ def test_a_fit_by_a_solver_of_diffrax_finds_the_same(data):
 # ---- fitters
 
 
-SLOW = [pytest.param(f"optimistix_{m}", marks=pytest.mark.slow) for m in ("dogleg", "bfgs", "nelder_mead")]
+SLOW = [pytest.param(f"optimistix_{m}", marks=pytest.mark.slow) for m in ("dogleg", "bfgs", "nelder_mead(restarts=4)")]
 
 
 @pytest.mark.parametrize("fitter", ["optimistix_lm", *SLOW])
