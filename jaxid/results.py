@@ -41,15 +41,7 @@ class Estimate:
     identifiable: bool = True
 
     def to_dict(self) -> dict[str, Any]:
-        return {
-            "value": self.value,
-            "std": self.std,
-            "unit": self.unit,
-            "lower": self.lower,
-            "upper": self.upper,
-            "at_bound": self.at_bound,
-            "identifiable": self.identifiable,
-        }
+        return asdict(self)
 
 
 @dataclass(frozen=True)
@@ -130,7 +122,7 @@ class Fit:
     correlated: tuple[tuple[str, ...], ...] = ()  # groups of parameters the data determine only together
     history: tuple[tuple[int, float], ...] = ()  # (evaluations, best loss so far)
     traces: tuple[Trace, ...] = ()
-    theta: np.ndarray = field(default_factory=lambda: np.zeros(0))  # every number of the model, in the order of its layout
+    theta: np.ndarray = field(default_factory=lambda: np.zeros(0))  # every number, in the order of the layout
     chain: Chain | None = field(default=None, repr=False, compare=False)  # the fitted model, None where the fit failed
     solver: str = "own"  # what simulated: jaxid's own stepping, or a solver of diffrax
 
@@ -377,7 +369,7 @@ class Diagnosis:
         return separate(self.rivals, **settings)
 
     def to_frame(self) -> pandas.DataFrame:
-        """A row for each candidate that was refitted, best first, and whether it is named. Raises `UsageError` without pandas."""
+        """A row for each candidate that was refitted, best first. Raises `UsageError` without pandas."""
         return frames.of_diagnosis(self)
 
     def to_dict(self) -> dict[str, Any]:
