@@ -153,7 +153,7 @@ def test_simulate(calls, tmp_path, capsys):
     assert run("simulate", "data", "--parameters", tmp_path / "p.json", "--out", tmp_path / "out") == 0
     args, kwargs = calls["simulate"]
     assert args == (None, "the dataset", {"parameters": {"inertia": {"value": 0.08}}, "effects": []})
-    assert kwargs == {"model": None}
+    assert kwargs == {"solver": None}
     names = ["run_1.parquet", "run_2.parquet", "simulation.json"]
     assert sorted(p.name for p in (tmp_path / "out").iterdir()) == names
     table = pyarrow.parquet.read_table(tmp_path / "out" / "run_2.parquet")
