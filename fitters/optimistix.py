@@ -144,13 +144,22 @@ def _single(problem: AbstractProblem) -> Callable[[Any, Any], tuple[Any, Any]]:
     return fn
 
 
+def _mended(x: Any, state: Any, aux: Any) -> tuple[Any, Any, Any]:
+    """A step's answer; the simplex of optimistix 0.1 takes best and worst corner from before the step: they are put right."""
+    if not hasattr(state, "simplex"):
+        return x, state, aux
+    (_, _, best), (_, _, worst) = state.best, state.worst
+    corners = state.simplex[best], state.simplex[worst]
+    return corners[0], eqx.tree_at(lambda s: (s.best[1], s.worst[1]), state, corners), aux
+
+
 def _programs(problem, fitter, solver, fn, options, f_struct, aux_struct, tags) -> tuple[Callable, ...]:
     """init, step and terminate of a solver, and the loss itself, compiled once for all starts of problems of one structure."""
     key = "optimistix", repr(fitter), problem.loss_name, problem.size, str(f_struct)
     if key not in problem.programs:
         rest = {"options": options, "tags": tags}
         init = lambda x, args: solver.init(fn, x, args, options, f_struct, aux_struct, tags)
-        step = lambda x, args, state: solver.step(fn, x, args, state=state, **rest)
+        step = lambda x, args, state: _mended(*solver.step(fn, x, args, state=state, **rest))
         over = lambda x, args, state: solver.terminate(fn, x, args, state=state, **rest)
         look = lambda x, args: fn(x, args)[1]
         functions: Any = (init, step, over, look)
@@ -223,7 +232,7 @@ class OptimistixBFGS(AbstractOptimistix):
 class OptimistixNelderMead(AbstractOptimistix):
     """Nelder and Mead's simplex of optimistix, for every loss, without derivatives; bounds by a sine transform.
 
-    It begins anew where it ends, with smaller and mirrored simplices: that of optimistix 0.1 stops early.
+    It begins anew where it ends, with smaller and mirrored simplices.
     """
 
     name: ClassVar[str] = "optimistix_nelder_mead"

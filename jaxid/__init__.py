@@ -17,7 +17,6 @@ if _TYPE_CHECKING:
     from jaxid.chain import Chain as Chain
     from jaxid.comparison import Comparison as Comparison
     from jaxid.dataset_io import load_dataset as load_dataset, save_dataset as save_dataset
-    from jaxid.diffrax_solver import Diffrax as Diffrax
     from jaxid.errors import UsageError as UsageError
     from jaxid.excitation import excite as excite
     from jaxid.experiment import (
@@ -27,7 +26,7 @@ if _TYPE_CHECKING:
         Experiment as Experiment,
     )
     from jaxid.identification import identify as identify
-    from jaxid.make_problem import make_problem as make_problem, Problem as Problem
+    from jaxid.pure_problem import make_problem as make_problem
     from jaxid.results import Diagnosis as Diagnosis, Fit as Fit
 
 
@@ -39,10 +38,8 @@ _HOME = {
     "Dataset": "jaxid.experiment",
     "DatasetError": "jaxid.experiment",
     "Diagnosis": "jaxid.results",
-    "Diffrax": "jaxid.diffrax_solver",
     "Experiment": "jaxid.experiment",
     "Fit": "jaxid.results",
-    "Problem": "jaxid.make_problem",
     "UsageError": "jaxid.errors",
     "check": "jaxid.api",
     "compare": "jaxid.api",
@@ -52,7 +49,7 @@ _HOME = {
     "fitters": None,
     "identify": "jaxid.identification",
     "load_dataset": "jaxid.dataset_io",
-    "make_problem": "jaxid.make_problem",
+    "make_problem": "jaxid.pure_problem",
     "models": None,
     "runtime": None,
     "save_dataset": "jaxid.dataset_io",

@@ -45,7 +45,7 @@ def fit(
     `model` is an id, a mechanism, a chain, or None for the one that the dataset names; `effects` (`dead_zone@tau`, or one of
     your own) are added and fitted, `without` takes built-in ones out. The recording is checked first, and decisive findings are
     applied (`data`, `jaxid.check`) unless `as_recorded`. `fitter` is one or its text, `de(popsize=20)`; `solver` (a
-    solver of diffrax, or `jaxid.Diffrax`) simulates in place of jaxid's own stepping. Raises `UsageError` for arguments that do
+    solver of diffrax, or `Diffrax`) simulates in place of jaxid's own stepping. Raises `UsageError` for arguments that do
     not fit; a fit that fails is a `Fit` with `failed` set and a sentence in `stopped_because`. More rows than there
     is memory for are refused before anything is computed.
     """
@@ -140,7 +140,7 @@ def simulate(
     """Free runs of a model on a dataset's inputs.
 
     `model` as of `fit`, None for the one that the parameters or the dataset name; `parameters` a `Fit` or the content of a
-    fit.json, None for the numbers of the model itself, such as `fit.chain`. `solver` (a solver of diffrax, or `jaxid.Diffrax`)
+    fit.json, None for the numbers of the model itself, such as `fit.chain`. `solver` (a solver of diffrax, or `Diffrax`)
     checks jaxid's own stepping. Raises `UsageError` for arguments that do not fit.
     """
     from jaxid.simulation import simulate_dataset

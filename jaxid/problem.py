@@ -240,7 +240,7 @@ class Problem(AbstractProblem):
         return (lambda: None) if self.runs.engine.long else super().compile_losses()
 
     def residual_function(self):
-        from jaxid.make_problem import pure, residual_of
+        from jaxid.pure_problem import pure, residual_of
 
         if self._pure is None:
             self._pure = pure(self, np.clip(self.z(self.base), self.lower, self.upper))

@@ -9,8 +9,10 @@ from typing import Any, TYPE_CHECKING
 
 import numpy as np
 
+from jaxid import frames
 from jaxid.atomic_files import replace_files
 from jaxid.conventions.finding import as_data, DataFinding
+from jaxid.versions import versions
 
 
 if TYPE_CHECKING:
@@ -41,15 +43,7 @@ class Estimate:
     identifiable: bool = True
 
     def to_dict(self) -> dict[str, Any]:
-        return {
-            "value": self.value,
-            "std": self.std,
-            "unit": self.unit,
-            "lower": self.lower,
-            "upper": self.upper,
-            "at_bound": self.at_bound,
-            "identifiable": self.identifiable,
-        }
+        return asdict(self)
 
 
 @dataclass(frozen=True)
@@ -149,13 +143,7 @@ class Fit:
 
     def to_frame(self) -> pandas.DataFrame:
         """A row for each fitted number, those of added effects as `dead_zone.width@tau`. Raises `UsageError` without pandas."""
-        from jaxid.frames import frame
-
-        found = dict(self.parameters)
-        for e in self.effects:
-            found |= {f"{e.effect}.{name}@{e.location}": estimate for name, estimate in e.parameters.items()}
-        columns = ("parameter", "value", "std", "unit", "lower", "upper", "at_bound", "identifiable")
-        return frame([{"parameter": name, **estimate.to_dict()} for name, estimate in found.items()], columns)
+        return frames.of_fit(self)
 
     def to_dict(self) -> dict[str, Any]:
         return {
@@ -405,13 +393,8 @@ class Diagnosis:
         return separate(self.rivals, **settings)
 
     def to_frame(self) -> pandas.DataFrame:
-        """A row for each candidate that was refitted, best first, and whether the verdict names it. Raises `UsageError` without
-        pandas."""
-        from jaxid.frames import frame
-
-        named = {(e.effect, e.location) for e in self.which.effects}
-        rows = [{**r.to_dict(), "named": (r.effect, r.location) in named} for r in self.which.ranking]
-        return frame(rows, ("effect", "location", "named", "validation_gap", "bic", "evidence", "text"))
+        """A row for each candidate that was refitted, best first. Raises `UsageError` without pandas."""
+        return frames.of_diagnosis(self)
 
     def to_dict(self) -> dict[str, Any]:
         return {
@@ -484,15 +467,3 @@ def finite(value: Any) -> Any:
     if isinstance(value, float | np.floating):
         return float(value) if np.isfinite(value) else None
     return value
-
-
-def versions() -> dict[str, str]:
-    from importlib.metadata import PackageNotFoundError, version
-
-    out = {}
-    for name in ("jaxid", "jax", "numpy", "scipy"):
-        try:
-            out[name] = version(name)
-        except PackageNotFoundError:
-            out[name] = "not installed"
-    return out

@@ -34,3 +34,16 @@ def check_jax() -> None:
 def remedy(bounds: str) -> str:
     """What to type for a JAX within bounds."""
     return f"{sys.executable} -m pip install 'jax{bounds}'"
+
+
+def versions() -> dict[str, str]:
+    """Versions of what computes a result, for its JSON."""
+    from importlib.metadata import PackageNotFoundError, version
+
+    out = {}
+    for name in ("jaxid", "jax", "numpy", "scipy"):
+        try:
+            out[name] = version(name)
+        except PackageNotFoundError:
+            out[name] = "not installed"
+    return out

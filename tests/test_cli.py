@@ -112,6 +112,7 @@ def test_fit(calls, tmp_path, capsys):
     kwargs.pop("progress")
     assert kwargs == {
         "fitter": "lm",
+        "solver": None,
         "residual": "output_error",
         "loss": "sum_of_norms",
         "effects": ("dead_zone@tau", "input_delay"),
@@ -151,8 +152,8 @@ def test_simulate(calls, tmp_path, capsys):
     (tmp_path / "p.json").write_text('{"parameters": {"inertia": {"value": 0.08}}, "effects": []}')
     assert run("simulate", "data", "--parameters", tmp_path / "p.json", "--out", tmp_path / "out") == 0
     args, kwargs = calls["simulate"]
-    assert args == ({"parameters": {"inertia": {"value": 0.08}}, "effects": []}, "the dataset")
-    assert kwargs == {"model": None}
+    assert args == (None, "the dataset", {"parameters": {"inertia": {"value": 0.08}}, "effects": []})
+    assert kwargs == {"solver": None}
     names = ["run_1.parquet", "run_2.parquet", "simulation.json"]
     assert sorted(p.name for p in (tmp_path / "out").iterdir()) == names
     table = pyarrow.parquet.read_table(tmp_path / "out" / "run_2.parquet")

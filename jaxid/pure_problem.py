@@ -115,7 +115,7 @@ def make_problem(
 ) -> Problem:
     """The problem that `jaxid.fit` would solve, as pure functions for any optimiser or sampler.
 
-    `split` says which runs it looks at, `solver` (a solver of diffrax, or `jaxid.Diffrax`) simulates in place of jaxid's own
+    `split` says which runs it looks at, `solver` (a solver of diffrax, or `Diffrax`) simulates in place of jaxid's own
     stepping. Raises `UsageError` for arguments that do not fit.
     """
     from jaxid.api import resolve_residual, with_solver
