@@ -171,14 +171,17 @@ class Identification:
             out["standard_parameters"] = self.standard
         if self.payload is not None:
             out["payload"] = self.payload.to_dict()
-        return out | {
-            "dataset": self.dataset,
-            "dataset_sha256": self.dataset_sha256,
-            "wall_time_s": self.wall_time_s,
-            "versions": versions(),
-            "notes": list(self.notes),
-            **as_data(self.data),
-        }
+        return (
+            out
+            | {
+                "dataset": self.dataset,
+                "dataset_sha256": self.dataset_sha256,
+                "wall_time_s": self.wall_time_s,
+                "versions": versions(),
+                "notes": list(self.notes),
+            }
+            | as_data(self.data)
+        )
 
     def report(self, path: str | Path) -> Path:
         """Writes the report page (one self-contained HTML file) and returns its path."""
