@@ -79,8 +79,8 @@ def not_at_rest(dataset: Dataset, noise: dict[str, Noise]) -> Iterator[Shown]:
 def _first_speed(t: np.ndarray, y: np.ndarray, noise: float) -> tuple[float, float, float]:
     """Speed over the first rows that show one, how many standard deviations it is from rest, and the run's usual speed.
 
-    From rest, the same time again brings three times as much, and twice as much where a drive soon runs at its speed; a joint that
-    moves already goes as far again.
+    From rest, the same time again brings three times as much, and twice as much where a drive soon runs at its speed; a joint
+    that moves already goes as far again.
     """
     usual = float(np.percentile(np.abs(np.gradient(y, t)), 95))
     most = max(1, int(SOON / (t[1] - t[0])))
