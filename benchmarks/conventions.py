@@ -66,8 +66,8 @@ def recording(model: str, seed: int, effect: str = "", reach: float = 1.0, noise
         waves = [_wave(rng, reach * (0.3 if model == "tracker" else 0.5)) for _ in range(plant.n)]
         y[r] = np.stack([w(t)[0] for w in waves], 1)
         # A held input acts by its mean over the step.
-        q, qd, qdd = (np.stack(a, 1) for a in zip(*(w(t + h / 2) for w in waves), strict=True))
-        u[r] = torque(plant, q, qd, qdd, effect)
+        q, v, a = (np.stack(x, 1) for x in zip(*(w(t + h / 2) for w in waves), strict=True))
+        u[r] = torque(plant, q, v, a, effect)
     level = plant.noise if noise is None else noise
     return Recording(plant, t, u, y + level * rng.standard_normal(y.shape))
 
@@ -142,7 +142,7 @@ def broken(kind: str, r: Recording, rng: np.random.Generator) -> tuple[Recording
     if kind == "filtered":
         from scipy.signal import butter, lfilter
 
-        b, a = butter(3, 12.0, fs=r.plant.rate, output="ba")
+        b, a = butter(3, 12.0, fs=r.plant.rate)  # pyright: ignore
         noisy = y[:, :, j] + 30 * r.plant.noise * rng.standard_normal(y[:, :, j].shape)
         y[:, :, j] = lfilter(b, a, noisy - noisy[:, :1], axis=1) + noisy[:, :1]
         return new(), out, 12.0

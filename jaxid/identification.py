@@ -182,13 +182,13 @@ class Identification:
             out["standard_parameters"] = self.standard
         if self.payload is not None:
             out["payload"] = self.payload.to_dict()
+        out |= as_data(self.data)
         return out | {
             "dataset": self.dataset,
             "dataset_sha256": self.dataset_sha256,
             "wall_time_s": self.wall_time_s,
             "versions": versions(),
             "notes": list(self.notes),
-            **as_data(self.data),
         }
 
     def report(self, path: str | Path) -> Path:
@@ -226,17 +226,15 @@ def identify(
     converged), tls or constrained; `friction` linear, power, stribeck, or auto: the simplest that no richer law beats on every
     held-out run. Torque and columns are low-passed at `cutoff_hz`, positions at `motion_hz` (twice that) before they are
     differentiated. `reference`, the identification of the unloaded arm (or its JSON), gives the payload; `gain_std` is the
-    relative standard deviation of the drive gains, which moves payload and torque alike. The recording is checked first
-    (`jaxid.check`), and decisive findings are applied unless `as_recorded`. Raises `UsageError` for a model that is no serial
-    arm and data that lack its channels.
+    relative standard deviation of the drive gains, which moves payload and torque alike. Decisive findings of `jaxid.check`
+    are applied unless `as_recorded`. Raises `UsageError` for a model that is no serial arm and data that lack its channels.
     """
     began = time.perf_counter()
     if method not in METHODS:
         raise UsageError(f"there is no method {method!r}{nearest(method, METHODS)}")
     if friction not in (*LAWS, "auto"):
         raise UsageError(f"there is no friction law {friction!r}{nearest(friction, (*LAWS, 'auto'))}")
-    checked = run_check(model, dataset, (), as_recorded)
-    dataset = checked.mended or dataset
+    dataset = (checked := run_check(model, dataset, (), as_recorded)).mended or dataset
     model, dataset = as_arm(model, dataset)
     held_out = any(e.split != "fit" for e in dataset.experiments)
     data = dataset if held_out else dataset.with_splits()

@@ -175,8 +175,7 @@ class Fit:
             "dataset_sha256": self.dataset_sha256,
             "versions": versions(),
             "notes": list(self.notes),
-            **as_data(self.data),
-        }
+        } | as_data(self.data)
 
     def report(self, path: str | Path) -> Path:
         """Writes the report page (one self-contained HTML file) and returns its path."""

@@ -119,6 +119,7 @@ def test_fit(calls, tmp_path, capsys):
         "without": ("coulomb_friction", "x"),
         "seed": 3,
         "budget": 50,
+        "as_recorded": False,
     }
     assert sorted(p.name for p in (tmp_path / "a" / "b").iterdir()) == ["fit.json", "report.html"]
     out = capsys.readouterr().out
@@ -136,6 +137,7 @@ def test_diagnose(calls, tmp_path, capsys):
         "without": (),
         "residual": None,
         "seed": 0,
+        "as_recorded": False,
     }
     content = json.loads((tmp_path / "diagnosis.json").read_text())
     assert content["kind"] == "diagnosis" and content["schema"] == 1

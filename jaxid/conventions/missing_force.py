@@ -225,12 +225,11 @@ class ForceFit:
         norm = self.norm(m)
         train = ~m.held
         weight = m.weight / norm
-        law: np.ndarray = np.zeros((*m.q.shape, 0))
-        if laws:
-            law = self.laws(m) * weight[..., None] * norm[None, :, None]
-        blocks = np.zeros((*m.q.shape, self.nq * law.shape[2]))
+        law: np.ndarray = self.laws(m) * weight[..., None] * norm[None, :, None] if laws else np.zeros((*m.q.shape, 0))
+        count = LAWS if laws else 0
+        blocks = np.zeros((*m.q.shape, self.nq * count))
         for j in range(self.nq):
-            blocks[:, j, j * law.shape[2] : (j + 1) * law.shape[2]] = law[:, j]
+            blocks[:, j, j * count : (j + 1) * count] = law[:, j]
         p, k = len(free), size
         lower = np.concatenate([b.lower[free], np.full(k, -np.inf), np.tile([-np.inf, 0, 0, 0, 0], self.nq) if laws else []])
         upper = np.concatenate([b.upper[free], np.full(lower.size - p, np.inf)])

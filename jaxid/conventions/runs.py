@@ -17,8 +17,8 @@ from jaxid.noise import Noise
 SLOW = 0.5
 #: A start at rest is refuted by a speed of so many standard deviations and that share of the run's own.
 SURE, SHARE = 8.0, 0.02
-#: It is that share of the speed soon after, too.
-SOON = 0.7
+#: It shows within so many seconds, and is that share of the speed soon after.
+SOON, ALREADY = 0.015, 0.8
 #: A channel that spans less than so many standard deviations of its noise does not move.
 FLICKER = 8.0
 
@@ -77,30 +77,20 @@ def not_at_rest(dataset: Dataset, noise: dict[str, Noise]) -> Iterator[Shown]:
 
 
 def _first_speed(t: np.ndarray, y: np.ndarray, noise: float) -> tuple[float, float, float]:
-    """Speed at the first sample, how many standard deviations it is from rest, and the run's usual speed.
+    """Speed over the first rows that show one, how many standard deviations it is from rest, and the run's usual speed.
 
-    The least of several polynomials counts, and one that is not most of the speed soon after is none: a drive that sets in at
-    once bends the first samples.
+    From rest, the same time again brings three times as much, and twice as much where a drive soon runs at its speed; a joint
+    that moves already goes as far again.
     """
     usual = float(np.percentile(np.abs(np.gradient(y, t)), 95))
-    found = []
-    for count, degree in ((8, 2), (14, 2), (24, 3), (40, 4)):
-        x = (t[:count] - t[0]) / (t[count - 1] - t[0])
-        basis = np.vander(x, degree + 1, increasing=True)
-        inverse = np.linalg.pinv(basis)
-        rest = y[:count] - basis @ (inverse @ y[:count])
-        level = max(noise, float(np.sqrt(np.sum(rest**2) / (count - degree - 1))), 1e-300)
-        width = t[count - 1] - t[0]
-        soon = np.abs(
-            np.polynomial.polynomial.polyval(x[: count // 2 + 1], np.polynomial.polynomial.polyder(inverse @ y[:count]))
-        )
-        speed = float(inverse[1] @ y[:count])
-        steady = abs(speed) > SOON * float(soon.max())
-        found.append((speed / width, level * float(np.linalg.norm(inverse[1])) / width, steady))
-    speed = min((v for v, _, _ in found), key=abs)
-    if len({np.sign(v) for v, _, _ in found}) > 1 or not all(steady for _, _, steady in found):
-        return 0.0, 0.0, usual
-    return speed, max(abs(v) / std for v, std, _ in found), usual
+    most = max(1, int(SOON / (t[1] - t[0])))
+    for k in (k for k in (1, 2, 3, 4, 6, 8, 12, 16) if k <= most and 3 * k < len(y)):
+        first, again, third = y[k] - y[0], y[2 * k] - y[k], y[3 * k] - y[2 * k]
+        sure = abs(first) / (np.sqrt(2) * max(noise, 1e-300))
+        if sure > SURE:
+            steady = first * again > 0 and first * third > 0 and abs(first) > ALREADY * max(abs(again), abs(third))
+            return (float(first / (t[k] - t[0])), sure, usual) if steady else (0.0, 0.0, usual)
+    return 0.0, 0.0, usual
 
 
 def does_not_move(dataset: Dataset, noise: dict[str, Noise]) -> Iterator[Shown]:
