@@ -26,7 +26,7 @@ RECORDINGS = {"ur10e": (["coulomb_friction", "power_law_friction"], 5.0), "panda
 
 def relative_errors(traces: Any, cutoff: float, joint: str | None = None) -> dict[str, dict[str, float]]:
     """Experiment -> model -> relative error over all joints (or one) and all parts of the experiment, in percent."""
-    from jaxid.signals import zero_phase
+    from jaxid.data.signals import zero_phase
 
     smooth = lambda trace, y: zero_phase(trace.t, y[:, None], cutoff)
     whole = lambda trace: trace.experiment.split("#")[0]

@@ -33,14 +33,14 @@ from benchmarks.blind_cases import CONTROLS, dataset, KINDS, STRENGTH, write_set
 from benchmarks.twins import PLANTS  # noqa: E402
 from jaxid import catalogue  # noqa: E402
 from jaxid.api import diagnose, fit  # noqa: E402
-from jaxid.binding import bind, resolve_model  # noqa: E402
-from jaxid.dataset_io import load_dataset  # noqa: E402
+from jaxid.data.dataset import Dataset  # noqa: E402
+from jaxid.data.io import load_dataset  # noqa: E402
+from jaxid.diagnosis.equivalence import equivalences  # noqa: E402
 from jaxid.diagnosis.evidence import held_out  # noqa: E402
 from jaxid.diagnosis.how_far import shrink  # noqa: E402
-from jaxid.equivalence import equivalences  # noqa: E402
-from jaxid.estimation import Bench  # noqa: E402
-from jaxid.experiment import Dataset  # noqa: E402
-from jaxid.results import Diagnosis, save_json  # noqa: E402
+from jaxid.fitting.problem_builder import Bench  # noqa: E402
+from jaxid.fitting.result import Diagnosis, save_json  # noqa: E402
+from jaxid.problem.binding import bind, resolve_model  # noqa: E402
 
 
 RESULTS = Path(__file__).with_name("results") / "blind.jsonl"

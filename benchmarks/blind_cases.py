@@ -18,9 +18,9 @@ import numpy as np
 from benchmarks import twins, twins_mujoco
 from benchmarks.twins import NEUTRAL, Plant, PLANTS
 from jaxid import catalogue
-from jaxid.chain import Chain
-from jaxid.dataset_io import save_dataset
-from jaxid.experiment import Dataset
+from jaxid.data.dataset import Dataset
+from jaxid.data.io import save_dataset
+from jaxid.dynamics.chain import Chain
 
 
 KINDS = {

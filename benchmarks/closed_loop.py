@@ -15,13 +15,13 @@ from typing import Any
 import jax
 import numpy as np
 
-from jaxid.binding import bind
-from jaxid.closed_loop import ClosedLoopOutputError
-from jaxid.estimation import Bench, start_values
-from jaxid.experiment import Controller, Dataset
+from jaxid.data.dataset import Controller, Dataset
 from jaxid.fitters import InstrumentalVariables, LeastSquares, LevenbergMarquardt, WeightedLeastSquares
-from jaxid.residual import InverseDynamics, OutputError
-from jaxid.uncertainty import covariance
+from jaxid.fitting.covariance import covariance
+from jaxid.fitting.problem_builder import Bench, start_values
+from jaxid.problem.binding import bind
+from jaxid.problem.closed_loop import ClosedLoopOutputError
+from jaxid.problem.residual import InverseDynamics, OutputError
 
 
 TRUTH = {"inertia": 0.025, "viscous": 0.2, "coulomb": 0.04, "offset": 0.05}  # kg m^2, N m s/rad, N m, N m

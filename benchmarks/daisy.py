@@ -17,9 +17,9 @@ import numpy as np
 from jaxtyping import Array
 
 import jaxid
-from jaxid.experiment import Channel, Dataset, Experiment, FrequencyResponse, ModelSpec
-from jaxid.mechanism import Rigid, Signature
-from jaxid.parameter import param
+from jaxid.data.dataset import Channel, Dataset, Experiment, FrequencyResponse, ModelSpec
+from jaxid.dynamics.mechanism import Rigid, Signature
+from jaxid.dynamics.parameter import param
 
 
 class TwoModes(Rigid):

@@ -24,9 +24,9 @@ import diffrax  # noqa: E402
 import jax  # noqa: E402
 import jax.numpy as jnp  # noqa: E402
 
-from jaxid.chain import Chain  # noqa: E402
+from jaxid.dynamics.chain import Chain  # noqa: E402
 from jaxid.models import Pendulum, PlanarArm  # noqa: E402
-from jaxid.precision import float64  # noqa: E402
+from jaxid.numerics.precision import float64  # noqa: E402
 from tests import reference as ref  # noqa: E402
 from tests.simulated import relative, Simulator  # noqa: E402
 
@@ -37,7 +37,7 @@ ARM = {"viscous1": 1.0, "viscous2": 0.5, "coulomb1": 2.0, "coulomb2": 0.8}
 
 def by_diffrax(chain: Chain, theta: np.ndarray, t: np.ndarray, u: np.ndarray, solver=None) -> np.ndarray:
     """Joint positions [time nq] of a smoothed chain from rest, adaptively to 1e-10 between the samples."""
-    from jaxid.layout import Layout
+    from jaxid.dynamics.parameter_vector import Layout
 
     layout, nq = Layout(chain), chain.nq
 

@@ -14,12 +14,12 @@ from typing import Any
 import numpy as np
 
 import jaxid
-from jaxid.binding import bind
-from jaxid.closed_loop import simulate_closed_loop
-from jaxid.estimation import Bench, torque_scores
-from jaxid.experiment import Controller, Dataset
-from jaxid.residual import InverseDynamics
-from jaxid.results import Fit
+from jaxid.data.dataset import Controller, Dataset
+from jaxid.fitting.problem_builder import Bench, torque_scores
+from jaxid.fitting.result import Fit
+from jaxid.problem.binding import bind
+from jaxid.problem.closed_loop import simulate_closed_loop
+from jaxid.problem.residual import InverseDynamics
 
 
 #: Janot, Gautier, Brunot 2019: value and two standard deviations.

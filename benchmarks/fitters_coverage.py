@@ -1,7 +1,7 @@
 """Are intervals by profile and by bootstrap honest? Share of twin recordings whose 95 % interval holds the truth.
 
 A joint with viscous and dry friction and an offset, integrated event-exactly by SciPy, with white noise and with noise of a
-memory of ten samples; each recording is fitted on its own. Beside them the covariance of `jaxid.uncertainty`.
+memory of ten samples; each recording is fitted on its own. Beside them the covariance of `jaxid.fitting.covariance`.
 """
 
 from __future__ import annotations
@@ -20,12 +20,12 @@ from jaxid.runtime import prepare  # noqa: E402
 prepare()
 
 import jaxid  # noqa: E402
-from jaxid.binding import bind  # noqa: E402
-from jaxid.estimation import Bench  # noqa: E402
 from jaxid.fitters import descend  # noqa: E402
-from jaxid.profiles import bootstrap, profile_likelihood  # noqa: E402
-from jaxid.residual import OutputError  # noqa: E402
-from jaxid.uncertainty import covariance  # noqa: E402
+from jaxid.fitting.covariance import covariance  # noqa: E402
+from jaxid.fitting.problem_builder import Bench  # noqa: E402
+from jaxid.fitting.profiles import bootstrap, profile_likelihood  # noqa: E402
+from jaxid.problem.binding import bind  # noqa: E402
+from jaxid.problem.residual import OutputError  # noqa: E402
 from tests import reference as ref  # noqa: E402
 
 

@@ -24,11 +24,11 @@ import jax  # noqa: E402
 import jax.numpy as jnp  # noqa: E402
 
 import jaxid  # noqa: E402
-from jaxid.arithmetic import sin  # noqa: E402
-from jaxid.binding import bind  # noqa: E402
-from jaxid.estimation import Bench  # noqa: E402
-from jaxid.precision import float64  # noqa: E402
-from jaxid.residual import OutputError  # noqa: E402
+from jaxid.fitting.problem_builder import Bench  # noqa: E402
+from jaxid.numerics.fast_math import sin  # noqa: E402
+from jaxid.numerics.precision import float64  # noqa: E402
+from jaxid.problem.binding import bind  # noqa: E402
+from jaxid.problem.residual import OutputError  # noqa: E402
 from tests import reference as ref  # noqa: E402
 
 

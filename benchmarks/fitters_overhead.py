@@ -25,7 +25,6 @@ import jax  # noqa: E402
 import jax.numpy as jnp  # noqa: E402
 from scipy.optimize import differential_evolution  # noqa: E402
 
-from jaxid.fitter import AbstractPopulation, CHUNK  # noqa: E402
 from jaxid.fitters import (  # noqa: E402
     CMAES,
     DifferentialEvolution,
@@ -34,8 +33,9 @@ from jaxid.fitters import (  # noqa: E402
     RandToBestDE,
     Shade,
 )
-from jaxid.objective import FunctionProblem  # noqa: E402
-from jaxid.precision import float64  # noqa: E402
+from jaxid.fitting.fitter import AbstractPopulation, CHUNK  # noqa: E402
+from jaxid.numerics.precision import float64  # noqa: E402
+from jaxid.problem.objective import FunctionProblem  # noqa: E402
 
 
 SIZES = ((6, 100), (60, 100), (6, 1000))

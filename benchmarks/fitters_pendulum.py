@@ -33,12 +33,12 @@ prepare()
 import jax  # noqa: E402
 
 import jaxid  # noqa: E402
-from jaxid.binding import bind  # noqa: E402
-from jaxid.estimation import Bench  # noqa: E402
-from jaxid.experiment import ModelSpec, ParameterPrior  # noqa: E402
+from jaxid.data.dataset import ModelSpec, ParameterPrior  # noqa: E402
 from jaxid.fitters import CMAES, DifferentialEvolution, Hybrid, LevenbergMarquardt, search, Shade  # noqa: E402
-from jaxid.problem import rows  # noqa: E402
-from jaxid.residual import OutputError  # noqa: E402
+from jaxid.fitting.problem_builder import Bench  # noqa: E402
+from jaxid.problem.binding import bind  # noqa: E402
+from jaxid.problem.problem import rows  # noqa: E402
+from jaxid.problem.residual import OutputError  # noqa: E402
 
 
 MASS, DAMPING, ROTOR, LENGTH, G = 1.2, 0.08, 0.03, 0.3, 9.81

@@ -23,8 +23,8 @@ from jaxid.runtime import prepare  # noqa: E402
 prepare()
 
 import jaxid  # noqa: E402
-from jaxid.experiment import Channel, Dataset, FrequencyResponse, ModelSpec, ParameterPrior  # noqa: E402
-from jaxid.frequency import merged  # noqa: E402
+from jaxid.data.dataset import Channel, Dataset, FrequencyResponse, ModelSpec, ParameterPrior  # noqa: E402
+from jaxid.problem.frequency_response import merged  # noqa: E402
 
 
 #: Dimensions of the maker's data sheet: a steel strip of 0.419 m and 65 g.
@@ -66,9 +66,9 @@ def errors(fit: jaxid.Fit, own: Dataset, dataset: Dataset, effects: tuple[str, .
     """Median over lines of |model - data| / |data|, per day."""
     import jax.numpy as jnp
 
-    from jaxid.binding import bind
-    from jaxid.frequency import transfer
-    from jaxid.precision import float64
+    from jaxid.numerics.precision import float64
+    from jaxid.problem.binding import bind
+    from jaxid.problem.frequency_response import transfer
 
     layout = bind(None, own, effects=effects).layout
     out = {}

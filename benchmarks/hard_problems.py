@@ -26,7 +26,7 @@ import jaxid  # noqa: E402
 from benchmarks import papers  # noqa: E402
 from benchmarks.twins import PLANTS, recorded  # noqa: E402
 from jaxid import fitters  # noqa: E402
-from jaxid.experiment import Dataset  # noqa: E402
+from jaxid.data.dataset import Dataset  # noqa: E402
 
 
 BUDGET = 20_000

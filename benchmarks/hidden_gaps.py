@@ -24,8 +24,8 @@ from jaxid.runtime import prepare  # noqa: E402
 prepare()
 
 from jaxid.api import diagnose  # noqa: E402
-from jaxid.experiment import Dataset, ModelSpec, ParameterPrior  # noqa: E402
-from jaxid.results import Diagnosis  # noqa: E402
+from jaxid.data.dataset import Dataset, ModelSpec, ParameterPrior  # noqa: E402
+from jaxid.fitting.result import Diagnosis  # noqa: E402
 from tests import test_models  # noqa: E402
 
 

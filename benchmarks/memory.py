@@ -92,7 +92,7 @@ def write(folder: Path, command: str, rows: int) -> None:
 
 def measured(command: str, folder: Path, code: Path) -> dict[str, Any]:
     """Peak of the resident memory, wall and CPU time of one command in a process of its own."""
-    program = f"import sys; sys.path.insert(0, {str(code)!r}); import jaxid.cli; sys.exit(jaxid.cli.main(sys.argv[1:]))"
+    program = f"import sys; sys.path.insert(0, {str(code)!r}); import jaxid.cli.app; sys.exit(jaxid.cli.app.main(sys.argv[1:]))"
     with tempfile.TemporaryDirectory() as out, open(f"{out}/said", "w+") as said:
         words = [command, str(folder), "--out", f"{out}/o", "--quiet", *COMMANDS[command]]
         began = time.perf_counter()

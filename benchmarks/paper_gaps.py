@@ -27,9 +27,9 @@ prepare()
 
 from benchmarks import twins  # noqa: E402
 from jaxid.api import diagnose, fit  # noqa: E402
-from jaxid.experiment import Dataset  # noqa: E402
-from jaxid.frequency import FrequencyResponseError  # noqa: E402
+from jaxid.data.dataset import Dataset  # noqa: E402
 from jaxid.models import FlexibleLink, Joint, Tracker  # noqa: E402
+from jaxid.problem.frequency_response import FrequencyResponseError  # noqa: E402
 
 
 SPLITS = ("fit", "fit", "validation", "report")

@@ -25,13 +25,13 @@ import jax  # noqa: E402
 from scipy.integrate import solve_ivp  # noqa: E402
 
 from jaxid import fitters  # noqa: E402
-from jaxid.binding import bind  # noqa: E402
-from jaxid.estimation import Bench, start_values  # noqa: E402
-from jaxid.experiment import Channel, Dataset, Experiment, FrequencyResponse, ModelSpec, ParameterPrior  # noqa: E402
-from jaxid.fitter import AbstractFitter  # noqa: E402
-from jaxid.fitting import Benches, fit_seeds  # noqa: E402
-from jaxid.frequency import FrequencyResponseError  # noqa: E402
-from jaxid.problem import Problem  # noqa: E402
+from jaxid.data.dataset import Channel, Dataset, Experiment, FrequencyResponse, ModelSpec, ParameterPrior  # noqa: E402
+from jaxid.fitting.fitter import AbstractFitter  # noqa: E402
+from jaxid.fitting.problem_builder import Bench, start_values  # noqa: E402
+from jaxid.fitting.run import Benches, fit_seeds  # noqa: E402
+from jaxid.problem.binding import bind  # noqa: E402
+from jaxid.problem.frequency_response import FrequencyResponseError  # noqa: E402
+from jaxid.problem.problem import Problem  # noqa: E402
 from notebooks.twins import flexible_link as link  # noqa: E402
 
 

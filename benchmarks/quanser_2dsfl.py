@@ -17,10 +17,10 @@ import numpy as np
 from jaxtyping import Array
 
 import jaxid
-from jaxid.experiment import Channel, Dataset, Experiment, ModelSpec
-from jaxid.mechanism import Rigid, Signature
+from jaxid.data.dataset import Channel, Dataset, Experiment, ModelSpec
+from jaxid.dynamics.mechanism import Rigid, Signature
+from jaxid.dynamics.parameter import constant, param
 from jaxid.models.effects import ViscousFriction
-from jaxid.parameter import constant, param
 
 
 class FlexibleStage(Rigid):

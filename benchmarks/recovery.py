@@ -22,13 +22,13 @@ from jaxid.runtime import prepare  # noqa: E402
 
 prepare()
 
-from jaxid.binding import bind  # noqa: E402
-from jaxid.estimation import Bench  # noqa: E402
-from jaxid.experiment import Dataset  # noqa: E402
+from jaxid.data.dataset import Dataset  # noqa: E402
 from jaxid.fitters import descend  # noqa: E402
-from jaxid.problem import linearise  # noqa: E402
-from jaxid.residual import OutputError  # noqa: E402
-from jaxid.uncertainty import covariance  # noqa: E402
+from jaxid.fitting.covariance import covariance  # noqa: E402
+from jaxid.fitting.problem_builder import Bench  # noqa: E402
+from jaxid.problem.binding import bind  # noqa: E402
+from jaxid.problem.problem import linearise  # noqa: E402
+from jaxid.problem.residual import OutputError  # noqa: E402
 from tests import reference as ref  # noqa: E402
 
 

@@ -130,8 +130,8 @@ def worker(cache: Path, expected: Path, seed: int, flips: int) -> None:
     prepare()
     import jax
 
-    from jaxid.precision import float64
-    from jaxid.traced import Traced
+    from jaxid.numerics.export_cache import Traced
+    from jaxid.numerics.precision import float64
 
     def answer() -> np.ndarray:
         """What four programs say that were just read from the cache, as the programs of a fit are."""

@@ -29,9 +29,9 @@ from pathlib import Path
 from typing import Any
 
 from jaxid import runtime
-from jaxid.atomic_files import settle, STAGE
+from jaxid.fitting.result import Diagnosis
 from jaxid.report.page import result_of
-from jaxid.results import Diagnosis
+from jaxid.storage.atomic_files import settle, STAGE
 from tests.test_batch import write_dataset
 
 
@@ -46,7 +46,7 @@ def main() -> dict:
     import pyarrow.parquet  # noqa: F401
 
     import jaxid.api
-    import jaxid.dataset_io
+    import jaxid.data.io
     import jaxid.models.effects
     import jaxid.report
     import jaxid.report.figures  # noqa: F401  # imported, not used: a fork of a process that has computed would hang
@@ -76,7 +76,7 @@ def started(command: str, home: Path, out: Path, seed: int, told: Path, ready: b
         os.dup2(file.fileno(), 1)
         os.dup2(file.fileno(), 2)
     import jaxid
-    from jaxid.cli import main as command_line
+    from jaxid.cli.app import main as command_line
 
     code, verb, stored = 99, getattr(jaxid, command), home / f"{command}.pickle"
     try:

@@ -25,17 +25,17 @@ from jaxtyping import Array  # noqa: E402
 from scipy.optimize import least_squares  # noqa: E402
 
 import jaxid  # noqa: E402
-from jaxid.binding import bind  # noqa: E402
-from jaxid.chain import Chain  # noqa: E402
-from jaxid.estimation import Bench  # noqa: E402
-from jaxid.experiment import ModelSpec, ParameterPrior  # noqa: E402
-from jaxid.joint_readings import with_speeds  # noqa: E402
-from jaxid.mechanism import Rigid, Signature  # noqa: E402
+from jaxid.data.dataset import ModelSpec, ParameterPrior  # noqa: E402
+from jaxid.dynamics.chain import Chain  # noqa: E402
+from jaxid.dynamics.joint_readings import with_speeds  # noqa: E402
+from jaxid.dynamics.mechanism import Rigid, Signature  # noqa: E402
+from jaxid.dynamics.parameter import constant, param  # noqa: E402
+from jaxid.fitting.problem_builder import Bench  # noqa: E402
 from jaxid.models import Joint, Pendulum, Servo  # noqa: E402
 from jaxid.models.effects import CoulombFriction, ViscousFriction  # noqa: E402
-from jaxid.objective import rows  # noqa: E402
-from jaxid.parameter import constant, param  # noqa: E402
-from jaxid.residual import OutputError  # noqa: E402
+from jaxid.problem.binding import bind  # noqa: E402
+from jaxid.problem.objective import rows  # noqa: E402
+from jaxid.problem.residual import OutputError  # noqa: E402
 
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1]))

@@ -24,14 +24,14 @@ prepare()
 import jax  # noqa: E402
 
 from jaxid import fitters  # noqa: E402
-from jaxid.binding import bind  # noqa: E402
-from jaxid.estimation import Bench  # noqa: E402
-from jaxid.experiment import Dataset, ModelSpec, ParameterPrior  # noqa: E402
-from jaxid.fitter import AbstractFitter, AbstractPopulation, sampling_box  # noqa: E402
-from jaxid.problem import Problem  # noqa: E402
-from jaxid.recursion import follow, stretches  # noqa: E402
-from jaxid.residual import InverseDynamics  # noqa: E402
-from jaxid.torque import measured_torque  # noqa: E402
+from jaxid.data.dataset import Dataset, ModelSpec, ParameterPrior  # noqa: E402
+from jaxid.fitting.fitter import AbstractFitter, AbstractPopulation, sampling_box  # noqa: E402
+from jaxid.fitting.problem_builder import Bench  # noqa: E402
+from jaxid.fitting.sequential import follow, stretches  # noqa: E402
+from jaxid.problem.binding import bind  # noqa: E402
+from jaxid.problem.problem import Problem  # noqa: E402
+from jaxid.problem.residual import InverseDynamics  # noqa: E402
+from jaxid.problem.torque_filter import measured_torque  # noqa: E402
 from tests.test_models import SPACE, space  # noqa: E402
 
 

@@ -31,9 +31,9 @@ def by_hand(folder: str, count: int, search_alone: bool) -> None:
     import jax
 
     import jaxid
-    from jaxid.binding import bind
     from jaxid.fitters import LevenbergMarquardt
-    from jaxid.fitting import Benches, default_residual, fit_seeds
+    from jaxid.fitting.run import Benches, default_residual, fit_seeds
+    from jaxid.problem.binding import bind
 
     binding = bind("joint", jaxid.load_dataset(folder))
     benches, fitter = Benches(binding), LevenbergMarquardt()
@@ -90,7 +90,7 @@ RESULT: dict = {}
 
 def nothing(session: str, command: tuple[str, ...], batch: str) -> str:
     """Stands in for `supervisor.run_batch`: answers of the size of a fit, without a process."""
-    from jaxid.results import finite
+    from jaxid.fitting.result import finite
     from tests.report_sample import sample_fit
     from tests.study_fleet import answer
 
@@ -150,8 +150,8 @@ def fleet(home: Path) -> list[dict]:
 def evaluations(home: Path) -> list[dict]:
     """Seconds of one evaluation of the loss, one simulation of the record."""
     import jaxid
-    from jaxid.binding import bind
-    from jaxid.estimation import Bench, default_residual
+    from jaxid.fitting.problem_builder import Bench, default_residual
+    from jaxid.problem.binding import bind
     from tests.test_batch import write_dataset
 
     rows = []

@@ -11,12 +11,12 @@ from typing import Any, NamedTuple
 import numpy as np
 
 import jaxid
-from jaxid.base_parameters import independent_columns, torque_columns
-from jaxid.identification_rows import friction_columns, LAWS
+from jaxid.dynamics.base_parameters import independent_columns, torque_columns
+from jaxid.dynamics.rigid_body import about_origin
+from jaxid.identification.online import replay, Rule, watched_of
+from jaxid.identification.payload import payload_of, published_rows
+from jaxid.identification.regression import friction_columns, LAWS
 from jaxid.models import UR10
-from jaxid.online import replay, Rule, watched_of
-from jaxid.payload import payload_of, published_rows
-from jaxid.rigid_body import about_origin
 
 
 LEVEL = np.array([10.0037, 0.0, 5.1803, 2.7800, 2.0115, 1.7533])

@@ -13,10 +13,10 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from jaxid.dynamics.rigid_body import regressor
+from jaxid.identification.online import OnlineIdentification
 from jaxid.models import UR10
-from jaxid.online import OnlineIdentification
-from jaxid.precision import float64
-from jaxid.rigid_body import regressor
+from jaxid.numerics.precision import float64
 
 
 SAMPLES = 30_000

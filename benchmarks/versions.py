@@ -31,7 +31,7 @@ BESIDE = ("equinox", "diffrax", "numpy", "scipy")
 DIAGNOSE = r"""
 import sys, warnings
 warnings.filterwarnings("error", category=DeprecationWarning, module="jaxid")
-from jaxid.cli import main
+from jaxid.cli.app import main
 sys.exit(main())
 """
 #: Largest deviation from the first row (standard deviations) that counts as equal.

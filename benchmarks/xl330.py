@@ -25,7 +25,7 @@ from jaxid.runtime import prepare  # noqa: E402
 prepare()
 
 import jaxid  # noqa: E402
-from jaxid.experiment import ModelSpec, ParameterPrior  # noqa: E402
+from jaxid.data.dataset import ModelSpec, ParameterPrior  # noqa: E402
 
 
 PRIORS = {

@@ -70,7 +70,7 @@ def _compute(kept: Path) -> None:
     import signatures
 
     from jaxid import catalogue
-    from jaxid.equivalence import equivalences
+    from jaxid.diagnosis.equivalence import equivalences
 
     if not (kept / "signatures").is_dir():
         signatures.draw(kept / "partial", list(catalogue.effect_names()))
@@ -140,7 +140,8 @@ def _mates(effect: str, alike: dict) -> str:
 
 
 def models() -> str:
-    from jaxid import catalogue, listing
+    from jaxid import catalogue
+    from jaxid.cli import listing
 
     out = ["# Models", "", "`jaxid models NAME` prints the same. Every model also runs from Python: `jaxid.models`.", ""]
     for name in catalogue.model_names():

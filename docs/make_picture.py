@@ -17,8 +17,7 @@ prepare()
 import numpy as np  # noqa: E402
 
 import jaxid  # noqa: E402
-from jaxid import text  # noqa: E402
-from jaxid.report import plot  # noqa: E402
+from jaxid.report import plot, text  # noqa: E402
 from jaxid.report.answer import draw_gap  # noqa: E402
 
 

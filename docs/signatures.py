@@ -35,13 +35,13 @@ def draw(folder: Path, names: list[str]) -> None:
 
 def _draw(folder: Path, model: str, names: list[str]) -> set[str]:
     from jaxid import catalogue
-    from jaxid.added_effects import probes
-    from jaxid.binding import bind
-    from jaxid.chain import Chain
+    from jaxid.diagnosis.equivalence import _rich_motion, _with_friction
     from jaxid.diagnosis.hypothesis import candidates
-    from jaxid.equivalence import _rich_motion, _with_friction
-    from jaxid.estimation import Bench
-    from jaxid.residual import OutputError
+    from jaxid.dynamics.chain import Chain
+    from jaxid.fitting.effect_starts import probes
+    from jaxid.fitting.problem_builder import Bench
+    from jaxid.problem.binding import bind
+    from jaxid.problem.residual import OutputError
 
     chain = Chain(catalogue.model_class(model)())
     library = [k for n in names if n not in chain.contents and chain.offers(k := catalogue.effect_class(n))]
@@ -73,8 +73,8 @@ def _draw(folder: Path, model: str, names: list[str]) -> set[str]:
 def _force(path: Path, bench, e, theta, y: np.ndarray, nominal: np.ndarray, location: str) -> None:
     """Missing force against velocity and over time."""
     from jaxid.diagnosis.where import _torque, filtered
+    from jaxid.problem.residual import InverseDynamics
     from jaxid.report import plot
-    from jaxid.residual import InverseDynamics
 
     b = bench.binding
     joints = b.chain.signature.joints

@@ -7,9 +7,9 @@ from typing import ClassVar
 import jax
 import jax.numpy as jnp
 
-from jaxid.fitter import AbstractPopulation
-from jaxid.fitter_settings import option
 from jaxid.fitters.de import binomial, dithered, donors, extent, select, State
+from jaxid.fitting.fitter import AbstractPopulation
+from jaxid.fitting.settings import option
 
 
 class RandToBestDE(AbstractPopulation):

@@ -10,10 +10,10 @@ from typing import ClassVar
 
 import numpy as np
 
-from jaxid.fitter import AbstractFitter, Log
-from jaxid.fitter_settings import option
 from jaxid.fitters.lm import descend, guesses, Path
-from jaxid.objective import expand, Linear
+from jaxid.fitting.fitter import AbstractFitter, Log
+from jaxid.fitting.settings import option
+from jaxid.problem.objective import expand, Linear
 
 
 class BFGS(AbstractFitter):

@@ -10,9 +10,9 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from jaxid.fitter import AbstractPopulation
-from jaxid.fitter_settings import option
 from jaxid.fitters.de import extent
+from jaxid.fitting.fitter import AbstractPopulation
+from jaxid.fitting.settings import option
 
 
 class State(NamedTuple):

@@ -10,8 +10,8 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, PRNGKeyArray, UInt32
 
-from jaxid.fitter import AbstractPopulation
-from jaxid.fitter_settings import option
+from jaxid.fitting.fitter import AbstractPopulation
+from jaxid.fitting.settings import option
 
 
 #: The largest 32-bit word that a 32-bit float holds.

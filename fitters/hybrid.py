@@ -7,12 +7,12 @@ from typing import ClassVar
 import jax
 import numpy as np
 
-from jaxid.fitter import AbstractFitter, AbstractPopulation, Course, Log, same
-from jaxid.fitter_settings import option
 from jaxid.fitters.lm import problem_clip, search
 from jaxid.fitters.shade import Shade
-from jaxid.objective import AbstractProblem
-from jaxid.searching import answered
+from jaxid.fitting.ask_tell import answered
+from jaxid.fitting.fitter import AbstractFitter, AbstractPopulation, Course, Log, same
+from jaxid.fitting.settings import option
+from jaxid.problem.objective import AbstractProblem
 
 
 class Hybrid(AbstractFitter):

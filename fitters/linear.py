@@ -17,16 +17,16 @@ from typing import ClassVar
 
 import numpy as np
 
-from jaxid.controller import law_of
+from jaxid.data.noise import noise_floor
+from jaxid.dynamics.controller import law_of
 from jaxid.errors import UsageError
-from jaxid.fitter import AbstractFitter, Minimum
-from jaxid.fitter_settings import option
-from jaxid.noise import noise_floor
-from jaxid.objective import AbstractProblem, PENALTY, rows
-from jaxid.online import replay
-from jaxid.problem import Problem
-from jaxid.residual import InverseDynamics, Runs
-from jaxid.uncertainty import _long_run, _null_directions, _whiteness, Covariance
+from jaxid.fitting.covariance import _long_run, _null_directions, _whiteness, Covariance
+from jaxid.fitting.fitter import AbstractFitter, Minimum
+from jaxid.fitting.settings import option
+from jaxid.identification.online import replay
+from jaxid.problem.objective import AbstractProblem, PENALTY, rows
+from jaxid.problem.problem import Problem
+from jaxid.problem.residual import InverseDynamics, Runs
 
 
 #: A residual counts as linear where it departs from its linearisation by less than this share of itself.
@@ -288,7 +288,7 @@ def _instruments(problem: Problem, theta: np.ndarray) -> Blocks | None:
     full = problem.theta(at_theta(problem, theta))
     floors = noise_floor(runs.dataset)
     noise = np.array([floors[name].std for name, _ in runs.layout.chain.signature.outputs])
-    from jaxid.closed_loop import simulate_closed_loop
+    from jaxid.problem.closed_loop import simulate_closed_loop
 
     motions = simulate_closed_loop(runs.dataset, runs.experiments, runs.layout, full, noise)
     if not all(np.isfinite(q).all() and np.isfinite(u).all() for q, u in motions):

@@ -17,9 +17,9 @@ from typing import Any, ClassVar
 import jax
 import numpy as np
 
-from jaxid.fitter import AbstractFitter, Log, Minimum, Progress, sampling_box
-from jaxid.fitter_settings import option
-from jaxid.objective import AbstractProblem, expand, Linear, linearise
+from jaxid.fitting.fitter import AbstractFitter, Log, Minimum, Progress, sampling_box
+from jaxid.fitting.settings import option
+from jaxid.problem.objective import AbstractProblem, expand, Linear, linearise
 
 
 Expansion = Callable[[Sequence[tuple[AbstractProblem, np.ndarray]], float], list[Linear]]

@@ -13,11 +13,11 @@ import jax.numpy as jnp
 import numpy as np
 
 from jaxid.errors import UsageError
-from jaxid.fitter import AbstractFitter, Log
-from jaxid.fitter_settings import about, option
 from jaxid.fitters.lm import guesses
-from jaxid.objective import AbstractProblem, PENALTY
-from jaxid.precision import float64
+from jaxid.fitting.fitter import AbstractFitter, Log
+from jaxid.fitting.settings import about, option
+from jaxid.numerics.precision import float64
+from jaxid.problem.objective import AbstractProblem, PENALTY
 
 
 class Bounded(NamedTuple):

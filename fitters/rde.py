@@ -9,7 +9,7 @@ step. With r the residual and Psi = -dr/dz at z, in coordinates of the unit box,
 - shift:  v = x + rho s(best) + F (b - c), the literal wording; it does not converge where target does
 - self:   rand-to-best for all, and a tenth of the members take rho times their own step
 
-`jaxid.recursion.follow` runs it (and any other population) over growing or sliding data.
+`jaxid.fitting.sequential.follow` runs it (and any other population) over growing or sliding data.
 """
 
 from __future__ import annotations
@@ -22,10 +22,10 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from jaxid.errors import UsageError
-from jaxid.fitter import AbstractPopulation, Log
-from jaxid.fitter_settings import option
 from jaxid.fitters.de import binomial, dithered, donors, extent
-from jaxid.objective import AbstractProblem, expand
+from jaxid.fitting.fitter import AbstractPopulation, Log
+from jaxid.fitting.settings import option
+from jaxid.problem.objective import AbstractProblem, expand
 
 
 VARIANTS = ("self", "target", "shift")

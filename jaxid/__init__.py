@@ -8,51 +8,51 @@ from importlib import import_module as _import_module
 from pathlib import Path as _Path
 from typing import TYPE_CHECKING as _TYPE_CHECKING
 
-from jaxid import forked as _forked  # noqa: F401  it has to be there when a process is forked
+from jaxid.numerics import forked as _forked  # noqa: F401  it has to be there when a process is forked
 
 
 if _TYPE_CHECKING:
     from jaxid import fitters as fitters, models as models, runtime as runtime
     from jaxid.api import check as check, compare as compare, diagnose as diagnose, fit as fit, simulate as simulate
-    from jaxid.chain import Chain as Chain
-    from jaxid.comparison import Comparison as Comparison
-    from jaxid.dataset_io import load_dataset as load_dataset, save_dataset as save_dataset
-    from jaxid.errors import UsageError as UsageError
-    from jaxid.excitation import excite as excite
-    from jaxid.experiment import (
+    from jaxid.data.dataset import (
         Channel as Channel,
         Dataset as Dataset,
         DatasetError as DatasetError,
         Experiment as Experiment,
     )
-    from jaxid.identification import identify as identify
-    from jaxid.pure_problem import make_problem as make_problem
-    from jaxid.results import Diagnosis as Diagnosis, Fit as Fit
+    from jaxid.data.io import load_dataset as load_dataset, save_dataset as save_dataset
+    from jaxid.dynamics.chain import Chain as Chain
+    from jaxid.errors import UsageError as UsageError
+    from jaxid.excitation.design import excite as excite
+    from jaxid.fitting.comparison import Comparison as Comparison
+    from jaxid.fitting.result import Diagnosis as Diagnosis, Fit as Fit
+    from jaxid.identification.run import identify as identify
+    from jaxid.problem.pure_problem import make_problem as make_problem
 
 
 # Public name -> the module that holds it; None: the name is itself a sub-package.
 _HOME = {
-    "Chain": "jaxid.chain",
-    "Channel": "jaxid.experiment",
-    "Comparison": "jaxid.comparison",
-    "Dataset": "jaxid.experiment",
-    "DatasetError": "jaxid.experiment",
-    "Diagnosis": "jaxid.results",
-    "Experiment": "jaxid.experiment",
-    "Fit": "jaxid.results",
+    "Chain": "jaxid.dynamics.chain",
+    "Channel": "jaxid.data.dataset",
+    "Comparison": "jaxid.fitting.comparison",
+    "Dataset": "jaxid.data.dataset",
+    "DatasetError": "jaxid.data.dataset",
+    "Diagnosis": "jaxid.fitting.result",
+    "Experiment": "jaxid.data.dataset",
+    "Fit": "jaxid.fitting.result",
     "UsageError": "jaxid.errors",
     "check": "jaxid.api",
     "compare": "jaxid.api",
     "diagnose": "jaxid.api",
-    "excite": "jaxid.excitation",
+    "excite": "jaxid.excitation.design",
     "fit": "jaxid.api",
     "fitters": None,
-    "identify": "jaxid.identification",
-    "load_dataset": "jaxid.dataset_io",
-    "make_problem": "jaxid.pure_problem",
+    "identify": "jaxid.identification.run",
+    "load_dataset": "jaxid.data.io",
+    "make_problem": "jaxid.problem.pure_problem",
     "models": None,
     "runtime": None,
-    "save_dataset": "jaxid.dataset_io",
+    "save_dataset": "jaxid.data.io",
     "simulate": "jaxid.api",
 }
 

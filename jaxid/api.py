@@ -7,22 +7,22 @@ from collections.abc import Iterable, Mapping
 from dataclasses import replace
 from typing import Any
 
-from jaxid import catalogue, closed_loop as closed_loop, frequency as frequency  # register their residuals
-from jaxid.binding import bind, Binding
-from jaxid.capacity import foreseen, refuse_too_large
-from jaxid.chain import Effect
-from jaxid.comparison import Comparison
+from jaxid import catalogue
 from jaxid.conventions.finding import Checked
+from jaxid.data.capacity import foreseen, refuse_too_large
+from jaxid.data.dataset import Dataset
+from jaxid.dynamics.chain import Effect
 from jaxid.errors import nearest, UsageError
-from jaxid.experiment import Dataset
-from jaxid.fitter import AbstractFitter, Progress
-from jaxid.fitter_settings import fitter_of
-from jaxid.problem import LOSSES
-from jaxid.residual import Residual, RESIDUALS
-from jaxid.results import Diagnosis, Fit
+from jaxid.fitting.comparison import Comparison
+from jaxid.fitting.fitter import AbstractFitter, Progress
+from jaxid.fitting.result import Diagnosis, Fit
+from jaxid.fitting.settings import fitter_of
+from jaxid.fitting.simulation import Simulation
+from jaxid.problem.binding import bind, Binding
+from jaxid.problem.problem import LOSSES
+from jaxid.problem.residual import Residual, RESIDUALS
 from jaxid.robots.limbs import each, effects_at, limbs_of
 from jaxid.runtime import Interrupted
-from jaxid.simulation_result import Simulation
 
 
 def fit(
@@ -71,7 +71,7 @@ def _checked(model: object, dataset: Dataset, without: tuple[str, ...], as_recor
 
 
 def _fit(binding: Binding, fitter, residual, loss, seed: int, budget: int | None, progress, solver: Any = None) -> Fit:
-    from jaxid.fitting import fit_binding
+    from jaxid.fitting.run import fit_binding
 
     loss = loss or "sum_of_squares"
     if loss not in LOSSES:
@@ -143,7 +143,7 @@ def simulate(
     fit.json, None for the numbers of the model itself, such as `fit.chain`. `solver` (a solver of diffrax, or `Diffrax`)
     checks jaxid's own stepping. Raises `UsageError` for arguments that do not fit.
     """
-    from jaxid.simulation import simulate_dataset
+    from jaxid.fitting.simulate import simulate_dataset
 
     if isinstance(model, Fit | Mapping):
         warnings.warn(
@@ -186,7 +186,7 @@ def compare(
     A run has reached the target when its loss is at most the best known one times 1 + `tolerance`. Raises `UsageError` for
     arguments that do not fit.
     """
-    from jaxid.comparison_study import run_comparison
+    from jaxid.fitting.comparison_runs import run_comparison
 
     return run_comparison(
         model, dataset, fitters, seeds, budget, seconds, effects, without, resolve_residual(residual),
@@ -204,7 +204,7 @@ def with_solver(binding: Binding, solver: Any, residual: Residual | None) -> Bin
     """The binding whose runs are simulated by a solver of diffrax; None, "own": by jaxid's own stepping."""
     if solver is None or solver == "own":
         return binding
-    from jaxid.diffrax_solver import bound_to
+    from jaxid.simulation.diffrax_solver import bound_to
 
     return bound_to(binding, solver, residual)
 

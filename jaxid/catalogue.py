@@ -5,11 +5,11 @@ from __future__ import annotations
 from typing import Any, NamedTuple, TYPE_CHECKING
 
 from jaxid.errors import nearest, UsageError
-from jaxid.fitter_settings import SettingInfo, settings_of
+from jaxid.fitting.settings import SettingInfo, settings_of
 
 
 if TYPE_CHECKING:
-    from jaxid.mechanism import Signature
+    from jaxid.dynamics.mechanism import Signature
 
 
 class ParameterInfo(NamedTuple):
@@ -84,7 +84,7 @@ def enrolled(effect: Any) -> str:
 
     Raises `UsageError` for what is no effect, and for one of the user's own that takes the name of another one.
     """
-    from jaxid.chain import Effect
+    from jaxid.dynamics.chain import Effect
 
     if isinstance(effect, str):
         return effect
@@ -139,10 +139,10 @@ def fitter_class(name: str) -> Any:
 
 def describe(name: str, model: Any = None) -> ModelInfo:
     """What a user and the checks of a dataset need to know of a model; `model` one of it where they differ (a `serial_arm`)."""
-    from jaxid.chain import Chain
-    from jaxid.layout import Layout
-    from jaxid.mechanism import speed_names
-    from jaxid.parameter import settings
+    from jaxid.dynamics.chain import Chain
+    from jaxid.dynamics.mechanism import speed_names
+    from jaxid.dynamics.parameter import settings
+    from jaxid.dynamics.parameter_vector import Layout
 
     kind = model_class(name)
     parameters: dict[str, ParameterInfo] = {}
@@ -190,7 +190,7 @@ _PORTS = {
 
 
 def describe_effect(name: str) -> EffectInfo:
-    from jaxid.parameter import specs
+    from jaxid.dynamics.parameter import specs
 
     kind = effect_class(name)
     family, port, locations = next(_PORTS[b.__name__] for b in kind.__mro__ if b.__name__ in _PORTS)

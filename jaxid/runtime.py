@@ -8,8 +8,8 @@ import sys
 from pathlib import Path
 from typing import Any
 
-from jaxid.program_cache import own_folder, want
-from jaxid.versions import check_jax
+from jaxid.numerics.program_cache import own_folder, want
+from jaxid.numerics.versions import check_jax
 
 
 # XLA on the CPU runs small while loops op by op on one thread; with this limit the loop over samples counts as small.

@@ -8,8 +8,8 @@ from typing import ClassVar
 
 import numpy as np
 
-from jaxid.kinematics import ArmTable, modified_dh, standard_dh
-from jaxid.mechanism import Signature
+from jaxid.dynamics.kinematics import ArmTable, modified_dh, standard_dh
+from jaxid.dynamics.mechanism import Signature
 
 from .effects import ConstantTorque, CoulombFriction, PowerLawFriction
 from .serial_arm import AbstractArm, DriveGain, signatures_of

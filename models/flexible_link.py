@@ -8,10 +8,10 @@ import equinox as eqx
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
-from jaxid.beam import Beam, decay, matrices, Modes, modes
-from jaxid.mechanism import Free, Mechanism, Signature
+from jaxid.dynamics.beam import Beam, decay, matrices, Modes, modes
+from jaxid.dynamics.mechanism import Free, Mechanism, Signature
+from jaxid.dynamics.parameter import constant, param, setting, with_fields
 from jaxid.models.effects import CoulombFriction, ViscousFriction
-from jaxid.parameter import constant, param, setting, with_fields
 
 
 class ModalStep(NamedTuple):
@@ -40,7 +40,7 @@ class FlexibleLink(Mechanism):
 
     The state holds phi, its velocity, and modal deflections and velocities of the beam. A step takes each mode by its exact
     exponential under the hub acceleration of that step and closes the hub's momentum balance, so that stiff modes cost
-    nothing; friction at the hub sticks truly (`jaxid.joint`).
+    nothing; friction at the hub sticks truly (`jaxid.dynamics.dry_friction`).
     """
 
     name: ClassVar[str] = "flexible_link"

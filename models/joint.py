@@ -7,9 +7,9 @@ from typing import ClassVar
 import jax.numpy as jnp
 from jaxtyping import Array
 
-from jaxid.mechanism import Rigid, Signature
+from jaxid.dynamics.mechanism import Rigid, Signature
+from jaxid.dynamics.parameter import param
 from jaxid.models.effects import ConstantTorque, CoulombFriction, ViscousFriction
-from jaxid.parameter import param
 
 
 class Joint(Rigid):

@@ -7,11 +7,11 @@ from typing import ClassVar
 import jax.numpy as jnp
 from jaxtyping import Array
 
-from jaxid.arithmetic import sin
-from jaxid.coupling import turned
-from jaxid.mechanism import Rigid, Signature
+from jaxid.dynamics.compliance import turned
+from jaxid.dynamics.mechanism import Rigid, Signature
+from jaxid.dynamics.parameter import param
 from jaxid.models.effects import ConstantTorque, CoulombFriction, ViscousFriction
-from jaxid.parameter import param
+from jaxid.numerics.fast_math import sin
 
 
 class Pendulum(Rigid):

@@ -7,11 +7,11 @@ from typing import ClassVar
 import jax.numpy as jnp
 from jaxtyping import Array
 
-from jaxid.arithmetic import sincos
-from jaxid.coupling import turned
-from jaxid.mechanism import Rigid, Signature
+from jaxid.dynamics.compliance import turned
+from jaxid.dynamics.mechanism import Rigid, Signature
+from jaxid.dynamics.parameter import constant, param, with_fields
 from jaxid.models.effects import CoulombFriction, ViscousFriction
-from jaxid.parameter import constant, param, with_fields
+from jaxid.numerics.fast_math import sincos
 
 
 class PlanarArm(Rigid):

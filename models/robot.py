@@ -11,12 +11,12 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from jaxid.arithmetic import sincos
-from jaxid.chain import Chain
-from jaxid.experiment import Dataset
-from jaxid.mechanism import Signature, Staged
-from jaxid.parameter import constant, param, ParameterSpec
-from jaxid.rigid_body import add, cross, inner, scaled
+from jaxid.data.dataset import Dataset
+from jaxid.dynamics.chain import Chain
+from jaxid.dynamics.mechanism import Signature, Staged
+from jaxid.dynamics.parameter import constant, param, ParameterSpec
+from jaxid.dynamics.rigid_body import add, cross, inner, scaled
+from jaxid.numerics.fast_math import sincos
 from jaxid.robots import dynamics
 from jaxid.robots.bodies import BODY, body_of, ten_numbers
 from jaxid.robots.tree import roll_pitch_yaw, Stated, Tree, up_to

@@ -9,8 +9,8 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array
 
-from jaxid.chain import InputEffect
-from jaxid.parameter import constant, param, Quantity
+from jaxid.dynamics.chain import InputEffect
+from jaxid.dynamics.parameter import constant, param, Quantity
 
 
 KINDS = ("pd", "pid", "cascade")

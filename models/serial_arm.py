@@ -10,13 +10,13 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from jaxid.base_parameters import base_parameters, BaseParameters, STANDARD, standard_names
-from jaxid.chain import InputEffect
-from jaxid.kinematics import ArmTable, free_fall, modified_dh, placements
-from jaxid.mechanism import Signature, Staged
+from jaxid.dynamics.base_parameters import base_parameters, BaseParameters, STANDARD, standard_names
+from jaxid.dynamics.chain import InputEffect
+from jaxid.dynamics.kinematics import ArmTable, free_fall, modified_dh, placements
+from jaxid.dynamics.mechanism import Signature, Staged
+from jaxid.dynamics.parameter import constant, param, ParameterSpec, Quantity
+from jaxid.dynamics.rigid_body import INERTIA, inverse_dynamics, mass_matrix, Placements, poses
 from jaxid.models.effects import ConstantTorque, CoulombFriction, PowerLawFriction
-from jaxid.parameter import constant, param, ParameterSpec, Quantity
-from jaxid.rigid_body import INERTIA, inverse_dynamics, mass_matrix, Placements, poses
 
 
 class DriveGain(InputEffect):
@@ -200,6 +200,6 @@ class SerialArm(AbstractArm):
     @classmethod
     def from_urdf(cls, path: str | Path, tip: str | None = None, root: str | None = None) -> SerialArm:
         """The chain of a URDF from `root` (default: its root link) to `tip` (default: the only leaf)."""
-        from jaxid.urdf import read_urdf
+        from jaxid.dynamics.urdf import read_urdf
 
         return cls(read_urdf(path, tip, root))

@@ -7,10 +7,10 @@ from typing import ClassVar
 import jax.numpy as jnp
 from jaxtyping import Array
 
-from jaxid.arithmetic import sin
-from jaxid.mechanism import Rigid, Signature
+from jaxid.dynamics.mechanism import Rigid, Signature
+from jaxid.dynamics.parameter import constant, param, with_fields
 from jaxid.models.effects import CoulombFriction, ViscousFriction
-from jaxid.parameter import constant, param, with_fields
+from jaxid.numerics.fast_math import sin
 
 
 class Servo(Rigid):

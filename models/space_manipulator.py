@@ -10,10 +10,10 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array
 
-from jaxid.arithmetic import dot, inverse, sincos
-from jaxid.chain import JointEffect
-from jaxid.mechanism import Rigid, Signature
-from jaxid.parameter import constant, param, setting
+from jaxid.dynamics.chain import JointEffect
+from jaxid.dynamics.mechanism import Rigid, Signature
+from jaxid.dynamics.parameter import constant, param, setting
+from jaxid.numerics.fast_math import dot, inverse, sincos
 
 
 class StribeckLevels(JointEffect):

@@ -7,10 +7,10 @@ from typing import ClassVar
 import jax.numpy as jnp
 from jaxtyping import Array
 
-from jaxid.arithmetic import sincos
-from jaxid.mechanism import Lagrangian, Signature
+from jaxid.dynamics.mechanism import Lagrangian, Signature
+from jaxid.dynamics.parameter import constant, param, setting, with_fields
 from jaxid.models.effects import ViscousFriction
-from jaxid.parameter import constant, param, setting, with_fields
+from jaxid.numerics.fast_math import sincos
 
 
 #: Measured torque of the gear motors (paper 003, Table 1): (V, N m), odd in V, and continued beyond along its last secant.

@@ -32,11 +32,11 @@ from jaxtyping import Array, Float
 from scipy.integrate import solve_ivp
 
 import jaxid
-from jaxid.chain import JointEffect
-from jaxid.fitter import AbstractPopulation
-from jaxid.mechanism import Rigid, Signature
+from jaxid.dynamics.chain import JointEffect
+from jaxid.dynamics.mechanism import Rigid, Signature
+from jaxid.dynamics.parameter import ANGLE, param, TORQUE
+from jaxid.fitting.fitter import AbstractPopulation
 from jaxid.models.effects import CoulombFriction, ViscousFriction
-from jaxid.parameter import ANGLE, param, TORQUE
 
 
 # %% [markdown]

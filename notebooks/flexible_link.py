@@ -32,8 +32,8 @@ from IPython.display import HTML
 import jaxid
 from benchmarks.papers import link_data, PAPER_LINK
 from jaxid import fitters
-from jaxid.experiment import Dataset, Experiment
-from jaxid.frequency import FrequencyResponseError
+from jaxid.data.dataset import Dataset, Experiment
+from jaxid.problem.frequency_response import FrequencyResponseError
 from notebooks.twins import flexible_link as twin
 
 

@@ -189,7 +189,7 @@ print("error of the first joint's torque with a base that", ", that ".join(f"{k}
 t, q, qd, _ = path(1, seconds=8.0, rate=100.0)
 tau = torque(path(1, seconds=8.0, rate=100.0), (250.0, 60.0))
 light = jaxid.Dataset.from_arrays(
-    t, {"tau1": tau[:, 0], "tau2": tau[:, 1]}, {"q1": q[:, 0], "q2": q[:, 1]}, model=jaxid.experiment.ModelSpec(
+    t, {"tau1": tau[:, 0], "tau2": tau[:, 1]}, {"q1": q[:, 0], "q2": q[:, 1]}, model=jaxid.data.dataset.ModelSpec(
         "space_manipulator", constants={"floating": True, "base_mass": 250.0, "base_inertia": 60.0}
     ), initial={"q1": q[0, 0], "q2": q[0, 1], "qd1": qd[0, 0], "qd2": qd[0, 1]},
 )  # fmt: skip
@@ -209,10 +209,10 @@ HTML(moving.animate(seconds=6, frames=FRAMES).to_jshtml(default_mode="loop"))
 # generations a block, the population carried on.
 
 # %%
-from jaxid.binding import bind
-from jaxid.estimation import Bench
-from jaxid.recursion import follow, stretches
-from jaxid.residual import InverseDynamics
+from jaxid.fitting.problem_builder import Bench
+from jaxid.fitting.sequential import follow, stretches
+from jaxid.problem.binding import bind
+from jaxid.problem.residual import InverseDynamics
 
 
 part = {k: (v * 0.6 if k != "m2" else v * 0.8) for k, v in BODY.items()}

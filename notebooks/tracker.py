@@ -102,10 +102,10 @@ for name, truth in TRACKER.items():
 # others fitted anew at each value, shows the same without assuming a parabola:
 
 # %%
-from jaxid.binding import bind
-from jaxid.estimation import Bench
-from jaxid.profiles import profile_likelihood
-from jaxid.residual import OutputError
+from jaxid.fitting.problem_builder import Bench
+from jaxid.fitting.profiles import profile_likelihood
+from jaxid.problem.binding import bind
+from jaxid.problem.residual import OutputError
 
 
 binding = bind(None, data)

@@ -28,9 +28,9 @@ import numpy as np
 from budget import PAYLOADS
 
 import jaxid
+from jaxid.dynamics.rigid_body import about_origin
 from jaxid.models import UR10
-from jaxid.precision import float64
-from jaxid.rigid_body import about_origin
+from jaxid.numerics.precision import float64
 from notebooks.twins.serial_arm import torques
 
 

@@ -6,7 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from jaxid.results import (
+from jaxid.fitting.result import (
     ChannelGap,
     Diagnosis,
     EffectEstimate,
@@ -21,7 +21,7 @@ from jaxid.results import (
     Trace,
     Which,
 )
-from jaxid.simulation_result import Simulation
+from jaxid.fitting.simulation import Simulation
 
 
 NOISE = 4e-4

@@ -9,14 +9,14 @@ import diffrax
 import jax
 import numpy as np
 
-from jaxid import samples
-from jaxid.chain import Chain
-from jaxid.engine import Engine
-from jaxid.experiment import Channel, Dataset, Experiment
-from jaxid.lane import simulate_lane
-from jaxid.layout import Layout
-from jaxid.parameter import Reference
-from jaxid.samples import Record
+from jaxid.data.dataset import Channel, Dataset, Experiment
+from jaxid.dynamics.chain import Chain
+from jaxid.dynamics.parameter import Reference
+from jaxid.dynamics.parameter_vector import Layout
+from jaxid.simulation import sample_buffers as samples
+from jaxid.simulation.batch import Engine
+from jaxid.simulation.rollout import simulate_lane
+from jaxid.simulation.sample_buffers import Record
 
 
 class Simulator:

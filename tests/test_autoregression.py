@@ -8,7 +8,7 @@ from hypothesis import given, settings, strategies as st
 from scipy.linalg import toeplitz
 from scipy.signal import lfilter
 
-from jaxid.autoregression import Autoregression, autoregressions, Part, score_covariance, student
+from jaxid.fitting.noise_model import Autoregression, autoregressions, Part, score_covariance, student
 
 
 @settings(max_examples=30, deadline=None)

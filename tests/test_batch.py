@@ -22,7 +22,7 @@ import pyarrow.parquet
 import pytest
 
 import jaxid
-from jaxid import cli
+from jaxid.cli import app as cli
 from jaxid.study import cluster, read_study, run_study, store as stores, study_status
 from jaxid.study.plan import StudyError
 from jaxid.study.store import LeaseLost, Row, Store, StoreError

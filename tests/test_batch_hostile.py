@@ -13,7 +13,7 @@ from pathlib import Path
 import pytest
 
 import jaxid
-from jaxid import cli, terminal
+from jaxid.cli import app as cli, terminal
 from jaxid.study import check_study, run_study, study_status
 from jaxid.study.outcome import Outcome
 from jaxid.study.tables import cell, csv_text, FORMULA, table_rows

@@ -14,9 +14,10 @@ import numpy as np
 import pytest
 
 import jaxid
-from jaxid import cli, terminal, text
-from jaxid.experiment import Dataset
-from jaxid.results import finite
+from jaxid.cli import app as cli, terminal
+from jaxid.data.dataset import Dataset
+from jaxid.fitting.result import finite
+from jaxid.report import text
 from jaxid.runtime import Interrupted
 from report_sample import hostile, sample_diagnosis, sample_fit, sample_simulation
 
@@ -54,7 +55,7 @@ def python(*arguments: str) -> subprocess.CompletedProcess[str]:
 
 def test_help_is_light():
     code = (
-        "import sys; from jaxid.cli import main; code = main(['--help'])\n"
+        "import sys; from jaxid.cli.app import main; code = main(['--help'])\n"
         "print([m for m in ('jax', 'numpy', 'scipy', 'matplotlib', 'rich') if m in sys.modules], code)"
     )
     result = python("-c", code)
@@ -283,7 +284,7 @@ def test_missing_dataset(tmp_path, capsys):
 
 
 def test_import(monkeypatch, tmp_path, capsys):
-    from jaxid import importers
+    from jaxid.data.importers import emps as importers
 
     t = np.arange(50) * 1e-3
     data = Dataset.from_arrays(
@@ -343,7 +344,7 @@ def test_progress_shows_on_a_terminal_only(monkeypatch, capsys):
 
 
 def test_reader_that_goes_away():
-    script = f"{sys.executable} -m jaxid.cli effects | head -1"
+    script = f"{sys.executable} -m jaxid.cli.app effects | head -1"
     result = subprocess.run(["sh", "-c", script], cwd=ROOT, capture_output=True, text=True)
     assert "Traceback" not in result.stderr
 

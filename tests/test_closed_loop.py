@@ -10,11 +10,11 @@ import pytest
 
 import jaxid
 from benchmarks import closed_loop as twin, emps_inverse as emps
-from jaxid.binding import bind
-from jaxid.closed_loop import simulate_closed_loop
-from jaxid.controller import law_of
+from jaxid.data.dataset import Controller, Dataset, ParameterPrior
+from jaxid.dynamics.controller import law_of
 from jaxid.errors import UsageError
-from jaxid.experiment import Controller, Dataset, ParameterPrior
+from jaxid.problem.binding import bind
+from jaxid.problem.closed_loop import simulate_closed_loop
 
 
 LAW: dict[str, Any] = {"kp": 3.0, "kd": 0.4}

@@ -14,9 +14,9 @@ import pytest
 from hypothesis import given, settings, strategies as st
 
 import jaxid
-from jaxid import cli
-from jaxid.comparison import Comparison, Known, Run, typical, wilson
+from jaxid.cli import app as cli
 from jaxid.fitters import DifferentialEvolution, LevenbergMarquardt
+from jaxid.fitting.comparison import Comparison, Known, Run, typical, wilson
 from jaxid.runtime import Interrupted
 from test_fitters import data_of
 from test_report import assert_harmless
@@ -170,7 +170,7 @@ def test_a_comparison_shows_itself_short_and_escaped():
 
 def test_ctrl_c_keeps_what_was_finished(tmp_path, monkeypatch, capsys):
     """The third run is interrupted; the first two are saved, and the command says so."""
-    from jaxid import comparison_study
+    from jaxid.fitting import comparison_runs as comparison_study
 
     real, count = comparison_study.one_run, []
 
@@ -229,7 +229,7 @@ def test_senseless_arguments_are_refused(settings, words):
 
 
 def test_two_settings_of_one_method_have_two_labels():
-    from jaxid.comparison_study import resolve
+    from jaxid.fitting.comparison_runs import resolve
 
     labels = [label for label, _ in resolve([DifferentialEvolution(CR=0.5), "de", LevenbergMarquardt()], 600, None)]
     assert labels == ["de", "de 2", "lm"]
@@ -237,6 +237,6 @@ def test_two_settings_of_one_method_have_two_labels():
 
 
 def test_import_stays_light():
-    code = "import sys; from jaxid.cli import main; main(['compare', '--help'])\nprint({'jax', 'numpy'} & set(sys.modules))"
+    code = "import sys; from jaxid.cli.app import main; main(['compare', '--help'])\nprint({'jax', 'numpy'} & set(sys.modules))"
     result = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, cwd=Path(__file__).parents[1])
     assert result.stdout.strip().endswith("set()") and "--seeds" in result.stdout

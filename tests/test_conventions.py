@@ -11,7 +11,7 @@ import pytest
 
 import jaxid
 from benchmarks.conventions import broken, found, KINDS, recording
-from jaxid.cli import main
+from jaxid.cli.app import main
 from jaxid.conventions import checking
 from jaxid.conventions.mending import mended, Mending
 
@@ -130,7 +130,7 @@ def test_shared_cases(name, kind, channel, line):
     assert (finding.kind, finding.channel, finding.line, finding.applied) == (kind, channel, line, True)
 
 
-@pytest.mark.filterwarnings("ignore::jaxid.experiment.DatasetWarning")
+@pytest.mark.filterwarnings("ignore::jaxid.data.dataset.DatasetWarning")
 def test_a_run_that_comes_to_rest_says_which_part_moves():
     findings = checked(jaxid.load_dataset(case("rec_03_report_stands_still"))).findings
     (still,) = [f for f in findings if f.channel == "run_1"]
@@ -178,7 +178,7 @@ def test_an_answer_begins_with_what_was_applied_and_names_the_effect_after_it():
 
 def test_effects_that_cannot_be_believed_are_said_so():
     from jaxid.diagnosis.believable import doubts
-    from jaxid.results import EffectEstimate, Estimate
+    from jaxid.fitting.result import EffectEstimate, Estimate
 
     number = lambda value, std, lower=-1.0, upper=1.0, at_bound=False: Estimate(value, std, "1", lower, upper, at_bound)
     off = EffectEstimate("torque_scale", "tau", {"gain": number(-0.895, 0.001, -0.9, 5.0)})

@@ -16,20 +16,20 @@ from click.testing import CliRunner
 
 import jaxid
 from jaxid.catalogue import describe_fitter, fitter_names
-from jaxid.chain import Chain, Command, InputEffect
-from jaxid.cli import main
-from jaxid.cli_compare import compare as compare_command
-from jaxid.fitter_settings import fitter_of, label_of, split_outside_brackets
+from jaxid.cli.app import main
+from jaxid.cli.compare import compare as compare_command
+from jaxid.dynamics.chain import Chain, Command, InputEffect
+from jaxid.dynamics.dry_friction import solve_dry
+from jaxid.dynamics.parameter import param, TORQUE
 from jaxid.fitters import DifferentialEvolution, FITTERS, Optimistix
-from jaxid.joint import solve_dry
+from jaxid.fitting.result import EffectEstimate, Estimate
+from jaxid.fitting.settings import fitter_of, label_of, split_outside_brackets
 from jaxid.models import Joint, MODELS, Panda, Pendulum, UR10e
 from jaxid.models.effects import ActuatorLag, SensorLag
-from jaxid.objective import FunctionProblem
-from jaxid.parameter import param, TORQUE
-from jaxid.precision import float64
-from jaxid.pure_problem import Problem
-from jaxid.results import EffectEstimate, Estimate
-from jaxid.reverse import in_reverse
+from jaxid.numerics.precision import float64
+from jaxid.numerics.reverse import in_reverse
+from jaxid.problem.objective import FunctionProblem
+from jaxid.problem.pure_problem import Problem
 
 
 TRUTH = {"inertia": 0.09, "gravity_torque": 1.4, "viscous": 0.1, "coulomb": 0.2, "offset": 0.02}
@@ -57,7 +57,7 @@ def data() -> jaxid.Dataset:
 
 @pytest.fixture(scope="module")
 def problem(data) -> Problem:
-    return jaxid.make_problem("pendulum", data)
+    return jaxid.problem.make("pendulum", data)
 
 
 def central(f: Any, z: Any, h: float = 1e-6) -> np.ndarray:
@@ -355,8 +355,8 @@ def test_an_effect_of_ones_own_is_a_candidate_that_is_found():
 
 
 def test_an_effect_with_several_places_asks_for_one():
-    from jaxid.binding import parse_effect
     from jaxid.models import PlanarArm
+    from jaxid.problem.binding import parse_effect
 
     arm = Chain(PlanarArm())
     with pytest.raises(jaxid.UsageError, match="say where, as in dead_zone@"):
@@ -367,7 +367,7 @@ def test_an_effect_with_several_places_asks_for_one():
 
 
 def test_tables_without_pandas_say_what_to_install(monkeypatch):
-    from jaxid.frames import frame
+    from jaxid.storage.frames import frame
 
     monkeypatch.setitem(__import__("sys").modules, "pandas", None)
     with pytest.raises(jaxid.UsageError, match="pip install pandas"):

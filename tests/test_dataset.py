@@ -17,8 +17,7 @@ import pytest
 from hypothesis import given, HealthCheck, settings, strategies as st
 
 import jaxid
-from jaxid.dataset_io import load_dataset
-from jaxid.experiment import (
+from jaxid.data.dataset import (
     Channel,
     Controller,
     DatasetError,
@@ -27,7 +26,8 @@ from jaxid.experiment import (
     ParameterPrior,
     Problem,
 )
-from jaxid.mechanism import Signature
+from jaxid.data.io import load_dataset
+from jaxid.dynamics.mechanism import Signature
 
 
 TOML = """\
@@ -539,7 +539,7 @@ def test_random_damage_is_refused_or_harmless(tmp_path_factory, pendulum, data):
                             inner, max_size=6), max_leaves=25))  # fmt: skip
 @settings(max_examples=150, deadline=None)
 def test_any_document_is_refused_with_problems(raw):
-    from jaxid.dataset_schema import Places, read_document
+    from jaxid.data.schema import Places, read_document
 
     if isinstance(raw, dict):
         document = read_document(raw, Places("x"))

@@ -13,11 +13,11 @@ import pyarrow.parquet as pq
 import pytest
 from hypothesis import given, HealthCheck, settings, strategies as st
 
-from jaxid.dataset_forms import glitches
-from jaxid.dataset_io import load_dataset, save_dataset
-from jaxid.experiment import Dataset, DatasetError
-from jaxid.noise import noise_floor, repeats
-from jaxid.units import conversion
+from jaxid.data.dataset import Dataset, DatasetError
+from jaxid.data.forms import glitches
+from jaxid.data.io import load_dataset, save_dataset
+from jaxid.data.noise import noise_floor, repeats
+from jaxid.data.units import conversion
 
 
 T = np.arange(400) * 0.01

@@ -16,8 +16,7 @@ import pyarrow.parquet as pq
 import pytest
 from hypothesis import given, HealthCheck, settings, strategies as st
 
-from jaxid.dataset_io import load_dataset, save_dataset
-from jaxid.experiment import (
+from jaxid.data.dataset import (
     Channel,
     Controller,
     Dataset,
@@ -28,6 +27,7 @@ from jaxid.experiment import (
     ParameterPrior,
     Problem,
 )
+from jaxid.data.io import load_dataset, save_dataset
 
 
 DATA = Path(os.environ.get("JAXID_DATA", Path(__file__).parents[2] / "shared" / "data"))
@@ -291,7 +291,7 @@ RECORDINGS = {
 }
 
 
-@pytest.mark.filterwarnings("ignore::jaxid.experiment.DatasetWarning")
+@pytest.mark.filterwarnings("ignore::jaxid.data.dataset.DatasetWarning")
 @pytest.mark.parametrize("name", RECORDINGS)
 def test_real_recordings_load(name):
     if not (DATA / name / "dataset.toml").is_file():

@@ -15,20 +15,20 @@ import pytest
 
 import jaxid
 from jaxid import catalogue
-from jaxid.binding import bind
+from jaxid.data.dataset import ModelSpec, ParameterPrior
 from jaxid.diagnosis import growth, judge, upheld
-from jaxid.diagnosis.choice import not_borne_out, outweighed, simpler
 from jaxid.diagnosis.evidence import held_out, HeldOut, inflation, knowledge, memory, shifted
 from jaxid.diagnosis.how_far import interval_of_further_run, shrink
 from jaxid.diagnosis.hypothesis import candidates, Hypothesis, Search
+from jaxid.diagnosis.prior_pull import brought_back, put_back
 from jaxid.diagnosis.proposals import exchanged
-from jaxid.diagnosis.undetermined import brought_back, put_back
-from jaxid.diagnosis.which import Searcher, THOROUGH
-from jaxid.estimation import Bench, start_values
-from jaxid.experiment import ModelSpec, ParameterPrior
+from jaxid.diagnosis.search import Searcher, THOROUGH
+from jaxid.diagnosis.selection import not_borne_out, outweighed, simpler
 from jaxid.fitters import descend
-from jaxid.objective import FunctionProblem
-from jaxid.residual import OutputError
+from jaxid.fitting.problem_builder import Bench, start_values
+from jaxid.problem.binding import bind
+from jaxid.problem.objective import FunctionProblem
+from jaxid.problem.residual import OutputError
 from reference import multisine
 
 
@@ -731,7 +731,7 @@ def test_an_effect_that_only_led_out_of_a_local_minimum_is_not_named(monkeypatch
     theta[binding.layout.index("inertia")] *= 1.2
     off = descend([(p, p.z(theta, p.starts(right.z)))], 0, 1e-8)[0]
     assert off.loss > 100
-    monkeypatch.setattr("jaxid.diagnosis.which.FAR", np.inf)  # as if it were too close to be freed
+    monkeypatch.setattr("jaxid.diagnosis.search.FAR", np.inf)  # as if it were too close to be freed
     found = Held(bench, OutputError(), off, None).run(candidates(bench, ["quadratic_drag"]), 3)
     assert any(h.effects and h.fit_loss < 1.1 for h in found.tried)
     assert not found.chosen.effects and not found.confusable and found.nominal.fit_loss < 1.1

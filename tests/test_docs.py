@@ -87,7 +87,7 @@ def commands() -> list[tuple[str, str]]:
 @pytest.mark.parametrize(("page", "line"), commands())
 def test_commands_of_the_pages_parse(page, line):
     """Every command and option that a page shows exists; nothing is run."""
-    from jaxid.cli import cli
+    from jaxid.cli.app import cli
 
     words = shlex.split(line)[1:]
     context = cli.make_context("jaxid", [], resilient_parsing=True)
@@ -103,7 +103,7 @@ def test_commands_of_the_pages_parse(page, line):
 
 
 def test_every_command_is_documented():
-    from jaxid.cli import cli
+    from jaxid.cli.app import cli
 
     readme, contract = ((ROOT / f).read_text(encoding="utf-8") for f in ("README.md", "docs/contract.md"))
     for name in cli.list_commands(cli.make_context("jaxid", [], resilient_parsing=True)):
@@ -175,9 +175,9 @@ def test_every_model_of_the_atlas_has_a_motion_that_can_be_recorded(monkeypatch)
     monkeypatch.syspath_prepend(str(ROOT / "docs"))
     import signatures  # pyright: ignore[reportMissingImports]
 
-    from jaxid.binding import bind
-    from jaxid.chain import Chain
-    from jaxid.equivalence import _rich_motion
+    from jaxid.diagnosis.equivalence import _rich_motion
+    from jaxid.dynamics.chain import Chain
+    from jaxid.problem.binding import bind
 
     for model in signatures.MODELS:
         data, _ = _rich_motion(Chain(catalogue.model_class(model)()), model)

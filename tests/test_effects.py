@@ -16,17 +16,17 @@ from scipy.integrate import solve_ivp
 import jaxid
 import reference as ref
 import reference_states as states
-from jaxid.added_effects import probe_starts
-from jaxid.binding import bind
-from jaxid.chain import Chain
-from jaxid.estimation import Bench, start_values
-from jaxid.experiment import ModelSpec
+from jaxid.data.dataset import ModelSpec
+from jaxid.dynamics.chain import Chain
+from jaxid.dynamics.parameter_vector import Layout
 from jaxid.fitters import LevenbergMarquardt
-from jaxid.layout import Layout
+from jaxid.fitting.covariance import covariance
+from jaxid.fitting.effect_starts import probe_starts
+from jaxid.fitting.problem_builder import Bench, start_values
 from jaxid.models import Joint, Pendulum, PlanarArm
 from jaxid.models.effects import LIBRARY
-from jaxid.residual import OutputError
-from jaxid.uncertainty import covariance
+from jaxid.problem.binding import bind
+from jaxid.problem.residual import OutputError
 from simulated import REFERENCE, relative, Simulator, within_bounds
 
 

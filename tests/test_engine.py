@@ -6,11 +6,11 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from jaxid import engine
-from jaxid.chain import Chain
-from jaxid.lane import simulate_lane
+from jaxid.dynamics.chain import Chain
 from jaxid.models import FlexibleLink, Pendulum, PlanarArm
 from jaxid.models.effects import Backlash, CoulombFriction, DeadZone, InputDelay, SensorLag
+from jaxid.simulation import batch as engine
+from jaxid.simulation.rollout import simulate_lane
 from simulated import Simulator
 
 

@@ -2,7 +2,7 @@
 
 import pytest
 
-from jaxid.equivalence import equivalences
+from jaxid.diagnosis.equivalence import equivalences
 
 
 @pytest.mark.timeout(600)

@@ -12,17 +12,17 @@ from click.testing import CliRunner
 from hypothesis import given, settings, strategies as st
 
 import jaxid
-from jaxid.base_parameters import torque_columns
-from jaxid.clearance import gaps, heights, links_of, nodes
-from jaxid.cli import cli
+from jaxid.cli.app import cli
+from jaxid.dynamics.base_parameters import torque_columns
 from jaxid.errors import UsageError
-from jaxid.excitation import excite
-from jaxid.excitation_limits import bounds_of, KNOWN
-from jaxid.excitation_motion import feasible, Setting, Shape
+from jaxid.excitation.bounds import bounds_of, KNOWN
+from jaxid.excitation.clearance import gaps, heights, links_of, nodes
+from jaxid.excitation.design import excite
+from jaxid.excitation.trajectories import feasible, Setting, Shape
 from jaxid.hardware.limits import Limits
 from jaxid.hardware.trajectory import Trajectory
 from jaxid.models import Panda, UR10, UR10e
-from jaxid.precision import float64
+from jaxid.numerics.precision import float64
 
 
 EXPONENT = np.array([0.5758, 0.2723, 0.6093, 0.9995, 0.8031, 0.7209])
@@ -126,7 +126,7 @@ def test_any_numbers_become_a_feasible_motion(seed, harmonics):
         t = np.linspace(0, 2 * np.pi, 64 * harmonics)
         a, b, middle = (np.asarray(x) for x in feasible(shape, setting, t))
     assert np.allclose(a.sum(0), 0, atol=1e-9) and np.allclose(np.arange(1, harmonics + 1) @ b, 0, atol=1e-9)
-    from jaxid.excitation_motion import series
+    from jaxid.excitation.trajectories import series
 
     q, qd, qdd = series(a, b, middle, 1.0, t)
     assert (q > bounds.lower).all() and (q < bounds.upper).all()

@@ -11,9 +11,9 @@ import pytest
 
 import jaxid
 import reference as ref
+from jaxid.data.dataset import Dataset
 from jaxid.errors import UsageError
-from jaxid.excitation_separate import recorded
-from jaxid.experiment import Dataset
+from jaxid.excitation.discriminate import recorded
 from jaxid.hardware.limits import Limits
 from jaxid.hardware.trajectory import Trajectory
 
@@ -117,8 +117,8 @@ def test_nothing_is_designed_where_nothing_drives(diagnosis, recordings):
 def test_the_command_writes_it(monkeypatch, diagnosis, tmp_path: Path):
     from click.testing import CliRunner
 
-    from jaxid import cli_record  # noqa: F401
-    from jaxid.cli import cli
+    from jaxid.cli import record as cli_record  # noqa: F401
+    from jaxid.cli.app import cli
 
     data = tmp_path / "data"
     jaxid.save_dataset(dataset([(T[:50], T[:50], "fit")]), data)

@@ -13,12 +13,12 @@ from jaxtyping import Array, Float
 
 import jaxid
 import reference as ref
-from jaxid.chain import InputEffect
-from jaxid.fitter import AbstractFitter, AbstractPopulation, Minimum
-from jaxid.mechanism import Rigid, Signature
+from jaxid.dynamics.chain import InputEffect
+from jaxid.dynamics.mechanism import Rigid, Signature
+from jaxid.dynamics.parameter import DURATION, param
+from jaxid.fitting.fitter import AbstractFitter, AbstractPopulation, Minimum
 from jaxid.models.effects import CoulombFriction, ViscousFriction
-from jaxid.parameter import DURATION, param
-from jaxid.precision import float64
+from jaxid.numerics.precision import float64
 
 
 # ---- a mechanism

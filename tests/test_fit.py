@@ -17,14 +17,14 @@ from scipy.interpolate import CubicSpline
 
 import jaxid
 import reference as ref
-from jaxid.binding import bind
-from jaxid.estimation import Bench
-from jaxid.experiment import ModelSpec, ParameterPrior
+from jaxid.data.dataset import ModelSpec, ParameterPrior
 from jaxid.fitters import DifferentialEvolution, FITTERS, LevenbergMarquardt
-from jaxid.objective import FunctionProblem
-from jaxid.problem import PENALTY, rows
-from jaxid.residual import OutputError
-from jaxid.uncertainty import covariance
+from jaxid.fitting.covariance import covariance
+from jaxid.fitting.problem_builder import Bench
+from jaxid.problem.binding import bind
+from jaxid.problem.objective import FunctionProblem
+from jaxid.problem.problem import PENALTY, rows
+from jaxid.problem.residual import OutputError
 
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
@@ -374,7 +374,7 @@ def test_a_number_whose_derivative_is_undefined_has_no_deviation(monkeypatch):
     """At its neutral value, say; the others keep theirs."""
     problem = FunctionProblem(lambda z: 1e2 * jnp.stack([z[0] - 1, 2 * z[0] - 2, z[0] + z[1] - 1]), [-5.0] * 2, [5.0] * 2)
     broken = lambda jobs: (part._replace(J=np.where([False, True], np.nan, part.J)) for part in rows(jobs))
-    monkeypatch.setattr("jaxid.uncertainty.rows", broken)
+    monkeypatch.setattr("jaxid.fitting.covariance.rows", broken)
     found = covariance(cast(Any, problem), np.array([1.0, 0.0]))
     assert found.identifiable.tolist() == [True, False] and np.isnan(found.std[1])
     assert found.std[0] == pytest.approx(1e-2 / np.sqrt(6), rel=1e-6)

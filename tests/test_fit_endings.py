@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 import jaxid
-from jaxid.experiment import ModelSpec, ParameterPrior
+from jaxid.data.dataset import ModelSpec, ParameterPrior
 
 
 @pytest.fixture(scope="module")

@@ -15,10 +15,7 @@ from scipy.optimize import least_squares, lsq_linear
 
 import jaxid
 import reference as ref
-from jaxid.binding import bind
-from jaxid.estimation import Bench
-from jaxid.experiment import ModelSpec, ParameterPrior
-from jaxid.fitter import AbstractPopulation
+from jaxid.data.dataset import ModelSpec, ParameterPrior
 from jaxid.fitters import (
     BFGS,
     descend,
@@ -33,9 +30,12 @@ from jaxid.fitters import (
     RecursiveDE,
 )
 from jaxid.fitters.lm import accept, next_trial, Path, PATIENCE
-from jaxid.objective import expand, FunctionProblem, Linear, PENALTY, rows
-from jaxid.recursion import follow, stretches
-from jaxid.residual import OutputError
+from jaxid.fitting.fitter import AbstractPopulation
+from jaxid.fitting.problem_builder import Bench
+from jaxid.fitting.sequential import follow, stretches
+from jaxid.problem.binding import bind
+from jaxid.problem.objective import expand, FunctionProblem, Linear, PENALTY, rows
+from jaxid.problem.residual import OutputError
 
 
 SEARCHES = [f for f in FITTERS if getattr(f, "residual_name", None) is None]

@@ -16,12 +16,12 @@ from scipy.integrate import solve_ivp
 from scipy.optimize import brentq
 
 import jaxid
-from jaxid import beam
-from jaxid.experiment import Channel, Experiment, FrequencyResponse, ModelSpec
-from jaxid.frequency import FrequencyResponseError, merged, transfer
+from jaxid.data.dataset import Channel, Experiment, FrequencyResponse, ModelSpec
+from jaxid.dynamics import beam
 from jaxid.models import FlexibleLink
 from jaxid.models.effects import GeometricStiffening, ViscousFriction
-from jaxid.precision import float64
+from jaxid.numerics.precision import float64
+from jaxid.problem.frequency_response import FrequencyResponseError, merged, transfer
 from notebooks.twins.flexible_link import (
     AREA,
     DE,

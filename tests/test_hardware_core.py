@@ -18,23 +18,23 @@ import pytest
 from hypothesis import given, settings, strategies as st
 
 from emulators import hand_over
-from jaxid.cli import main
-from jaxid.dataset_io import load_dataset
+from jaxid.cli.app import main
+from jaxid.data.io import load_dataset
 from jaxid.errors import UsageError
 from jaxid.hardware import HardwareError, Limits, recover, SensorSpec, Trajectory
 from jaxid.hardware.channels import channel_map
 from jaxid.hardware.clock import from_arrivals, from_signals, within_tick
+from jaxid.hardware.dynamixel.tick import TickClock
 from jaxid.hardware.limits import Clamp, Refused
 from jaxid.hardware.link import Closed, Driver, farewell, Leash, Link, Stop
 from jaxid.hardware.pauses import kept_from_running, Pauses, waited
 from jaxid.hardware.port import opened
 from jaxid.hardware.preflight import refuse_size
 from jaxid.hardware.recorder import Column, read_events, read_rows, Recorder, Stream
-from jaxid.hardware.rtde import DATA, RTDEReader
 from jaxid.hardware.sensor import SerialSensor
-from jaxid.hardware.tick import TickClock
 from jaxid.hardware.transfer import Sender, Table
-from jaxid.precision import float64
+from jaxid.hardware.ur.rtde import DATA, RTDEReader
+from jaxid.numerics.precision import float64
 
 
 # ---- limits
@@ -109,8 +109,8 @@ def test_a_path_is_read_from_files_and_folders(tmp_path):
     np.testing.assert_allclose(play.values, q, rtol=1e-9)
     assert play.t[0] == 0 and play.duration == pytest.approx(1.99) and len(play.sampled(0.008)) == 250
 
-    from jaxid.dataset_io import save_dataset
-    from jaxid.experiment import Dataset
+    from jaxid.data.dataset import Dataset
+    from jaxid.data.io import save_dataset
 
     data = Dataset.from_arrays(t, {f"tau{j}": q[:, 0] for j in (1, 2)}, {f"q{j}": q[:, j] for j in (1, 2)}, name="excitation")
     folder = save_dataset(data, tmp_path / "excitation")
@@ -281,7 +281,7 @@ def test_a_tick_clock_wraps_and_takes_no_old_answer(seed, start, drift, stale):
 def test_the_longest_path_goes_over_in_pieces():
     """600 s at 500 Hz of six joints, to the driver of an arm that is not there."""
     rows = np.random.default_rng(0).uniform(-1, 1, (300_001, 6))
-    driver = Driver("jaxid.hardware.ur_motion", "test")
+    driver = Driver("jaxid.hardware.ur.driver", "test")
     try:
         assert hand_over(driver, rows, 60.0) == int(np.ceil(len(rows) / 500))
         with pytest.raises(HardwareError, match="numbers of the path came for row"):  # not asked for
@@ -329,7 +329,7 @@ def test_words_wait_for_a_slow_listener_and_the_last_one_says_why():
 
 def test_a_reason_is_heard_although_the_line_is_closed():
     """The driver ends while the recorder writes to it; what it said before its end is raised, not that the line is gone."""
-    driver = Driver("jaxid.hardware.ur_motion", "test")
+    driver = Driver("jaxid.hardware.ur.driver", "test")
     driver.send("quit")
     driver.process.wait(20)
     for _ in range(3):
@@ -659,7 +659,7 @@ def test_a_wrong_plant_is_refused(tmp_path, capsys, text, words):
 
 def test_plants_are_models_in_real_time():
     """A joint alone against its equation in plain Python; a whole arm against its own acceleration."""
-    from jaxid.hardware.plant import Ideal, Modelled
+    from jaxid.hardware.emulators.plant import Ideal, Modelled
 
     numbers = {"inertia": 0.03, "viscous": 0.06, "gravity_torque": 0.8}
     plain = Ideal([0.03], [0.06], [0.8])

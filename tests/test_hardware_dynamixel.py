@@ -16,11 +16,12 @@ import pytest
 from hypothesis import example, given, HealthCheck, settings, strategies as st
 
 from emulators import Emulator, hand_over, PATIENT_S, signed, SLACK_S, writes
-from jaxid.cli import main
-from jaxid.dataset_io import load_dataset
+from jaxid.cli.app import main
+from jaxid.data.io import load_dataset
 from jaxid.errors import UsageError
-from jaxid.hardware import Dynamixel, HardwareError, Limits, record, recover, Trajectory, xseries as x
-from jaxid.hardware.dynamixel_bus import Bus
+from jaxid.hardware import Dynamixel, HardwareError, Limits, record, recover, Trajectory
+from jaxid.hardware.dynamixel import registers as x
+from jaxid.hardware.dynamixel.driver import Bus
 from jaxid.hardware.link import Driver
 
 
@@ -337,7 +338,7 @@ class Moves:
 
     def play(self, rows) -> str:
         if self.driver is None:
-            self.driver, self.last = Driver("jaxid.hardware.dynamixel_bus", "test"), 0
+            self.driver, self.last = Driver("jaxid.hardware.dynamixel.driver", "test"), 0
             self.driver.ask("open", "opened", 10.0, port=self.port, baud=1_000_000, ids=[1], rate=200.0, form="sync")
             self.driver.send("begin")
             self.driver.ask("arm", "armed", 10.0, mode="current", data_age=1.0)

@@ -18,11 +18,11 @@ import pytest
 from hypothesis import given, HealthCheck, settings, strategies as st
 
 from emulators import Emulator, hand_over, PATIENT_S, servoing, SLACK_S, stops
-from jaxid.dataset_io import load_dataset
+from jaxid.data.io import load_dataset
 from jaxid.errors import UsageError
 from jaxid.hardware import HardwareError, Limits, record, recover, SensorSpec, Trajectory, UR
 from jaxid.hardware.link import Driver
-from jaxid.hardware.rtde import RTDEReader
+from jaxid.hardware.ur.rtde import RTDEReader
 
 
 pytestmark = pytest.mark.realtime
@@ -262,7 +262,7 @@ def test_a_pause_of_this_computer_is_named(robot, tmp_path):
 
 
 def test_a_program_that_runs_is_not_replaced(robot, tmp_path):
-    first = Driver("jaxid.hardware.ur_motion", "first")
+    first = Driver("jaxid.hardware.ur.driver", "first")
     try:
         first.ask("arm", "armed", 20.0, host=robot.address, frequency=500.0, data_age=2.0)
         since = time.monotonic()
@@ -301,7 +301,7 @@ class Moves:
     def play(self, rows) -> str:
         """What was refused, or nothing."""
         if self.driver is None:
-            self.driver = Driver("jaxid.hardware.ur_motion", "test")
+            self.driver = Driver("jaxid.hardware.ur.driver", "test")
             self.driver.ask("arm", "armed", 10.0, host=self.host, frequency=500.0, data_age=1.0)
         try:
             hand_over(self.driver, rows)

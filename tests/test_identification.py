@@ -13,11 +13,11 @@ import pytest
 from click.testing import CliRunner
 
 import jaxid
-from jaxid.cli import cli
-from jaxid.identification import identify
+from jaxid.cli.app import cli
+from jaxid.dynamics.rigid_body import about_origin
+from jaxid.identification.online import OnlineIdentification, ridge_rls
+from jaxid.identification.run import identify
 from jaxid.models import UR10
-from jaxid.online import OnlineIdentification, ridge_rls
-from jaxid.rigid_body import about_origin
 from test_serial_arm import table_of, twin
 
 
@@ -109,7 +109,7 @@ def test_the_right_law_wins_on_held_out_motion(quiet):
 
 def test_a_constrained_arm_can_be_simulated(quiet):
     """Noise makes plain estimates unphysical; the constrained ones are bodies that can exist, and predict as well."""
-    from jaxid.rigid_body import pseudo_inertia
+    from jaxid.dynamics.rigid_body import pseudo_inertia
 
     noisy = recording(None, 1.0, 5)
     plain, bodies = (identify(None, noisy, method=m, friction="power") for m in ("wls", "constrained"))
@@ -158,7 +158,7 @@ def test_payload_by_difference():
 
 def test_payload_rows_are_exact_without_noise():
     """Equations (12) to (16) and least squares of all rows return the body that was added."""
-    from jaxid.payload import payload_of
+    from jaxid.identification.payload import payload_of
 
     base = UR10().base()
     found = payload_of(truth(base, LOAD) - truth(base), 1e-6 * np.eye(40), base)
@@ -168,8 +168,8 @@ def test_payload_rows_are_exact_without_noise():
 
 def test_impossible_payloads_become_the_nearest_body():
     """The paper's own identified payload has negative moments of inertia."""
-    from jaxid.payload import nearest_body
-    from jaxid.rigid_body import pseudo_inertia
+    from jaxid.dynamics.rigid_body import pseudo_inertia
+    from jaxid.identification.payload import nearest_body
 
     paper = np.array([0.0023, -0.0289, -0.0480, -0.0958, 0.0265, -0.0501, -0.0751, 0.0056, 0.1819, 3.5242])
     assert np.linalg.eigvalsh(pseudo_inertia(paper)).min() < 0
@@ -190,7 +190,7 @@ def test_references_of_another_arm_are_refused(quiet, tmp_path):
 
 def test_feed_forward_holds_the_loaded_arm(tmp_path):
     """Gravity and torque of the loaded arm, elsewhere than where it was identified, against Pinocchio."""
-    from jaxid.feed_forward import FeedForward
+    from jaxid.identification.feed_forward import FeedForward
 
     loaded = identify(None, recording(LOAD, 0.02, 12), friction="power")
     forward = FeedForward.load(FeedForward.of(loaded).save(tmp_path / "forward.json"))
@@ -227,8 +227,8 @@ def prior() -> np.ndarray:
 
 def test_recursion_is_ridge_regression(stream):
     """(8) to (11) with P0 = 10, xi = 100 equal the closed form with prior weight xi / P0, and the stop rule counts."""
-    from jaxid.base_parameters import torque_columns
-    from jaxid.identification_rows import friction_columns, LAWS
+    from jaxid.dynamics.base_parameters import torque_columns
+    from jaxid.identification.regression import friction_columns, LAWS
 
     (t, q, qd, qdd), tau = stream
     online = OnlineIdentification(UR10(), prior(), exponent=EXPONENT)
@@ -305,8 +305,8 @@ def test_recursion_is_a_pure_function():
     import jax
     import jax.numpy as jnp
 
-    from jaxid.online import Recursion
-    from jaxid.precision import float64
+    from jaxid.identification.online import Recursion
+    from jaxid.numerics.precision import float64
 
     rng = np.random.default_rng(0)
     with float64():
@@ -337,9 +337,9 @@ def test_recursion_says_when_the_payload_has_converged():
 
 def test_replay_is_the_stream(stream):
     """The recursion over recorded rows ends where the stream ends, and its rule fires at the same sample."""
-    from jaxid.base_parameters import torque_columns
-    from jaxid.identification_rows import friction_columns, LAWS
-    from jaxid.online import replay
+    from jaxid.dynamics.base_parameters import torque_columns
+    from jaxid.identification.online import replay
+    from jaxid.identification.regression import friction_columns, LAWS
 
     (t, q, qd, qdd), _ = stream
     tau = torque((t, q, qd, qdd), LOAD)
@@ -460,7 +460,7 @@ TABLE = 'name = "serial_arm"\n[model.dh]\na = [0.0, 0.4]\nalpha = [1.5707963, 0.
 
 def test_links_in_the_dataset(tmp_path):
     """A table under [model.dh], and a URDF of the folder: read, fitted, saved and read again."""
-    from jaxid.binding import resolve_model
+    from jaxid.problem.binding import resolve_model
     from test_serial_arm import URDF
 
     data = jaxid.load_dataset(arm_folder(tmp_path / "dh", f"[model]\n{TABLE}"))

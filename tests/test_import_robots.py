@@ -13,11 +13,11 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 import pytest
 
-from jaxid.dataset_io import load_dataset, save_dataset
+from jaxid.data.dataset import Controller, Dataset, DatasetError, DatasetWarning, ModelSpec
+from jaxid.data.importers.robot import import_lerobot, import_mcap, import_rosbag
+from jaxid.data.io import load_dataset, save_dataset
+from jaxid.dynamics.joint_names import in_chain_order
 from jaxid.errors import UsageError
-from jaxid.experiment import Controller, Dataset, DatasetError, DatasetWarning, ModelSpec
-from jaxid.importers_robot import import_lerobot, import_mcap, import_rosbag
-from jaxid.joint_names import in_chain_order
 
 
 N = 120
@@ -409,7 +409,7 @@ def test_a_dataset_with_its_own_urdf_is_matched_by_name(tmp_path):
     ],
 )
 def test_faults_of_a_urdf_are_named_with_what_to_type(tmp_path, content, words):
-    from jaxid.urdf import read_urdf
+    from jaxid.dynamics.urdf import read_urdf
 
     (tmp_path / "arm.urdf").write_text(content)
     with pytest.raises(UsageError, match=words):
@@ -418,7 +418,7 @@ def test_faults_of_a_urdf_are_named_with_what_to_type(tmp_path, content, words):
 
 
 def test_an_inertia_that_no_body_can_have_is_named_where_it_moves(tmp_path):
-    from jaxid.urdf import read_urdf
+    from jaxid.dynamics.urdf import read_urdf
 
     (tmp_path / "b.urdf").write_text(urdf(["a"], inertia="0.1 0.1 0.3"))
     with pytest.warns(DatasetWarning, match="link 'l_a' has principal moments of inertia of 0.1, 0.1, 0.3.*no body can have"):
@@ -432,7 +432,7 @@ def test_an_inertia_that_no_body_can_have_is_named_where_it_moves(tmp_path):
 
 
 def test_several_roots(tmp_path):
-    from jaxid.urdf import read_urdf
+    from jaxid.dynamics.urdf import read_urdf
 
     (tmp_path / "a.urdf").write_text(
         urdf(["a", "b"], '<link name="world"/><link name="table"/>')

@@ -17,12 +17,12 @@ import pandas as pd
 import pytest
 from hypothesis import given, HealthCheck, settings, strategies as st
 
-from jaxid.cli import main
-from jaxid.dataset_io import load_dataset
+from jaxid.cli.app import main
+from jaxid.data.dataset import Dataset, DatasetError
+from jaxid.data.importers.map import import_table
+from jaxid.data.importers.text import recognise
+from jaxid.data.io import load_dataset
 from jaxid.errors import UsageError
-from jaxid.experiment import Dataset, DatasetError
-from jaxid.import_map import import_table
-from jaxid.import_text import recognise
 
 
 N = 60

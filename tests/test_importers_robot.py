@@ -10,11 +10,11 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 import pytest
 
-from jaxid.cli import main
-from jaxid.dataset_io import load_dataset
+from jaxid.cli.app import main
+from jaxid.data.dataset import DatasetError, DatasetWarning
+from jaxid.data.importers.robot import import_csv, import_lerobot, import_mcap, import_rosbag, import_ur_rtde_csv
+from jaxid.data.io import load_dataset
 from jaxid.errors import UsageError
-from jaxid.experiment import DatasetError, DatasetWarning
-from jaxid.importers_robot import import_csv, import_lerobot, import_mcap, import_rosbag, import_ur_rtde_csv
 
 
 T = np.arange(500) * 0.002

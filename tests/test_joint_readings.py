@@ -11,11 +11,11 @@ import pytest
 from jaxtyping import Array
 
 import jaxid
-from jaxid.binding import bind
-from jaxid.experiment import ModelSpec
-from jaxid.mechanism import Rigid, Signature
+from jaxid.data.dataset import ModelSpec
+from jaxid.dynamics.mechanism import Rigid, Signature
+from jaxid.dynamics.parameter import constant, param
 from jaxid.models.effects import ConstantTorque, CoulombFriction, ViscousFriction
-from jaxid.parameter import constant, param
+from jaxid.problem.binding import bind
 
 
 class Coast(Rigid):

@@ -10,16 +10,16 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from jaxid import lanes
-from jaxid.chain import Chain
-from jaxid.lane import EVEN, simulate_lane
-from jaxid.lanes import laid_out, loop_over_time, over_lanes
-from jaxid.layout import Layout
+from jaxid.dynamics.chain import Chain
+from jaxid.dynamics.parameter_vector import Layout
 from jaxid.models import Joint, MODELS, PlanarArm
 from jaxid.models.effects import Backlash, DeadZone, StribeckFriction
-from jaxid.precision import float64
-from jaxid.program_form import scan_counts, UnknownForm, while_counts
-from jaxid.samples import Samples
+from jaxid.numerics import batch_loop as lanes
+from jaxid.numerics.batch_loop import laid_out, loop_over_time, over_lanes
+from jaxid.numerics.precision import float64
+from jaxid.numerics.program_form import scan_counts, UnknownForm, while_counts
+from jaxid.simulation.rollout import EVEN, simulate_lane
+from jaxid.simulation.sample_buffers import Samples
 
 
 def looped(A, x, table, steps):

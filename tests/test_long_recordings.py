@@ -7,13 +7,16 @@ import numpy as np
 import pytest
 
 import jaxid
-from jaxid import capacity, cli, engine, identification_rows, samples, signals, windows
-from jaxid.autoregression import autoregressions, Part, score_covariance
-from jaxid.binding import bind
-from jaxid.estimation import Bench
-from jaxid.objective import linearise
-from jaxid.problem import rows
-from jaxid.residual import InverseDynamics, OutputError
+from jaxid.cli import app as cli
+from jaxid.data import capacity, signals
+from jaxid.fitting.noise_model import autoregressions, Part, score_covariance
+from jaxid.fitting.problem_builder import Bench
+from jaxid.identification import regression as identification_rows
+from jaxid.problem.binding import bind
+from jaxid.problem.objective import linearise
+from jaxid.problem.problem import rows
+from jaxid.problem.residual import InverseDynamics, OutputError
+from jaxid.simulation import batch as engine, sample_buffers as samples, windows
 
 
 def recording(count=1600, rate=500.0, **settings):
@@ -52,7 +55,7 @@ def test_windows_give_what_whole_records_give(monkeypatch, effects):
     whole, long = expansions(data, effects)
     assert not long
     monkeypatch.setattr(engine, "LONG", 100)
-    monkeypatch.setattr("jaxid.long_records.WINDOW", 256)
+    monkeypatch.setattr("jaxid.problem.long_records.WINDOW", 256)
     monkeypatch.setattr(windows, "WINDOW", 256)
     monkeypatch.setattr(engine, "_PROGRAMS", type(engine._PROGRAMS)())
     parts, long = expansions(data, effects)
@@ -68,7 +71,7 @@ def test_a_long_series_is_transformed_in_the_same_way(monkeypatch):
     inverse = np.linalg.inv(J[:, 0].T @ J[:, 0])
     either = []
     for long in (1 << 17, 100):
-        monkeypatch.setattr("jaxid.autoregression.LONG", long)
+        monkeypatch.setattr("jaxid.fitting.noise_model.LONG", long)
         noise = autoregressions([Part(r, J)], inverse)
         either.append(score_covariance([Part(r, J)], noise))
     assert np.allclose(*either, rtol=1e-9)

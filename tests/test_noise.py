@@ -9,9 +9,9 @@ import pytest
 from hypothesis import given, settings, strategies as st
 from scipy import constants
 
-from jaxid.experiment import Channel, Dataset, Experiment
-from jaxid.noise import noise_floor, quantisation_step, sensor_noise
-from jaxid.units import conversion, si_unit, unit_names, UnitError
+from jaxid.data.dataset import Channel, Dataset, Experiment
+from jaxid.data.noise import noise_floor, quantisation_step, sensor_noise
+from jaxid.data.units import conversion, si_unit, unit_names, UnitError
 
 
 T = 0.005 * np.arange(2000)

@@ -131,7 +131,7 @@ def test_lazy_submodules():
 def test_prepare_sets_the_environment(tmp_path):
     code = """
 import json, os; from jaxid.runtime import prepare; prepare(); prepare(); set_ = dict(os.environ)
-import jax; from jaxid.precision import float64; float64()
+import jax; from jaxid.numerics.precision import float64; float64()
 print(json.dumps(set_ | {"kept": jax.config.values["jax_compilation_cache_dir"]}))
 """
     plain = {"XLA_FLAGS": "--xla_x=1", "JAXID_CACHE_DIR": str(tmp_path / "cache"), "JAXID_XLA": "1"}
@@ -221,7 +221,7 @@ def test_what_is_built(tmp_path):
     wheel = zipfile.ZipFile(next(source.glob("*.whl")))
     names = set(wheel.namelist())
     for expected in (
-        "jaxid/cli.py",
+        "jaxid/cli/app.py",
         "jaxid/py.typed",
         "jaxid/report/page.html",
         "jaxid/report/recorded.html",

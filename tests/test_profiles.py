@@ -5,12 +5,12 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from jaxid.binding import bind
-from jaxid.estimation import Bench
 from jaxid.fitters import descend
-from jaxid.profiles import bootstrap, profile_likelihood
-from jaxid.residual import OutputError
-from jaxid.uncertainty import covariance
+from jaxid.fitting.covariance import covariance
+from jaxid.fitting.problem_builder import Bench
+from jaxid.fitting.profiles import bootstrap, profile_likelihood
+from jaxid.problem.binding import bind
+from jaxid.problem.residual import OutputError
 from test_fitters import data_of
 
 

@@ -14,8 +14,8 @@ from pathlib import Path
 
 import pytest
 
-from jaxid import program_cache
-from jaxid.program_cache import CacheFolder, own_folder
+from jaxid.numerics import program_cache
+from jaxid.numerics.program_cache import CacheFolder, own_folder
 
 
 CONTENT = random.Random(0).randbytes(3000)
@@ -25,10 +25,10 @@ COMPUTE = """
 import jaxid.runtime; jaxid.runtime.prepare()
 import jax, numpy as np
 from jax import monitoring
-from jaxid.precision import float64
+from jaxid.numerics.precision import float64
 hits = []
 monitoring.register_event_listener(lambda event, **_: hits.append(event) if event.endswith("cache_hits") else None)
-from jaxid.traced import Traced
+from jaxid.numerics.export_cache import Traced
 def program(x): return jax.numpy.cumsum(jax.numpy.sin(x) ** 2)
 with float64():
     print(np.asarray(Traced(program, "the key")(np.linspace(0, 9, 50))).tobytes().hex(), len(hits))
@@ -149,7 +149,7 @@ def test_several_write_and_read_at_once(tmp_path):
 def test_killed_while_it_writes(tmp_path):
     """What is left behind is either whole or never read; it goes when it is old."""
     code = (
-        "import sys; from pathlib import Path; from jaxid.program_cache import CacheFolder\n"
+        "import sys; from pathlib import Path; from jaxid.numerics.program_cache import CacheFolder\n"
         "folder = CacheFolder(Path(sys.argv[1])); print(flush=True)\n"
         "while True: [folder.write(f'x{k}', bytes([k]) * 3_000_000) for k in range(4)]"
     )

@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 
 import jaxid
-from jaxid.text import percent
+from jaxid.report.text import percent
 
 
 ROOT = Path(__file__).resolve().parents[1]
@@ -59,8 +59,8 @@ def test_the_recipes_for_a_model_and_an_effect_fit():
     for name, truth in {"mass": 2.0, "stiffness": 40.0, "viscous": 1.5}.items():
         found = fit.parameters[name]
         assert found.std is not None and abs(found.value - truth) < 4 * found.std + 1e-4 * truth
-    from jaxid.chain import Chain
-    from jaxid.layout import Layout
+    from jaxid.dynamics.chain import Chain
+    from jaxid.dynamics.parameter_vector import Layout
 
     joint = Chain(jaxid.models.Joint()).with_effects(made["SpringTorque"]())
     assert "spring_torque.stiffness@q" in Layout(joint).names

@@ -8,10 +8,9 @@ from html.parser import HTMLParser
 import numpy as np
 import pytest
 
-from jaxid import text
-from jaxid.report import diagnosis_fragment, plot, write_diagnosis, write_fit
+from jaxid.fitting.result import Estimate, HowFar
+from jaxid.report import diagnosis_fragment, plot, text, write_diagnosis, write_fit
 from jaxid.report.missing_force import spectrum
-from jaxid.results import Estimate, HowFar
 from report_sample import hostile, sample_diagnosis, sample_fit, sample_simulation
 
 
@@ -258,7 +257,7 @@ def test_what_the_prompt_shows_is_short_and_plain():
 
 
 def plots():
-    from jaxid.profiles import Profile
+    from jaxid.fitting.profiles import Profile
 
     d = sample_diagnosis(1500)
     curve = Profile("coulomb", np.linspace(0, 1, 7), np.linspace(-2, 2, 7) ** 2, 3.84, (0.1, None), (False, True))

@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 
 import jaxid
-from jaxid.joint import solve_dry
-from jaxid.precision import float64
+from jaxid.dynamics.dry_friction import solve_dry
+from jaxid.numerics.precision import float64
 
 
 FORCES = (0.0, 1e-300, 1e-164, 1e-30, 1e-9, 0.3, 5.0)

@@ -9,7 +9,7 @@ import pytest
 
 import jaxid
 from jaxid import UsageError
-from jaxid.cli import main
+from jaxid.cli.app import main
 from jaxid.robots.match import robot_from
 from jaxid.robots.urdf_tree import read_urdf_tree
 

@@ -9,10 +9,10 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from jaxid.arithmetic import dot, inverse as inverted
+from jaxid.dynamics.parameter import with_fields
 from jaxid.models import Robot
-from jaxid.parameter import with_fields
-from jaxid.precision import float64
+from jaxid.numerics.fast_math import dot, inverse as inverted
+from jaxid.numerics.precision import float64
 from written_robots import ROBOTS, tilted
 
 

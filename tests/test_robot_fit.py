@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 import jaxid
-from jaxid.cli import main
+from jaxid.cli.app import main
 
 
 mujoco: Any = importlib.import_module("mujoco")

@@ -8,10 +8,10 @@ import pytest
 
 import jaxid
 from jaxid import Dataset, UsageError
-from jaxid.binding import resolve_model
-from jaxid.experiment import Controller, DatasetError, ModelSpec
-from jaxid.layout import Layout
+from jaxid.data.dataset import Controller, DatasetError, ModelSpec
+from jaxid.dynamics.parameter_vector import Layout
 from jaxid.models import Robot
+from jaxid.problem.binding import resolve_model
 from jaxid.robots.limbs import limbs_of
 from jaxid.robots.match import prepared
 from written_robots import quadruped, two_arms

@@ -11,13 +11,12 @@ from typing import Any
 import numpy as np
 from hypothesis import given, settings, strategies as st
 
-from jaxid import text
 from jaxid.diagnosis.breakdown import Share
 from jaxid.diagnosis.hypothesis import Search
 from jaxid.diagnosis.next_experiment import advice
 from jaxid.diagnosis.verdict import astray, judge, level, NAMED, PARTLY, SEEN, upheld
-from jaxid.report import answer, write_diagnosis
-from jaxid.results import ChannelGap, EffectEstimate, Estimate, Finding, finite, HowFar, Ranked, Which
+from jaxid.fitting.result import ChannelGap, EffectEstimate, Estimate, Finding, finite, HowFar, Ranked, Which
+from jaxid.report import answer, text, write_diagnosis
 from report_sample import sample_diagnosis, sample_fit
 
 

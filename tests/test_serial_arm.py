@@ -12,16 +12,16 @@ import numpy as np
 import pytest
 from hypothesis import given, settings, strategies as st
 
-from jaxid import kinematics as kin, rigid_body as rb
-from jaxid.base_parameters import base_parameters, standard_names, torque_columns
-from jaxid.chain import Chain, Command
+from jaxid.dynamics import kinematics as kin, rigid_body as rb
+from jaxid.dynamics.base_parameters import base_parameters, standard_names, torque_columns
+from jaxid.dynamics.chain import Chain, Command
+from jaxid.dynamics.kinematics import ArmTable, modified_dh, standard_dh
+from jaxid.dynamics.parameter import Reference
+from jaxid.dynamics.parameter_vector import Layout
+from jaxid.dynamics.urdf import read_urdf
 from jaxid.errors import UsageError
-from jaxid.kinematics import ArmTable, modified_dh, standard_dh
-from jaxid.layout import Layout
 from jaxid.models import Panda, SerialArm, UR10, UR10e
-from jaxid.parameter import Reference
-from jaxid.precision import float64
-from jaxid.urdf import read_urdf
+from jaxid.numerics.precision import float64
 from simulated import Simulator
 
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from jaxid.signals import decimate, differentiate, filter_ends, start_state, zero_phase
+from jaxid.data.signals import decimate, differentiate, filter_ends, start_state, zero_phase
 
 
 T = 0.001 * np.arange(4000)

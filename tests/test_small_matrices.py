@@ -8,8 +8,8 @@ import jax.numpy as jnp
 import numpy as np
 from hypothesis import given, settings
 
-from jaxid.precision import float64
-from jaxid.small_matrices import eigh, solve, whitening
+from jaxid.numerics.linalg import eigh, solve, whitening
+from jaxid.numerics.precision import float64
 
 
 def graded(rng: np.random.Generator, n: int) -> np.ndarray:

@@ -13,14 +13,14 @@ from hypothesis import given, settings, strategies as st
 from jaxtyping import Array
 
 import reference as ref
-from jaxid.chain import Chain, Command
-from jaxid.joint import solve_dry
-from jaxid.layout import Layout
-from jaxid.mechanism import Lagrangian
+from jaxid.dynamics.chain import Chain, Command
+from jaxid.dynamics.dry_friction import solve_dry
+from jaxid.dynamics.mechanism import Lagrangian
+from jaxid.dynamics.parameter import constant, param
+from jaxid.dynamics.parameter_vector import Layout
 from jaxid.models import Joint, Pendulum, PlanarArm
 from jaxid.models.effects import LIBRARY
-from jaxid.parameter import constant, param
-from jaxid.precision import float64
+from jaxid.numerics.precision import float64
 from simulated import REFERENCE, relative, Simulator, within_bounds
 
 

@@ -7,9 +7,9 @@ import pytest
 from hypothesis import given, settings, strategies as st
 
 import jaxid
-from jaxid.experiment import Channel, Dataset, Experiment
-from jaxid.noise import noise_floor
-from jaxid.time_stamps import scattered_stamps, Stamps, with_scatter
+from jaxid.data.dataset import Channel, Dataset, Experiment
+from jaxid.data.noise import noise_floor
+from jaxid.data.time_stamps import scattered_stamps, Stamps, with_scatter
 from test_diagnosis import recording
 
 

@@ -7,13 +7,13 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from jaxid import traced
-from jaxid.chain import Chain
-from jaxid.lane import simulate_lane, torque_lane
-from jaxid.layout import Layout
+from jaxid.dynamics.chain import Chain
+from jaxid.dynamics.parameter_vector import Layout
 from jaxid.models import Pendulum
-from jaxid.precision import float64
-from jaxid.traced import key_of, Traced
+from jaxid.numerics import export_cache as traced
+from jaxid.numerics.export_cache import key_of, Traced
+from jaxid.numerics.precision import float64
+from jaxid.simulation.rollout import simulate_lane, torque_lane
 
 
 @pytest.fixture

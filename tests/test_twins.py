@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from jaxid.models import UR10
-from jaxid.precision import float64
+from jaxid.numerics.precision import float64
 from notebooks.twins.serial_arm import torques
 
 

@@ -9,8 +9,9 @@ from pathlib import Path
 import pytest
 from packaging.requirements import Requirement
 
-from jaxid import cli, versions
+from jaxid.cli import app as cli
 from jaxid.errors import UsageError
+from jaxid.numerics import versions
 
 
 CONFIG = tomllib.loads((Path(__file__).parents[1] / "pyproject.toml").read_text())

@@ -12,9 +12,9 @@ import numpy as np
 import pytest
 
 import jaxid
-from jaxid.binding import bind
 from jaxid.diagnosis.where import findings, floor_at, Missing, missing_forces, supplied, table
-from jaxid.estimation import Bench, estimate_starts
+from jaxid.fitting.problem_builder import Bench, estimate_starts
+from jaxid.problem.binding import bind
 from reference import multisine
 
 

@@ -14,16 +14,16 @@ from dataclasses import replace
 
 import numpy as np
 
-from jaxid.binding import bind, Binding
 from jaxid.conventions import runs, samples
 from jaxid.conventions.decide import judged
 from jaxid.conventions.finding import Checked, DataFinding
 from jaxid.conventions.mending import mended, Mending
 from jaxid.conventions.missing_force import ForceFit, measured
 from jaxid.conventions.samples import Shown
+from jaxid.data.dataset import Dataset, DatasetError, DatasetWarning
+from jaxid.data.noise import noise_floor
 from jaxid.errors import UsageError
-from jaxid.experiment import Dataset, DatasetError, DatasetWarning
-from jaxid.noise import noise_floor
+from jaxid.problem.binding import bind, Binding
 
 
 #: Evaluations of each of the two fits that confirm a finding, and the share of the gap that has to go.
@@ -60,7 +60,7 @@ def check_folder(model: object, path: str | os.PathLike[str], without: Iterable[
 
     Raises `DatasetError` for a folder with other faults.
     """
-    from jaxid.dataset_io import load_dataset
+    from jaxid.data.io import load_dataset
 
     try:
         with warnings.catch_warnings():
@@ -173,10 +173,10 @@ def _confirmed(binding: Binding, data: Dataset, total: Mending, shown: list[Show
 
 def gap(binding: Binding, data: Dataset) -> float | None:
     """What the model as it stands leaves of a dataset after a short fit, times the noise; None where nothing is simulated."""
-    from jaxid.estimation import default_residual
     from jaxid.fitters import LevenbergMarquardt
-    from jaxid.fitting import fit_binding
-    from jaxid.residual import InverseDynamics
+    from jaxid.fitting.problem_builder import default_residual
+    from jaxid.fitting.run import fit_binding
+    from jaxid.problem.residual import InverseDynamics
 
     chain = binding.chain
     try:

@@ -8,7 +8,6 @@ from math import pi
 
 import numpy as np
 
-from jaxid.binding import Binding
 from jaxid.conventions.finding import DataFinding
 from jaxid.conventions.mending import exchange_lines, lines, Mending
 from jaxid.conventions.missing_force import Fitted, ForceFit, Motion
@@ -26,6 +25,7 @@ from jaxid.conventions.readings import (
 )
 from jaxid.conventions.samples import Shown
 from jaxid.conventions.timing import CLOSE, DRIFT, KNOWN, lateness, SURE, together
+from jaxid.problem.binding import Binding
 
 
 #: A reading is looked at where it leaves that share of what is missing, and decisive where it leaves so much of it.
@@ -168,7 +168,7 @@ def _line(binding: Binding, reading: Reading, mending: Mending) -> str:
 
 
 def _listed(names: tuple[str, ...]) -> str:
-    from jaxid.text import listed
+    from jaxid.report.text import listed
 
     return listed(names)
 

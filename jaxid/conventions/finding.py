@@ -7,8 +7,8 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
-from jaxid.experiment import Dataset
-from jaxid.terminal import one_line
+from jaxid.cli.terminal import one_line
+from jaxid.data.dataset import Dataset
 
 
 KINDS = (
@@ -72,7 +72,7 @@ class Checked:
     wall_time_s: float = 0.0
 
     def to_dict(self) -> dict[str, Any]:
-        from jaxid.results import SCHEMA, versions
+        from jaxid.fitting.result import SCHEMA, versions
 
         return {
             "schema": SCHEMA,

@@ -8,10 +8,10 @@ from typing import Any
 
 import numpy as np
 
-from jaxid.dataset_forms import signal
-from jaxid.dataset_schema import ChannelEntry
-from jaxid.experiment import Channel, Dataset, Experiment, Stated
-from jaxid.units import Conversion, conversion, UnitError
+from jaxid.data.dataset import Channel, Dataset, Experiment, Stated
+from jaxid.data.forms import signal
+from jaxid.data.schema import ChannelEntry
+from jaxid.data.units import Conversion, conversion, UnitError
 
 
 @dataclass(frozen=True)

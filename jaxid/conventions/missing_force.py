@@ -17,13 +17,13 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from jaxid.binding import Binding
-from jaxid.chain import Command
-from jaxid.layout import Layout
-from jaxid.precision import float64
-from jaxid.samples import columns, content_cutoff
-from jaxid.signals import differentiate, filter_ends, zero_phase
-from jaxid.traced import key_of, Traced
+from jaxid.data.signals import differentiate, filter_ends, zero_phase
+from jaxid.dynamics.chain import Command
+from jaxid.dynamics.parameter_vector import Layout
+from jaxid.numerics.export_cache import key_of, Traced
+from jaxid.numerics.precision import float64
+from jaxid.problem.binding import Binding
+from jaxid.simulation.sample_buffers import columns, content_cutoff
 
 
 #: Samples at which the force is looked at, and the longest part of a run that is filtered for them.

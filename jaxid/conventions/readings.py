@@ -10,10 +10,10 @@ from math import pi
 
 import numpy as np
 
-from jaxid.binding import Binding
 from jaxid.conventions.mending import Mending
 from jaxid.conventions.missing_force import Motion
-from jaxid.samples import columns
+from jaxid.problem.binding import Binding
+from jaxid.simulation.sample_buffers import columns
 
 
 Change = Callable[[Motion], Motion]

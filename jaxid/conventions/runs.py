@@ -9,8 +9,8 @@ import numpy as np
 from jaxid.conventions.finding import DataFinding
 from jaxid.conventions.mending import Mending
 from jaxid.conventions.samples import series, Shown
-from jaxid.experiment import Channel, Dataset, DatasetError, Experiment
-from jaxid.noise import Noise
+from jaxid.data.dataset import Channel, Dataset, DatasetError, Experiment
+from jaxid.data.noise import Noise
 
 
 #: Sampling steps that recordings of machines do not have in seconds, but have in other units: a row number, ms, us.

@@ -10,8 +10,8 @@ import numpy as np
 
 from jaxid.conventions.finding import DataFinding
 from jaxid.conventions.mending import lines, Mending
-from jaxid.dataset_forms import glitches
-from jaxid.experiment import Channel, Dataset, Experiment
+from jaxid.data.dataset import Channel, Dataset, Experiment
+from jaxid.data.forms import glitches
 
 
 LONGEST = 400_000  # samples of a run that are looked at

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-from jaxid import text
-from jaxid.terminal import one_line
+from jaxid.cli.terminal import one_line
+from jaxid.report import text
 
 
 if TYPE_CHECKING:

@@ -10,20 +10,24 @@ import jax
 import numpy as np
 
 from jaxid import catalogue
-from jaxid.binding import bind, Binding, JITTER, resolve_model
-from jaxid.capacity import need, shortened
-from jaxid.chain import Effect
-from jaxid.diagnosis import how_far as shrinking, timing, where as location
+from jaxid.data.capacity import need, shortened
+from jaxid.data.dataset import Dataset
+from jaxid.data.time_stamps import scattered_stamps, with_scatter
+from jaxid.diagnosis import how_far as shrinking, jitter as timing, where as location
 from jaxid.diagnosis.believable import doubts
-from jaxid.diagnosis.choice import WHITE
 from jaxid.diagnosis.evidence import held_out, inflation, knowledge, worth
 from jaxid.diagnosis.hypothesis import Candidate, candidates, check_asked, Hypothesis, possible, Search
 from jaxid.diagnosis.next_experiment import advice, rivals_of
+from jaxid.diagnosis.search import Searcher
+from jaxid.diagnosis.selection import WHITE
 from jaxid.diagnosis.unseen import Look, Looker
 from jaxid.diagnosis.verdict import astray, judge, not_reached, SEEN, standing_still, upheld, withheld
-from jaxid.diagnosis.which import Searcher
+from jaxid.dynamics.chain import Effect
 from jaxid.errors import UsageError
-from jaxid.estimation import (
+from jaxid.fitters import descend, LevenbergMarquardt
+from jaxid.fitting.covariance import covariance
+from jaxid.fitting.fitter import Minimum, Progress
+from jaxid.fitting.problem_builder import (
     assemble,
     Bench,
     default_residual,
@@ -33,17 +37,13 @@ from jaxid.estimation import (
     start_values,
     torque_traces,
 )
-from jaxid.experiment import Dataset
-from jaxid.fitter import Minimum, Progress
-from jaxid.fitters import descend, LevenbergMarquardt
-from jaxid.fitting import by_torque, DIVERGES
-from jaxid.interim import Interim
-from jaxid.residual import InverseDynamics, MultipleShooting, OutputError, Residual
-from jaxid.results import Diagnosis, EffectEstimate, Fit, HowFar, Ranked, Which
+from jaxid.fitting.result import Diagnosis, EffectEstimate, Fit, HowFar, Ranked, Which
+from jaxid.fitting.run import by_torque, DIVERGES
+from jaxid.problem.binding import bind, Binding, JITTER, resolve_model
+from jaxid.problem.residual import InverseDynamics, MultipleShooting, OutputError, Residual
+from jaxid.report.text import number, percent, times
 from jaxid.runtime import Interrupted
-from jaxid.text import number, percent, times
-from jaxid.time_stamps import scattered_stamps, with_scatter
-from jaxid.uncertainty import covariance
+from jaxid.storage.interim import Interim
 
 
 #: Free runs in which a difference at the start (rad, m) grows by more than this are not trusted where they find no answer, or one
@@ -350,7 +350,7 @@ def _before(binding: Binding, nominal: Hypothesis) -> tuple[np.ndarray, str]:
 
 
 def _effect_estimates(binding: Binding, h: Hypothesis, named: Sequence[Candidate]) -> tuple[EffectEstimate, ...]:
-    from jaxid.estimation import estimates
+    from jaxid.fitting.problem_builder import estimates
 
     if not named:
         return ()

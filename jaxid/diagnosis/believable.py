@@ -5,8 +5,8 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 from jaxid import catalogue
-from jaxid.parameter import specs
-from jaxid.results import EffectEstimate, Estimate
+from jaxid.dynamics.parameter import specs
+from jaxid.fitting.result import EffectEstimate, Estimate
 
 
 #: A drive that is said to give no more than this share of what it is told is one that is all but switched off.

@@ -9,8 +9,8 @@ import numpy as np
 
 from jaxid.diagnosis.evidence import HeldOut
 from jaxid.diagnosis.where import Missing, regimes
-from jaxid.estimation import Bench, scored
-from jaxid.samples import columns
+from jaxid.fitting.problem_builder import Bench, scored
+from jaxid.simulation.sample_buffers import columns
 
 
 #: A regime with fewer samples is left out.

@@ -7,10 +7,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from jaxid.estimation import Bench, scored
 from jaxid.fitters import descend, Path
-from jaxid.problem import rows
-from jaxid.residual import OutputError, Residual
+from jaxid.fitting.problem_builder import Bench, scored
+from jaxid.problem.problem import rows
+from jaxid.problem.residual import OutputError, Residual
 
 
 #: A start may be moved by so many of its own standard deviations to take its uncertainty out of a comparison.

@@ -9,14 +9,14 @@ from functools import cached_property
 import numpy as np
 
 from jaxid import catalogue
-from jaxid.added_effects import probes, read_off
-from jaxid.chain import Chain, Effect
 from jaxid.diagnosis.evidence import HeldOut, memory
+from jaxid.dynamics.chain import Chain, Effect
 from jaxid.errors import UsageError
-from jaxid.estimation import Bench
 from jaxid.fitters import Path
-from jaxid.problem import Problem
-from jaxid.residual import InverseDynamics
+from jaxid.fitting.effect_starts import probes, read_off
+from jaxid.fitting.problem_builder import Bench
+from jaxid.problem.problem import Problem
+from jaxid.problem.residual import InverseDynamics
 
 
 @dataclass(frozen=True)

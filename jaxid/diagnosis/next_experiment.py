@@ -10,10 +10,10 @@ from jaxid import catalogue
 from jaxid.diagnosis.evidence import knowledge
 from jaxid.diagnosis.hypothesis import Hypothesis
 from jaxid.diagnosis.unseen import Unseen
-from jaxid.estimation import Bench
-from jaxid.excitation_separate import recorded, Rivals
-from jaxid.layout import Layout
-from jaxid.samples import columns
+from jaxid.dynamics.parameter_vector import Layout
+from jaxid.excitation.discriminate import recorded, Rivals
+from jaxid.fitting.problem_builder import Bench
+from jaxid.simulation.sample_buffers import columns
 
 
 def rivals_of(bench: Bench, pair: tuple[Hypothesis, Hypothesis]) -> Rivals | None:

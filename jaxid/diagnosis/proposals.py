@@ -8,9 +8,9 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 
 from jaxid.diagnosis.hypothesis import Candidate, effect_of, family_of, Hypothesis, probes_of, sensible
-from jaxid.estimation import Bench
 from jaxid.fitters import descend
-from jaxid.residual import InverseDynamics
+from jaxid.fitting.problem_builder import Bench
+from jaxid.problem.residual import InverseDynamics
 
 
 #: Pairs are made of so many of the best single effects.

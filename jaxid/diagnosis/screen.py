@@ -7,8 +7,8 @@ from collections.abc import Iterator, Sequence
 import numpy as np
 
 from jaxid.diagnosis.hypothesis import Candidate, probes_of
-from jaxid.estimation import Bench
-from jaxid.problem import Problem, Rows, rows
+from jaxid.fitting.problem_builder import Bench
+from jaxid.problem.problem import Problem, Rows, rows
 
 
 #: (share explained, candidate, starts of a refit: each probe re-tuned and as it is, best first)

@@ -6,7 +6,7 @@ from collections.abc import Callable, Sequence
 
 from jaxid.diagnosis.hypothesis import Candidate, effect_of
 from jaxid.diagnosis.screen import Screened
-from jaxid.estimation import Bench
+from jaxid.fitting.problem_builder import Bench
 
 
 #: Candidates within this share of the best screen value are refitted, at least MINIMUM and at most MAXIMUM of them.

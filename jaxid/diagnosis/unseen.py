@@ -17,10 +17,10 @@ from scipy.special import chdtrc
 from jaxid.diagnosis.evidence import knowledge, memory
 from jaxid.diagnosis.hypothesis import Candidate, Hypothesis, probes_of
 from jaxid.diagnosis.screen import each_probe, probe_residuals, Retuning
-from jaxid.estimation import Bench, estimate_starts
 from jaxid.fitters import descend
-from jaxid.problem import Problem, Rows, rows
-from jaxid.residual import OutputError, Residual
+from jaxid.fitting.problem_builder import Bench, estimate_starts
+from jaxid.problem.problem import Problem, Rows, rows
+from jaxid.problem.residual import OutputError, Residual
 
 
 #: Closer simulations than this (standard deviations of the noise, all samples together) are not told apart.

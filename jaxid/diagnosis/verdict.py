@@ -12,14 +12,14 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from jaxid.binding import Binding
 from jaxid.diagnosis import how_far as shrinking
 from jaxid.diagnosis.breakdown import Share
-from jaxid.diagnosis.choice import ALIKE
 from jaxid.diagnosis.hypothesis import Hypothesis, Search
-from jaxid.estimation import scored
-from jaxid.samples import columns
-from jaxid.text import listed, percent, times
+from jaxid.diagnosis.selection import ALIKE
+from jaxid.fitting.problem_builder import scored
+from jaxid.problem.binding import Binding
+from jaxid.report.text import listed, percent, times
+from jaxid.simulation.sample_buffers import columns
 
 
 #: Shares of the gap (mean square above the floor, validation data) that the verdicts need.

@@ -13,15 +13,15 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from jaxid import samples
-from jaxid.dataset_splits import LATE
-from jaxid.estimation import Bench, free_runs
-from jaxid.experiment import Experiment
-from jaxid.joint_readings import joint_motion, stated_positions
-from jaxid.problem import Problem
-from jaxid.residual import InverseDynamics, OutputError, Runs
-from jaxid.results import Finding, MissingForce, Regime
-from jaxid.text import number, percent, times
+from jaxid.data.dataset import Experiment
+from jaxid.data.splits import LATE
+from jaxid.dynamics.joint_readings import joint_motion, stated_positions
+from jaxid.fitting.problem_builder import Bench, free_runs
+from jaxid.fitting.result import Finding, MissingForce, Regime
+from jaxid.problem.problem import Problem
+from jaxid.problem.residual import InverseDynamics, OutputError, Runs
+from jaxid.report.text import number, percent, times
+from jaxid.simulation import sample_buffers as samples
 
 
 #: Simulated repetitions for the null of every regime.
@@ -100,7 +100,7 @@ def _torque(problem: Problem, theta: np.ndarray, motion: Sequence[np.ndarray] | 
     """Minus the missing force at the kept samples of each run; `motion` [time 3 nq] per run replaces the measured one."""
     import jax.numpy as jnp
 
-    from jaxid.precision import float64
+    from jaxid.numerics.precision import float64
 
     engine = problem.runs.engine
     kept = engine.samples

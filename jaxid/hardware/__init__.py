@@ -8,14 +8,14 @@ from typing import TYPE_CHECKING as _TYPE_CHECKING
 
 
 if _TYPE_CHECKING:
-    from jaxid.hardware.dynamixel import Dynamixel as Dynamixel
+    from jaxid.hardware.dynamixel.servo import Dynamixel as Dynamixel
     from jaxid.hardware.errors import HardwareError as HardwareError
     from jaxid.hardware.finishing import Recording as Recording
     from jaxid.hardware.limits import Limits as Limits
     from jaxid.hardware.sensor import SensorSpec as SensorSpec
     from jaxid.hardware.session import record as record, recover as recover
     from jaxid.hardware.trajectory import Trajectory as Trajectory
-    from jaxid.hardware.ur import UR as UR
+    from jaxid.hardware.ur.robot import UR as UR
 
 
 _HOME = {

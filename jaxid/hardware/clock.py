@@ -142,7 +142,7 @@ def from_signals(
 
 def _smooth(t: np.ndarray, x: np.ndarray, step: float, derivative: int) -> np.ndarray:
     """`x` or a derivative of it below a quarter of the common Nyquist frequency, so that both signals carry the same band."""
-    from jaxid.signals import differentiate, zero_phase
+    from jaxid.data.signals import differentiate, zero_phase
 
     cutoff = min(0.125 / step, 0.2 / float(np.median(np.diff(t))))
     if derivative == 0:

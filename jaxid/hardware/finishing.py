@@ -211,7 +211,7 @@ def _timed(stream: Stream, rows: Rows) -> _Timed:
 
 def _blurred(column: Column, table: Mapping[str, np.ndarray], timed: _Timed) -> Column:
     """An angle's noise: of its resolution and of what it turns while its time is in doubt, or what the samples show if more."""
-    from jaxid.noise import sensor_noise
+    from jaxid.data.noise import sensor_noise
 
     rate = table.get("qd" + column.name[1:]) if column.name.rstrip("0123456789") == "q" else None
     if rate is None or column.noise_std is not None or timed.blur == 0:

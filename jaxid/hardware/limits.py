@@ -14,7 +14,7 @@ from dataclasses import dataclass, fields, replace
 from pathlib import Path
 
 from jaxid.errors import nearest, UsageError
-from jaxid.small_files import read_small
+from jaxid.storage.small_files import read_small
 
 
 @dataclass(frozen=True)

@@ -13,13 +13,13 @@ from typing import Any, Literal
 import numpy as np
 from pydantic import BaseModel, ConfigDict, Field, FiniteFloat, model_validator, ValidationError
 
+from jaxid.data.units import Conversion, conversion, UnitError
 from jaxid.errors import UsageError
 from jaxid.hardware.device import Sample
 from jaxid.hardware.errors import HardwareError
 from jaxid.hardware.port import opened
 from jaxid.hardware.recorder import Column, Stream
-from jaxid.small_files import read_small
-from jaxid.units import Conversion, conversion, UnitError
+from jaxid.storage.small_files import read_small
 
 
 class _Strict(BaseModel):
@@ -125,7 +125,7 @@ class SensorSpec(_Strict):
 
     def rows(self) -> tuple[np.ndarray, np.ndarray]:
         """Times (s, sensor clock) and SI values `[rows channels]` of a `file`. Raises `UsageError`."""
-        from jaxid.dataset_table import read_table
+        from jaxid.data.table import read_table
 
         assert self.file is not None and self.time is not None
         path = Path(self.file)

@@ -10,8 +10,8 @@ from pathlib import Path
 
 import numpy as np
 
+from jaxid.data.dataset import DatasetError
 from jaxid.errors import UsageError
-from jaxid.experiment import DatasetError
 from jaxid.hardware.limits import Limits
 
 
@@ -193,7 +193,7 @@ def _both(limit):
 
 def _columns(path: Path) -> tuple[dict[str, np.ndarray], np.ndarray]:
     if path.is_dir():
-        from jaxid.dataset_io import load_dataset
+        from jaxid.data.io import load_dataset
 
         try:
             data = load_dataset(path, check_model=False)
@@ -205,7 +205,7 @@ def _columns(path: Path) -> tuple[dict[str, np.ndarray], np.ndarray]:
         columns = {c.name: run.u[:, i] for i, c in enumerate(data.inputs)}
         columns |= {c.name: run.y[:, i] for i, c in enumerate(data.outputs)}
         return columns | run.auxiliary, run.t
-    from jaxid.dataset_table import read_table
+    from jaxid.data.table import read_table
 
     try:
         table = read_table(path, path.name, path.read_bytes())

@@ -5,7 +5,8 @@ from __future__ import annotations
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from jaxid.atomic_files import replace_files
+from jaxid.cli.terminal import one_line
+from jaxid.fitting.result import json_bytes
 from jaxid.report import (
     answer,
     background,
@@ -18,21 +19,20 @@ from jaxid.report import (
     parameters,
     ranking,
     recorded,
-    studied,
     traces,
     unseen,
 )
 from jaxid.report.page import render, render_fragment
-from jaxid.results import json_bytes
-from jaxid.terminal import one_line
+from jaxid.storage.atomic_files import replace_files
+from jaxid.study import page as studied
 
 
 if TYPE_CHECKING:
-    from jaxid.comparison import Comparison
     from jaxid.conventions.finding import Checked
-    from jaxid.experiment import Dataset
-    from jaxid.identification import Identification
-    from jaxid.results import Diagnosis, Fit
+    from jaxid.data.dataset import Dataset
+    from jaxid.fitting.comparison import Comparison
+    from jaxid.fitting.result import Diagnosis, Fit
+    from jaxid.identification.run import Identification
     from jaxid.study.run import StudyResult
 
 

@@ -4,15 +4,14 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-from jaxid import text
-from jaxid.report import plot
+from jaxid.report import plot, text
 from jaxid.report.page import Section
 
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
-    from jaxid.results import Diagnosis, EffectEstimate, HowFar
+    from jaxid.fitting.result import Diagnosis, EffectEstimate, HowFar
 
 
 def section(diagnosis: Diagnosis) -> Section:

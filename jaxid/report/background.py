@@ -4,14 +4,14 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-from jaxid import text
+from jaxid.fitting.result import versions
+from jaxid.report import text
 from jaxid.report.page import Section
-from jaxid.results import versions
 
 
 if TYPE_CHECKING:
-    from jaxid.comparison import Comparison
-    from jaxid.results import Diagnosis, Fit
+    from jaxid.fitting.comparison import Comparison
+    from jaxid.fitting.result import Diagnosis, Fit
 
 
 def of_diagnosis(diagnosis: Diagnosis) -> Section:

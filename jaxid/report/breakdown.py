@@ -4,12 +4,12 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-from jaxid import text
+from jaxid.report import text
 from jaxid.report.page import Section
 
 
 if TYPE_CHECKING:
-    from jaxid.results import Diagnosis
+    from jaxid.fitting.result import Diagnosis
 
 
 def section(diagnosis: Diagnosis) -> Section | None:

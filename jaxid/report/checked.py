@@ -5,9 +5,9 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
-from jaxid import text
 from jaxid.conventions import words
 from jaxid.conventions.finding import data_lines
+from jaxid.report import text
 from jaxid.report.page import Section
 
 

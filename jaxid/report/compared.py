@@ -6,16 +6,15 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from jaxid import text
-from jaxid.comparison import along
-from jaxid.report import plot
+from jaxid.fitting.comparison import along
+from jaxid.report import plot, text
 from jaxid.report.page import Section
 
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
-    from jaxid.comparison import Comparison, Known
+    from jaxid.fitting.comparison import Comparison, Known
 
 
 COLORS = (plot.BLUE, plot.VERMILLION, plot.GREEN, plot.ORANGE, plot.PURPLE, plot.SKY, plot.BLACK, plot.GREY)

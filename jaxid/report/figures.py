@@ -16,9 +16,9 @@ from jaxid.report.traces import colors
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
-    from jaxid.experiment import Dataset
-    from jaxid.profiles import Profile
-    from jaxid.results import Diagnosis, Fit, MissingForce, Trace
+    from jaxid.data.dataset import Dataset
+    from jaxid.fitting.profiles import Profile
+    from jaxid.fitting.result import Diagnosis, Fit, MissingForce, Trace
 
 
 def new_axes(width: float = 7.0, height: float = 3.2) -> Axes:

@@ -6,13 +6,12 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from jaxid import text
-from jaxid.report import plot
+from jaxid.report import plot, text
 from jaxid.report.page import Section
 
 
 if TYPE_CHECKING:
-    from jaxid.identification import Identification
+    from jaxid.identification.run import Identification
 
 
 def section(result: Identification) -> Section:

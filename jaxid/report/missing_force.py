@@ -7,13 +7,12 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from jaxid import text
-from jaxid.report import plot
+from jaxid.report import plot, text
 from jaxid.report.page import Section
 
 
 if TYPE_CHECKING:
-    from jaxid.results import MissingForce, Regime
+    from jaxid.fitting.result import MissingForce, Regime
 
 
 SHOWN = 6

@@ -10,8 +10,8 @@ from typing import Any, NamedTuple
 from jinja2 import Environment, PackageLoader, StrictUndefined
 from markupsafe import Markup
 
-from jaxid import text
-from jaxid.terminal import one_line
+from jaxid.cli.terminal import one_line
+from jaxid.report import text
 
 
 class Section(NamedTuple):

@@ -5,12 +5,12 @@ from __future__ import annotations
 import math
 from typing import TYPE_CHECKING
 
-from jaxid import text
+from jaxid.report import text
 from jaxid.report.page import Section
 
 
 if TYPE_CHECKING:
-    from jaxid.results import Estimate, Fit
+    from jaxid.fitting.result import Estimate, Fit
 
 
 def section(fit: Fit, nominal: Fit | None = None) -> Section | None:

@@ -4,13 +4,12 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-from jaxid import text
-from jaxid.report import plot
+from jaxid.report import plot, text
 from jaxid.report.page import Section
 
 
 if TYPE_CHECKING:
-    from jaxid.results import Ranked, Which
+    from jaxid.fitting.result import Ranked, Which
 
 
 BARS, ROWS = 12, 60

@@ -6,12 +6,12 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from jaxid import text
+from jaxid.report import text
 from jaxid.report.page import Section
 
 
 if TYPE_CHECKING:
-    from jaxid.experiment import Dataset
+    from jaxid.data.dataset import Dataset
 
 
 ROWS = 12

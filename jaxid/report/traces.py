@@ -12,7 +12,7 @@ from jaxid.report.page import Section
 
 
 if TYPE_CHECKING:
-    from jaxid.results import Trace
+    from jaxid.fitting.result import Trace
 
 
 SHOWN = 6

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-from jaxid import text
+from jaxid.report import text
 from jaxid.report.page import Section
 
 

@@ -7,12 +7,12 @@ from typing import Any
 
 import numpy as np
 
+from jaxid.data.dataset import Channel, Dataset, Experiment
+from jaxid.dynamics.kinematics import ArmTable, geometry_of
+from jaxid.dynamics.urdf import z_to
 from jaxid.errors import UsageError
-from jaxid.experiment import Channel, Dataset, Experiment
-from jaxid.kinematics import ArmTable, geometry_of
 from jaxid.robots.match import matched, notes_of, prepared
 from jaxid.robots.tree import Tree, turned
-from jaxid.urdf import z_to
 
 
 def as_arm(model: object, dataset: Dataset) -> tuple[Any, Dataset]:

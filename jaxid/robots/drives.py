@@ -8,10 +8,10 @@ from typing import Any
 
 import numpy as np
 
+from jaxid.data.dataset import Controller
 from jaxid.errors import nearest, UsageError
-from jaxid.experiment import Controller
-from jaxid.lane import LONGEST_DELAY_S
 from jaxid.robots.tree import Tree
+from jaxid.simulation.rollout import LONGEST_DELAY_S
 
 
 #: Numbers of a law per joint, and what they are where nothing is stated.

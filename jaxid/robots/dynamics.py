@@ -16,8 +16,8 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from jaxid.arithmetic import dot, sincos
-from jaxid.rigid_body import add, cross, inner, into, moved, out_of, Placements, scaled, times, Vector
+from jaxid.dynamics.rigid_body import add, cross, inner, into, moved, out_of, Placements, scaled, times, Vector
+from jaxid.numerics.fast_math import dot, sincos
 
 
 class Plan(NamedTuple):

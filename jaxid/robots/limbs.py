@@ -8,8 +8,8 @@ from typing import Any
 
 import numpy as np
 
-from jaxid.experiment import Controller, Dataset, Experiment
-from jaxid.results import Fit, Score
+from jaxid.data.dataset import Controller, Dataset, Experiment
+from jaxid.fitting.result import Fit, Score
 from jaxid.robots.drives import NUMBERS
 from jaxid.robots.match import is_robot, prepared, recorded
 from jaxid.robots.tree import Tree

@@ -10,10 +10,10 @@ from typing import Any
 
 import numpy as np
 
-from jaxid.chain import Chain
+from jaxid.data.dataset import Dataset, Experiment, ModelSpec
+from jaxid.dynamics.chain import Chain
+from jaxid.dynamics.parameter import with_fields
 from jaxid.errors import nearest, UsageError
-from jaxid.experiment import Dataset, Experiment, ModelSpec
-from jaxid.parameter import with_fields
 from jaxid.robots.drives import file_law, stated_law
 from jaxid.robots.tree import Tree
 

@@ -13,8 +13,8 @@ from typing import Any
 
 import numpy as np
 
+from jaxid.dynamics.rigid_body import about_origin
 from jaxid.errors import UsageError
-from jaxid.rigid_body import about_origin
 from jaxid.robots.bodies import fault
 from jaxid.robots.mjcf_text import expanded
 from jaxid.robots.tree import Actuator, Coupling, Tree, turned

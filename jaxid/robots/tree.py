@@ -13,8 +13,8 @@ from typing import Any
 
 import numpy as np
 
+from jaxid.dynamics.rigid_body import moved, Placements
 from jaxid.errors import nearest, UsageError
-from jaxid.rigid_body import moved, Placements
 
 
 @dataclass(frozen=True)

@@ -95,7 +95,7 @@ def as_it_stands(binding: Any) -> tuple[np.ndarray, str]:
 
 def per_joint(bench: Any, scores: Mapping[str, Mapping[str, Any]]) -> tuple[dict[str, Any], ...]:
     """Each joint's free-run error (root mean square) with the file as it stands and re-tuned, on every split that was scored."""
-    from jaxid import estimation
+    from jaxid.fitting import problem_builder as estimation
 
     binding = bench.binding
     theta, text = as_it_stands(binding)

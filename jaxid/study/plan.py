@@ -21,11 +21,11 @@ from typing import Any, Literal
 
 from pydantic import BaseModel, ConfigDict, Field, field_validator
 
-from jaxid.cli import LOSSES, RESIDUALS
-from jaxid.dataset_schema import _entry as checked_entry, _plain, Document, Places
+from jaxid.cli.app import LOSSES, RESIDUALS
+from jaxid.cli.terminal import one_line
+from jaxid.data.dataset import DatasetError, Problem
+from jaxid.data.schema import _entry as checked_entry, _plain, Document, Places
 from jaxid.errors import nearest, UsageError
-from jaxid.experiment import DatasetError, Problem
-from jaxid.terminal import one_line
 
 
 #: Most tasks of a study.

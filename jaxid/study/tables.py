@@ -11,10 +11,10 @@ from typing import Any, TYPE_CHECKING
 
 import numpy as np
 
-from jaxid.atomic_files import replace_files
+from jaxid.cli.terminal import one_line
+from jaxid.storage.atomic_files import replace_files
 from jaxid.study.plan import Task
 from jaxid.study.store import Store
-from jaxid.terminal import one_line
 
 
 if TYPE_CHECKING:
@@ -59,7 +59,7 @@ class Ranking:
     seconds: float
 
     def to_dict(self) -> dict[str, Any]:
-        from jaxid.results import finite
+        from jaxid.fitting.result import finite
 
         own = vars(self) | {"reached_interval_95": list(self.reached_interval_95)}
         return finite(own)
@@ -93,7 +93,7 @@ def excess(outcome: Outcome, best: float) -> float:
 
 def rankings(result: StudyResult) -> list[Ranking]:
     """One line a fitter: most runs at the best loss first, then fewest evaluations."""
-    from jaxid.comparison import wilson
+    from jaxid.fitting.comparison import wilson
 
     shares: dict[str, list[float]] = defaultdict(list)
     ranks: dict[str, list[float]] = defaultdict(list)

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections import Counter, defaultdict
 from typing import TYPE_CHECKING
 
-from jaxid import text
+from jaxid.report import text
 
 
 if TYPE_CHECKING:
@@ -67,8 +67,8 @@ def duration(seconds: float) -> str:
 
 def result_text(result: StudyResult) -> str:
     """What was done, the ranking of the fitters, what was named, and where it stands."""
-    from jaxid.report.studied import ranking_row
     from jaxid.study import tables
+    from jaxid.study.page import ranking_row
 
     s = result.status
     parts = [f"{result.study.name}: {s.done} of {s.total} tasks have a result, {s.failed} failed"

@@ -11,12 +11,12 @@ from typing import Any
 
 import jaxid
 from jaxid.api import resolve_fitter, resolve_residual
-from jaxid.binding import bind
+from jaxid.data.dataset import Dataset
 from jaxid.errors import UsageError
-from jaxid.experiment import Dataset
 from jaxid.fitters import LevenbergMarquardt
-from jaxid.fitting import Benches, fit_seeds
-from jaxid.results import Diagnosis, finite, Fit
+from jaxid.fitting.result import Diagnosis, finite, Fit
+from jaxid.fitting.run import Benches, fit_seeds
+from jaxid.problem.binding import bind
 
 
 #: Datasets and bound models that are kept.

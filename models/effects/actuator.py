@@ -8,9 +8,9 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array
 
-from jaxid.arithmetic import sincos
-from jaxid.chain import drives, InputEffect, JointEffect
-from jaxid.parameter import ANGLE, param, Quantity, SPEED, TORQUE
+from jaxid.dynamics.chain import drives, InputEffect, JointEffect
+from jaxid.dynamics.parameter import ANGLE, param, Quantity, SPEED, TORQUE
+from jaxid.numerics.fast_math import sincos
 
 
 class DeadZone(InputEffect):

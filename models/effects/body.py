@@ -7,11 +7,11 @@ from typing import ClassVar, Protocol, runtime_checkable
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
-from jaxid.arithmetic import sincos
-from jaxid.chain import BodyEffect, JointEffect
-from jaxid.coupling import with_inertia
-from jaxid.mechanism import Mechanism
-from jaxid.parameter import ANGLE, DURATION, param, Quantity, SPEED, STEP, TORQUE
+from jaxid.dynamics.chain import BodyEffect, JointEffect
+from jaxid.dynamics.compliance import with_inertia
+from jaxid.dynamics.mechanism import Mechanism
+from jaxid.dynamics.parameter import ANGLE, DURATION, param, Quantity, SPEED, STEP, TORQUE
+from jaxid.numerics.fast_math import sincos
 
 
 #: Inertia that the drive's torque would swing over the travel at the speed seen.

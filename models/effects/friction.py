@@ -7,9 +7,9 @@ from typing import ClassVar
 import jax.numpy as jnp
 from jaxtyping import Array
 
-from jaxid.arithmetic import sincos
-from jaxid.chain import JointEffect
-from jaxid.parameter import ANGLE, DURATION, param, Quantity, SPEED, TORQUE
+from jaxid.dynamics.chain import JointEffect
+from jaxid.dynamics.parameter import ANGLE, DURATION, param, Quantity, SPEED, TORQUE
+from jaxid.numerics.fast_math import sincos
 
 
 class ViscousFriction(JointEffect):

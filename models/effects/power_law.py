@@ -7,8 +7,8 @@ from typing import ClassVar
 import jax.numpy as jnp
 from jaxtyping import Array
 
-from jaxid.chain import JointEffect
-from jaxid.parameter import param, Quantity, SPEED, TORQUE
+from jaxid.dynamics.chain import JointEffect
+from jaxid.dynamics.parameter import param, Quantity, SPEED, TORQUE
 
 
 #: Below this speed (rad/s or m/s) the power is rounded off, so that its slope at rest is finite.

@@ -9,8 +9,8 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
-from jaxid.chain import OutputEffect, RecordEffect
-from jaxid.parameter import ANGLE, param, Quantity, STEP
+from jaxid.dynamics.chain import OutputEffect, RecordEffect
+from jaxid.dynamics.parameter import ANGLE, param, Quantity, STEP
 
 
 class SensorBias(OutputEffect):

@@ -7,8 +7,8 @@ from typing import ClassVar
 import jax.numpy as jnp
 from jaxtyping import Array
 
-from jaxid.chain import InputEffect
-from jaxid.parameter import param, Quantity, STEP
+from jaxid.dynamics.chain import InputEffect
+from jaxid.dynamics.parameter import param, Quantity, STEP
 
 
 class InputDelay(InputEffect):

@@ -7,9 +7,9 @@ from typing import ClassVar
 import jax.numpy as jnp
 from jaxtyping import Array
 
-from jaxid.chain import BodyEffect, JointEffect
-from jaxid.coupling import Compliant, compliant
-from jaxid.parameter import ANGLE, param, Quantity, TORQUE
+from jaxid.dynamics.chain import BodyEffect, JointEffect
+from jaxid.dynamics.compliance import Compliant, compliant
+from jaxid.dynamics.parameter import ANGLE, param, Quantity, TORQUE
 
 
 class JointElasticity(BodyEffect):

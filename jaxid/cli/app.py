@@ -1,0 +1,373 @@
+"""The command line. Nothing heavy is imported before a command runs: `jaxid --help` loads no JAX."""
+
+from __future__ import annotations
+
+import importlib
+import json
+import os
+import sys
+from collections.abc import Callable
+from keyword import iskeyword
+from pathlib import Path
+from typing import Any
+
+import click
+
+from jaxid.cli import terminal
+from jaxid.cli.model import MODEL as MODEL
+from jaxid.cli.output import FAILED, Output, SUCCESS, writable_folder
+from jaxid.storage.stopping import INTERRUPTED
+
+
+BAD_INPUT = 2
+
+RESIDUALS = ("output_error", "multiple_shooting", "inverse_dynamics", "frequency_response", "closed_loop")
+LOSSES = ("sum_of_squares", "sum_of_norms", "sum_of_abs")
+
+#: Commands that live in modules of their own, as light to import as this one: name -> module that has it under that name.
+MODULES = {
+    "batch": "jaxid.cli.batch",
+    "check": "jaxid.cli.check",
+    "compare": "jaxid.cli.compare",
+    "excite": "jaxid.cli.excite",
+    "identify": "jaxid.cli.identify",
+    "import": "jaxid.cli.importing",
+    "record": "jaxid.cli.record",
+    "emulate": "jaxid.cli.emulate",
+}
+
+
+class Commands(click.Group):
+    """A group that answers an unknown command with the nearest one."""
+
+    def resolve_command(self, ctx, args):
+        from jaxid.errors import nearest
+
+        if args and not args[0].startswith("-") and self.get_command(ctx, args[0]) is None:
+            ctx.fail(f"No such command {args[0]!r}{nearest(args[0], self.list_commands(ctx))}.")
+        return super().resolve_command(ctx, args)
+
+
+class AllCommands(Commands):
+    """The commands of this module and those of `MODULES`, imported when they are asked for."""
+
+    def list_commands(self, ctx):
+        return sorted({*super().list_commands(ctx), *MODULES})
+
+    def get_command(self, ctx, cmd_name):
+        if cmd_name in MODULES:
+            return getattr(importlib.import_module(MODULES[cmd_name]), f"{cmd_name}_" if iskeyword(cmd_name) else cmd_name)
+        return super().get_command(ctx, cmd_name)
+
+
+@click.group(cls=AllCommands, context_settings={"help_option_names": ["-h", "--help"], "max_content_width": 100})
+@click.version_option(package_name="jaxid")
+def cli() -> None:
+    """Fits mechanical models to measured data and says where a simulator is wrong, which effect is missing, and how far
+    the gap shrinks once it is added.
+
+    Exit codes: 0 success, 1 a fit failed, 2 bad input, 130 interrupted (what was finished is saved).
+    """
+
+
+def names(_ctx, _param, value: str | None) -> tuple[str, ...] | None:
+    """A list written with commas."""
+    return None if value is None else tuple(name for name in (part.strip() for part in value.split(",")) if name)
+
+
+def fitter_list(_ctx, _param, value: str | None) -> tuple[str, ...] | None:
+    """Fitters written with commas, of which those in brackets belong to one."""
+    from jaxid.fitting.settings import split_outside_brackets
+
+    return None if value is None else split_outside_brackets(value)
+
+
+def output_options(command: Callable) -> Callable:
+    command = click.option("--quiet", is_flag=True, help="Print nothing but errors.")(command)
+    return click.option("--json", "as_json", is_flag=True, help="Print the result as JSON and nothing else.")(command)
+
+
+DATASET = click.argument("dataset", type=click.Path())
+OUT = click.option("--out", required=True, type=click.Path(path_type=Path), metavar="DIR", help="Folder for results.")
+WITHOUT = click.option(
+    "--without", callback=names, metavar="E,…", help="Built-in effects to leave out; each becomes a candidate."
+)
+RESIDUAL = click.option("--residual", metavar="R", type=click.Choice(RESIDUALS), help=f"{', '.join(RESIDUALS)}.")
+SOLVER = click.option(
+    "--solver", metavar="own|diffrax:S", help="What simulates: jaxid's own stepping, or a solver of diffrax (diffrax:Tsit5)."
+)
+AS_RECORDED = click.option("--as-recorded", is_flag=True, help="Take the data as they are: apply no finding of the check.")
+SEED = click.option("--seed", type=click.IntRange(0, 2**31 - 1), default=0, show_default=True, help="Random seed.")
+
+
+@cli.command()
+@DATASET
+@OUT
+@MODEL
+@click.option("--fitter", metavar="F", help="Fitter (see `jaxid fitters`), also as 'de(popsize=20, F=0.5)'.")
+@click.option("--effect", "effects", multiple=True, metavar="E[@LOCATION]", help="Effect to add; may be repeated.")
+@WITHOUT
+@RESIDUAL
+@click.option("--loss", metavar="L", type=click.Choice(LOSSES), help=f"{', '.join(LOSSES)}.")
+@SEED
+@click.option("--budget", type=click.IntRange(1), metavar="N", help="Most evaluations of the loss.")
+@SOLVER
+@AS_RECORDED
+@output_options
+def fit(dataset, out, model, fitter, effects, without, residual, loss, seed, budget, solver, as_recorded, as_json, quiet) -> int:
+    """Fit a model to a dataset.
+
+    Writes fit.json and report.html into DIR.
+    """
+    jaxid, data = start(dataset, out)
+    foretell("fit", model, data, quiet)
+    from jaxid.report.text import fit_text
+
+    with Output(out, as_json, quiet) as output:
+        result = jaxid.fit(
+            model,
+            data,
+            fitter=fitter,
+            residual=residual,
+            loss=loss,
+            effects=effects,
+            without=without or (),
+            seed=seed,
+            budget=budget,
+            solver=solver,
+            progress=output.progress,
+            as_recorded=as_recorded,
+        )
+        code = output.deliver(result, fit_text)
+    if result.failed:
+        terminal.complain(f"the fit failed: {result.stopped_because}")
+        return FAILED
+    return code
+
+
+@cli.command()
+@DATASET
+@OUT
+@MODEL
+@click.option("--max-effects", type=click.IntRange(1, 20), default=3, show_default=True, help="Most effects to name.")
+@click.option("--effects", callback=names, metavar="E,…", help="Candidates (see `jaxid effects`); default: all.")
+@WITHOUT
+@RESIDUAL
+@SEED
+@click.option("--next", "next_", type=click.Path(path_type=Path), metavar="DIR", help="Also design what to record next.")
+@click.option("--limits", type=click.Path(path_type=Path), metavar="FILE", help="TOML: of that run; default: what was recorded.")
+@AS_RECORDED
+@output_options
+def diagnose(
+    dataset, out, model, max_effects, effects, without, residual, seed, next_, limits, as_recorded, as_json, quiet
+) -> int:
+    """Say where a model is wrong, and which effect is missing.
+
+    Also says how far the gap shrinks once it is added. Writes diagnosis.json and report.html into DIR. With --next, also the
+    input that best tells the two leading hypotheses apart, as a folder that `jaxid record --play` takes.
+    """
+    from jaxid.hardware.limits import Limits
+
+    own = None if limits is None else Limits.read(limits)
+    jaxid, data = start(dataset, out)
+    from jaxid.report.text import diagnosis_text
+
+    with Output(out, as_json, quiet) as output:
+        result = jaxid.diagnose(
+            model,
+            data,
+            max_effects=max_effects,
+            effects=effects,
+            without=without or (),
+            residual=residual,
+            seed=seed,
+            progress=output.progress,
+            as_recorded=as_recorded,
+        )
+        code = output.deliver(result, diagnosis_text)
+    if next_ is not None:
+        from jaxid.cli.excite import design_next
+
+        design_next(result, next_, own, as_json or quiet)
+    if result.final.failed:
+        terminal.complain(f"the fit failed: {result.final.stopped_because}")
+        return FAILED
+    return code
+
+
+@cli.command()
+@DATASET
+@click.option("--parameters", "parameters", required=True, type=click.Path(path_type=Path), metavar="FIT.json", help="A fit.")
+@OUT
+@MODEL
+@SOLVER
+@output_options
+def simulate(dataset, parameters, out, model, solver, as_json, quiet) -> int:
+    """Run a model on a dataset's inputs.
+
+    Writes run_1.parquet …, run_1.png … (poses of the mechanism over time) and simulation.json into DIR.
+    """
+    fitted = read_parameters(parameters)
+    jaxid, data = start(dataset, out)
+    from jaxid.report.text import simulation_text
+
+    with Output(out, as_json, quiet) as output:
+        return output.deliver(jaxid.simulate(model, data, fitted, solver=solver), simulation_text)
+
+
+@cli.command()
+@click.argument("name", required=False)
+@output_options
+def models(name, as_json, quiet) -> int:
+    """List the models, or describe one."""
+    return catalogue("models", name, as_json, quiet)
+
+
+@cli.command()
+@click.argument("name", required=False)
+@click.option("--model", metavar="M", help="Say which effects model M cannot tell apart, and which its parameters absorb.")
+@output_options
+def effects(name, model, as_json, quiet) -> int:
+    """List the effects a model can lack, or describe one."""
+    if model is None:
+        return catalogue("effects", name, as_json, quiet)
+    from jaxid import runtime
+
+    runtime.prepare()
+    from jaxid.diagnosis.equivalence import equivalences
+
+    found = equivalences(model)
+    if as_json:
+        print(json.dumps(found.to_dict(), indent=1))
+    elif not quiet:
+        terminal.say(str(found))
+    return SUCCESS
+
+
+@cli.command()
+@click.argument("name", required=False)
+@output_options
+def fitters(name, as_json, quiet) -> int:
+    """List the fitters, or describe one."""
+    return catalogue("fitters", name, as_json, quiet)
+
+
+def catalogue(kind: str, name: str | None, as_json: bool, quiet: bool) -> int:
+    from jaxid import runtime
+    from jaxid.cli import listing
+
+    runtime.prepare()
+    found = listing.find(kind, name)
+    if as_json:
+        print(json.dumps(listing.to_dict(kind, name, found), indent=1))
+    elif not quiet:
+        terminal.say(listing.summary(kind, found) if name is None else listing.description(found[0]))
+    return SUCCESS
+
+
+def start(dataset: str, out: Path) -> tuple[Any, Any]:
+    """Loads the dataset, then makes sure that results can be written, before any long work."""
+    from jaxid import runtime
+
+    runtime.prepare()
+    import jaxid
+
+    data = jaxid.load_dataset(dataset)
+    writable_folder(out)
+    return jaxid, data
+
+
+def foretell(work: str, model: str | None, data: Any, quiet: bool) -> None:
+    """Says on standard error what long work will take."""
+    from jaxid.data.capacity import foreseen
+
+    if not quiet and (wanted := foreseen(work, model, data)).large:
+        terminal.complain(wanted)
+
+
+def read_parameters(path: Path) -> dict[str, Any]:
+    """The content of a FIT.json; only `parameters` is needed."""
+    from jaxid.errors import UsageError
+    from jaxid.storage.small_files import read_small, TooLarge
+
+    wanted = 'it needs {"parameters": {"inertia": {"value": 0.08}}, "effects": []}'
+    try:
+        content = json.loads(read_small(path).decode())
+    except TooLarge as error:
+        raise UsageError(f"--parameters {path}: {error}; {wanted}") from error
+    except OSError as error:
+        raise UsageError(f"--parameters {path}: cannot be read ({error.strerror})") from error
+    except json.JSONDecodeError as error:
+        raise UsageError(
+            f"--parameters {path}: not JSON, line {error.lineno} column {error.colno}: {error.msg}; {wanted}"
+        ) from error
+    except UsageError:
+        raise
+    except (ValueError, RecursionError) as error:
+        raise UsageError(f"--parameters {path}: not JSON text; {wanted}") from error
+    if not isinstance(content, dict) or not isinstance(content.get("parameters"), dict):
+        raise UsageError(f"--parameters {path}: no object `parameters` in it; {wanted}")
+    groups = [("parameters", content["parameters"])]
+    effects = content.get("effects", [])
+    if not isinstance(effects, list):
+        raise UsageError(f"--parameters {path}: `effects` is not a list; {wanted}")
+    for i, effect in enumerate(effects):
+        inside = effect.get("parameters", {}) if isinstance(effect, dict) else None
+        if not isinstance(inside, dict) or not isinstance(effect.get("effect"), str):
+            raise UsageError(f"--parameters {path}: effects[{i}] needs an `effect`, a `location` and `parameters`")
+        groups.append((f"effects[{i}].parameters", inside))
+    for group, parameters in groups:
+        for name, entry in parameters.items():
+            value = entry.get("value") if isinstance(entry, dict) else None
+            if isinstance(value, bool) or not isinstance(value, int | float) or not abs(value) < float("inf"):
+                raise UsageError(f'--parameters {path}: {group}.{name} needs a finite number, as in {{"value": 0.08}}')
+    return content
+
+
+def explain(error: Exception) -> tuple[int, str]:
+    """Exit code and message of an error that reached the top."""
+    from jaxid.data.dataset import DatasetError
+    from jaxid.errors import NotSaved, UsageError
+
+    if isinstance(error, UsageError | DatasetError):
+        return BAD_INPUT, str(error)
+    if isinstance(error, NotSaved):
+        return FAILED, f"{error}. Make room, or name another folder with --out"
+    if isinstance(error, OSError):
+        why = error.strerror or str(error) or type(error).__name__
+        return (BAD_INPUT, f"{error.filename}: {why}") if error.filename else (FAILED, why)
+    if isinstance(error, MemoryError):
+        return FAILED, "not enough memory"
+    return FAILED, f"internal error, {type(error).__name__}: {error} (JAXID_TRACEBACK=1 shows where; please report it)"
+
+
+def main(arguments: list[str] | None = None) -> int:
+    """Runs the command line and returns the exit code."""
+    for stream in (sys.stdout, sys.stderr):
+        # A terminal that cannot show `±` gets `?` instead of an error; streams replaced by others stay as they are.
+        if callable(reconfigure := getattr(stream, "reconfigure", None)):
+            reconfigure(errors="replace")
+    try:
+        code = cli.main(args=arguments, prog_name="jaxid", standalone_mode=False)
+        sys.stdout.flush()
+        return code or SUCCESS
+    except click.ClickException as error:
+        error.show()
+        return error.exit_code
+    except (KeyboardInterrupt, click.Abort):
+        terminal.complain("interrupted")
+        return INTERRUPTED
+    except BrokenPipeError:
+        # The reader went away (`jaxid effects | head`); keep Python from failing again when it closes the stream.
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        return FAILED
+    except Exception as error:
+        if os.environ.get("JAXID_TRACEBACK"):
+            raise
+        code, message = explain(error)
+        terminal.complain(message)
+        return code
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,145 @@
+"""`jaxid record`: a dataset from a robot or a servo; motion only with --live."""
+
+from __future__ import annotations
+
+import json
+import signal
+from collections.abc import Callable
+from pathlib import Path
+
+import click
+
+from jaxid.cli import terminal
+from jaxid.cli.app import Commands, FAILED, OUT, output_options, SUCCESS
+from jaxid.storage.stopping import ending
+
+
+@click.group(cls=Commands)
+def record() -> None:
+    """Record a dataset from a robot or a servo; nothing moves without --live.
+
+    Limits protect against mistakes in a trajectory, not people: keep the emergency stop in reach.
+    """
+
+
+def _numbers(_ctx, param, value: str | None) -> list[float] | None:
+    try:
+        return None if value is None else [float(v) for v in value.split(",")]
+    except ValueError:
+        raise click.BadParameter(f"{value!r} is not a number, or numbers with commas", param=param) from None
+
+
+def _constants(_ctx, param, values: tuple[str, ...]) -> dict[str, float]:
+    try:
+        return {name.strip(): float(number) for name, number in (v.split("=", 1) for v in values)}
+    except ValueError:
+        raise click.BadParameter("write NAME=NUMBER", param=param) from None
+
+
+def _common(command: Callable) -> Callable:
+    for option in (
+        OUT,
+        click.option("--seconds", type=float, metavar="S", help="How long; with --play, the path's own length."),
+        click.option("--play", type=click.Path(), metavar="TRAJECTORY", help="A file, or a folder of `jaxid excite`."),
+        click.option("--live", is_flag=True, help="Move. Without it a path is only checked."),
+        click.option("--limits", type=click.Path(), metavar="FILE", help="TOML: lower, upper, speed, acceleration, current …"),
+        click.option("--sensor", "sensors", type=click.Path(), multiple=True, metavar="FILE", help="TOML of a further sensor."),
+        click.option("--split", type=click.Choice(["fit", "validation", "report"]), default="fit", show_default=True),
+        click.option("--model", metavar="M", help="The model that the dataset is meant for."),
+        click.option("--joint", type=click.IntRange(1), metavar="J", help="The joint of a model with one joint."),
+        click.option("--gain", callback=_numbers, metavar="K,…", help="N m/A assumed of the drive, for models that take torque."),
+        click.option("--constant", "constants", multiple=True, callback=_constants, metavar="NAME=X", help="Known of this run."),
+        click.option("--append", is_flag=True, help="Add a run to a folder that was recorded before."),
+        output_options,
+    )[::-1]:
+        command = option(command)
+    return command
+
+
+@record.command()
+@click.option("--host", required=True, metavar="H", help="Address of the controller.")
+@click.option("--rate", type=float, default=500.0, show_default=True, help="Samples a second.")
+@_common
+def ur10(host, rate, **options) -> int:
+    """A UR10, or another UR with six joints.
+
+    Every sample is kept; the controller's time is the clock.
+    """
+    from jaxid.hardware import UR
+
+    return _record(UR(host, rate=rate), **options)
+
+
+@record.command()
+@click.option("--port", required=True, metavar="P", help="Serial port, such as /dev/ttyUSB0.")
+@click.option("--id", "ids", type=click.IntRange(0, 252), multiple=True, required=True, metavar="N", help="May be repeated.")
+@click.option("--baud", type=int, default=1_000_000, show_default=True, help="Bits a second.")
+@click.option("--rate", type=float, default=200.0, show_default=True, help="Questions a second.")
+@click.option("--mode", type=click.Choice(["current", "velocity", "position"]), help="What --play commands.")
+@click.option("--zero", default="2048", show_default=True, metavar="COUNTS", help="Where q = 0; `here` is where it stands now.")
+@click.option("--form", type=click.Choice(["sync", "bulk", "fast"]), default="sync", show_default=True, help="Form of question.")
+@_common
+def dynamixel(port, ids, baud, rate, mode, zero, form, **options) -> int:
+    """Dynamixel servos of the X series."""
+    from jaxid.errors import UsageError
+    from jaxid.hardware import Dynamixel
+
+    if options["play"] is not None and mode is None:
+        raise UsageError("say with --mode what the trajectory commands: current, velocity or position")
+    if zero != "here" and not zero.lstrip("-").isdigit():
+        raise UsageError(f"--zero {zero}: write a number of counts, or here")
+    return _record(
+        Dynamixel(port, ids, baud=baud, rate=rate, mode=mode, zero=zero if zero == "here" else int(zero), form=form), **options
+    )
+
+
+@record.command()
+@click.argument("folder", type=click.Path(path_type=Path))
+@output_options
+def recover(folder, as_json, quiet) -> int:
+    """Save a recording whose process was killed: FOLDER is its --out."""
+    from jaxid.hardware import recover
+
+    for recording in recover(folder):
+        _show(recording, as_json, quiet)
+    return SUCCESS
+
+
+def _record(device, out, play, limits, sensors, as_json, quiet, gain, constants, **options) -> int:
+    from jaxid.hardware import HardwareError, Limits, record, SensorSpec, Trajectory
+
+    if play is not None:
+        play = Trajectory.read(play, device.joints, device.kinds[0])
+    limits = None if limits is None else Limits.read(limits)
+    specs = [SensorSpec.read(s) for s in sensors]
+    # A batch system ends a job with SIGTERM, a lost connection with SIGHUP, and a shell has background jobs ignore SIGINT: the
+    # device is let go in any case.
+    before = {n: signal.signal(n, signal.default_int_handler) for n in {signal.SIGINT, *ending()}}
+    try:
+        with terminal.Progress(quiet) as progress:
+            result = record(
+                device,
+                out,
+                play=play,
+                limits=limits,
+                sensors=specs,
+                gain=gain,
+                constants=constants,
+                progress=progress.callback,
+                **options,
+            )
+    except HardwareError as error:
+        terminal.complain("; ".join([str(error), *getattr(error, "__notes__", [])]))
+        return FAILED
+    finally:
+        for number, handler in before.items():
+            signal.signal(number, handler)
+    _show(result, as_json, quiet, getattr(device, "advice", []))
+    return SUCCESS
+
+
+def _show(recording, as_json: bool, quiet: bool, advice=()) -> None:
+    if as_json:
+        print(json.dumps(recording.to_dict(), indent=1))
+    elif not quiet:
+        terminal.say("\n".join([recording.text, *(f"- {a}" for a in advice)]))

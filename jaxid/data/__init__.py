@@ -1,0 +1,1 @@
+"""One recording, read and checked."""

@@ -1,0 +1,433 @@
+"""From a checked `dataset.toml` and its tables to a `Dataset`: units, roles, the fit to the model, then the samples."""
+
+from __future__ import annotations
+
+import re
+import warnings
+from collections.abc import Callable, Iterable
+from dataclasses import replace
+from typing import Any
+
+from jaxid.data.dataset import (
+    Controller,
+    Dataset,
+    DatasetError,
+    DatasetWarning,
+    Geometry,
+    ModelSpec,
+    ParameterPrior,
+    Problem,
+)
+from jaxid.data.patterns import expanded_channels
+from jaxid.data.records import Harvest, read_record, read_response, Reading
+from jaxid.data.schema import Document, ExperimentEntry, Header, ModelEntry, Places, PriorEntry
+from jaxid.data.table import Table
+from jaxid.data.units import Conversion, conversion, si_unit, UnitError
+from jaxid.dynamics.joint_names import in_chain_order, number_of, renamed, renumbered
+from jaxid.dynamics.urdf_table import arm_table
+from jaxid.errors import nearest, UsageError
+
+
+OpenTable = Callable[[int, ExperimentEntry], Table | Problem]
+
+
+def assemble(
+    document: Document,
+    places: Places,
+    open_table: OpenTable,
+    *,
+    check_model: bool,
+    sha256: Callable[[], str],
+    open_text: Callable[[str, tuple[str | int, ...]], str | Problem] | None = None,
+):
+    """The dataset, or `DatasetError` with every fault of the description, the model and the samples."""
+    problems = list(document.problems)
+    document.model = _as_robot_entry(document, open_text)
+    problems += expanded_channels(document, places, open_table)
+    geometry = _geometry(document, places, open_text, problems)
+    info = _model_info(document, places, problems, geometry) if check_model else None
+    readings = _readings(document, places, problems, info)
+    problems += _roles(document, places, known_model=info is not None)
+    problems += _references(document, places)
+    chain = arm_table(geometry).joints if geometry is not None and geometry.urdf and check_model else ()
+    if info is not None:
+        problems += _fits_model(document, _of_chain(document, readings, chain), places, info)
+    harvests = _samples(document, readings, open_table, problems)
+    problems += _still_outputs(harvests)
+    if problems:
+        raise DatasetError(_each_once(problems))
+    alerts = [text for h in harvests for text in h.warnings] + _still_inputs(harvests)
+    for text in alerts:
+        warnings.warn(text, DatasetWarning, stacklevel=3)
+    header = document.header
+    assert header is not None
+    dataset = Dataset(
+        name=header.name,
+        description=header.description,
+        source=_origin(header),
+        channels=tuple(r.channel for r in readings),
+        experiments=tuple(e for h in harvests for e in h.experiments),
+        responses=tuple(r for h in harvests for r in h.responses),
+        model=None if document.model is None else replace(_model_spec(document.model), geometry=geometry),
+        controller=None if document.controller is None else Controller(document.controller.kind, document.controller.settings),
+        notes=tuple([*document.notes, *(note for h in harvests for note in h.notes), *alerts]),
+        sha256=sha256(),
+    )
+    if check_model and geometry is not None and geometry.robot:
+        return _as_robot(dataset, places)
+    try:
+        return in_chain_order(dataset, chain)
+    except UsageError as error:
+        raise DatasetError([places.problem(("model", "joints"), str(error), "Correct [model.joints]")]) from None
+
+
+def _of_chain(document: Document, readings: list[Reading], chain: tuple[str, ...]) -> list[Reading]:
+    """The channels as the model will have them: without joints that the recording names and the chain lacks."""
+    joints = {} if document.model is None else document.model.joints
+    try:
+        numbers = renumbered(joints, chain) if chain and joints else {}
+    except UsageError:
+        return readings  # said later, by name
+    return [replace(r, name=new) for r in readings if number_of(new := renamed(r.name, numbers)) <= len(chain) or not numbers]
+
+
+def _each_once(problems: list[Problem]) -> list[Problem]:
+    """Without doubles (runs may share a file); a column that several files lack is one fault."""
+    kept: dict[Any, Problem] = {}
+    more: dict[Any, list[str]] = {}
+    for problem in problems:
+        lacking = problem.message.startswith("there is no column")
+        key = (problem.column, problem.message.split(" (")[0]) if lacking else problem
+        if key not in kept:
+            kept[key] = problem
+        elif problem.file != kept[key].file and problem.file not in more.setdefault(key, []):
+            more[key].append(problem.file)
+    return [replace(p, message=f"{p.message}, nor in {', '.join(more[key])}") if more.get(key) else p for key, p in kept.items()]
+
+
+def _origin(header: Header) -> dict[str, Any] | str | None:
+    more = {k: getattr(header, k) for k in ("licence", "recorded", "hardware") if getattr(header, k) is not None}
+    if isinstance(header.source, str) and not more:
+        return header.source
+    first = {"source": header.source} if isinstance(header.source, str) else (header.source or {})
+    merged = {k: v if isinstance(v, str | int | float) else v.isoformat() for k, v in {**first, **more}.items()}
+    return merged or None
+
+
+def _model_spec(entry: ModelEntry) -> ModelSpec:
+    return ModelSpec(
+        name="robot" if entry.robot is not None else entry.name,
+        without=tuple(entry.without),
+        free=entry.free,
+        constants={k: float(v) for k, v in entry.constants.items()},
+        parameters={k: _prior(p) for k, p in entry.parameters.items()},
+        joints=dict(entry.joints),
+        base={} if entry.base is None else entry.base.model_dump(exclude_unset=True),
+    )
+
+
+def _prior(entry: PriorEntry) -> ParameterPrior:
+    return ParameterPrior(**entry.model_dump())
+
+
+def _geometry(document: Document, places: Places, open_text: Any, problems: list[Problem]) -> Geometry | None:
+    """The links that `[model]` states; a URDF is read from the folder and kept as text."""
+    entry = document.model
+    if entry is None or (entry.urdf is None and entry.dh is None and entry.robot is None):
+        return None
+    if entry.robot is not None:
+        return _robot(entry, places, open_text, problems)
+    if entry.dh is not None:
+        columns = entry.dh.model_dump(exclude={"convention"}, exclude_none=True)
+        return Geometry(convention=entry.dh.convention, columns=columns)
+    assert entry.urdf is not None
+    key = ("model", "urdf")
+    if open_text is None:
+        problems.append(places.problem(key, "a URDF needs a folder", "Give the model as SerialArm.from_urdf(...)"))
+        return None
+    text = open_text(entry.urdf, key)
+    if isinstance(text, Problem):
+        problems.append(text)
+        return None
+    geometry = Geometry(urdf=text, file=entry.urdf, tip=entry.tip, root=entry.root)
+    try:
+        arm_table(geometry)
+    except UsageError as error:
+        stated = ("model", "tip") if "tip" in str(error) else ("model", "root") if "root" in str(error) else key
+        problems.append(places.problem(stated, str(error), "Correct it"))
+        return None
+    return geometry
+
+
+def _as_robot_entry(document: Document, open_text: Any) -> ModelEntry | None:
+    """The model; a `serial_arm` whose `urdf` is an MJCF, or whose goals are recorded under a stated law and no input is, is read
+    as a robot."""
+    entry, roles = document.model, {c.role for c in document.channels.values()}
+    goals = any(name.endswith("_cmd") for name in document.channels)
+    if entry is None or entry.urdf is None:
+        return entry
+    text = open_text(entry.urdf, ("model", "urdf")) if open_text is not None and entry.urdf.endswith((".xml", ".mjcf")) else ""
+    mjcf = isinstance(text, str) and re.search(r"<\s*mujoco\b", text) is not None
+    driven = document.controller is not None and "input" not in roles and goals and not entry.free
+    if not (mjcf or driven):
+        return entry
+    return entry.model_copy(update={"name": None, "urdf": None, "robot": entry.urdf})
+
+
+def _robot(entry: ModelEntry, places: Places, open_text: Any, problems: list[Problem]) -> Geometry | None:
+    """The robot's file as text, if it can be read as a robot."""
+    from jaxid.robots.match import robot_of
+    from jaxid.robots.mjcf_text import expanded
+
+    key = ("model", "robot")
+    if open_text is None:
+        problems.append(places.problem(key, "a robot's file needs a folder", "Give the model as Robot.from_mjcf(...)"))
+        return None
+    text = open_text(entry.robot, key)
+    if isinstance(text, Problem):
+        problems.append(text)
+        return None
+    try:
+        if not str(entry.robot).lower().endswith(".urdf"):
+            text = expanded(open_text.path(entry.robot), text)
+        robot_of(text, str(entry.robot), entry.tip)
+    except UsageError as error:
+        problems.append(places.problem(key, str(error), "Correct the file, or name another"))
+        return None
+    return Geometry(robot=text, file=str(entry.robot), tip=entry.tip)
+
+
+def _as_robot(dataset: Dataset, places: Places) -> Dataset:
+    """The dataset under the names of its robot's joints. Raises `DatasetError` where they do not go together."""
+    from jaxid.robots.match import prepared
+
+    try:
+        robot: Any
+        robot, dataset = prepared(None, dataset)
+        robot.matched(dataset)
+    except UsageError as error:
+        raise DatasetError([places.problem(("model",), str(error), "Correct [model], [controller] or the channels")]) from None
+    return dataset
+
+
+def _readings(document: Document, places: Places, problems: list[Problem], info: Any) -> list[Reading]:
+    wanted = {}
+    for signature in info.signatures if info is not None else ():
+        wanted.update({name: si_unit(unit) for name, unit in (*signature.inputs, *signature.outputs)})
+    readings = []
+    for name, entry in document.channels.items():
+        try:
+            found = conversion(entry.unit, wanted.get(name))
+        except UnitError as error:
+            remedy = "Write a unit of the table (`jaxid.data.units`), or use `scale` and an SI unit"
+            problems.append(places.problem(("channels", name, "unit"), str(error), remedy))
+            document.sound.discard("channels")
+            found = Conversion(1.0, entry.unit)
+        readings.append(Reading(name, entry, found))
+    return readings
+
+
+def _roles(document: Document, places: Places, *, known_model: bool) -> list[Problem]:
+    """What any dataset needs; where the model is known, it says itself which channels are lacking."""
+    problems = []
+    roles = [c.role for c in document.channels.values()]
+    free = document.model is not None and document.model.free
+    robot = document.model is not None and document.model.robot is not None  # says itself what it lacks
+    if "channels" in document.sound:
+        if not roles or ("output" not in roles and not known_model):
+            message = 'there is no channel with role = "output"' if roles else "there are no channels"
+            problems.append(places.problem(("channels",), message, "Add what was measured as [channels.NAME]"))
+        elif "input" not in roles and not free and not known_model and "model" in document.sound and not robot:
+            remedy = "Add the channel that drives the motion, or say free = true under [model]"
+            problems.append(places.problem(("channels",), 'there is no channel with role = "input"', remedy))
+        elif "input" in roles and free:
+            remedy = 'Give the input channels role = "auxiliary", or remove free = true'
+            problems.append(places.problem(("model", "free"), "free motion has no input, but there is an input channel", remedy))
+    if "experiments" in document.sound:
+        if not document.experiments:
+            message = "there are no experiments"
+            problems.append(places.problem(("experiments",), message, "Add [[experiments]] with a `file` and a `split`"))
+        elif all(e.split != "fit" for e in document.experiments.values()):
+            message = 'no experiment has split = "fit"'
+            problems.append(places.problem(("experiments",), message, 'Give at least one run to the fit: split = "fit"'))
+    return problems
+
+
+def _references(document: Document, places: Places) -> list[Problem]:
+    """Names that one part of the file says of another: channels of a frequency response, names of experiments."""
+    problems = []
+    names: dict[str, int] = {}
+    for index, entry in document.experiments.items():
+        if entry.name is not None and names.setdefault(entry.name, index) != index:
+            message = f"experiment {names[entry.name] + 1} has the name {entry.name!r} already"
+            problems.append(places.problem(("experiments", index, "name"), message, "Choose another name"))
+        if entry.repeat_of is not None and entry.repeat_of not in _names(document.experiments).values():
+            message = (
+                f"there is no run {entry.repeat_of!r} to repeat{nearest(entry.repeat_of, _names(document.experiments).values())}"
+            )
+            problems.append(places.problem(("experiments", index, "repeat_of"), message, "Name another run"))
+        if entry.kind != "frequency_response" or "channels" not in document.sound:
+            continue
+        for role in ("input", "output"):
+            channel = getattr(entry, role)
+            known = [k for k, c in document.channels.items() if c.role == role]
+            if channel not in known:
+                message = f"{channel!r} is no {role} channel{nearest(channel, known)}"
+                problems.append(places.problem(("experiments", index, role), message, f'Name a channel with role = "{role}"'))
+    return problems
+
+
+def _model_info(document: Document, places: Places, problems: list[Problem], geometry: Geometry | None) -> Any:
+    """What the catalogue knows of the model, with the names of the file checked against it."""
+    entry = document.model
+    if entry is None or entry.name is None or entry.robot is not None:
+        return None
+    from jaxid import catalogue
+
+    names = catalogue.model_names()
+    if entry.name not in names:
+        message = f"there is no model {entry.name!r}{nearest(entry.name, names)}"
+        problems.append(
+            places.problem(
+                ("model", "name"),
+                message,
+                "Name one that `jaxid models` lists; for one of your own leave `name` out and give the model from Python",
+            )
+        )
+        return None
+    if geometry is None and (entry.urdf or entry.dh):
+        return None  # its fault is reported
+    own = () if geometry is None else (catalogue.model_class(entry.name)(arm_table(geometry)),)
+    info = catalogue.describe(entry.name, *own)
+    effects = catalogue.effect_names()
+    known = (*info.constants, *info.parameters, "smoothing_velocity")
+
+    def unknown(key: tuple[str | int, ...], name: str, what: str, choices: Iterable[str]) -> None:
+        if name not in choices:
+            message = f"model {info.name!r} has no {what} {name!r}{nearest(name, choices)}"
+            problems.append(places.problem(key, message, "Correct or remove it"))
+
+    for name in entry.without:
+        unknown(("model", "without"), name, "built-in effect", info.builtin_effects)
+    for name in entry.constants:
+        unknown(("model", "constants", name), name, "constant or parameter", known)
+    for name in entry.parameters:
+        unknown(("model", "parameters", name), name, "parameter", info.parameters)
+    for index, run in document.experiments.items():
+        for name in run.constants:
+            unknown(("experiments", index, "constants", name), name, "constant", (*known, *effects))
+        for name in run.initial or {}:
+            unknown(("experiments", index, "initial", name), name, "state", info.states)
+    return info
+
+
+def _fits_model(document: Document, readings: list[Reading], places: Places, info: Any) -> list[Problem]:
+    """Whether the channels contain one signature of the model; the closest signature is the one to speak of."""
+    if "channels" not in document.sound or not readings or document.model is None:
+        return []
+    from jaxid.dynamics.joint_readings import with_speeds
+
+    free = document.model.free
+    have = {r.name: r for r in readings}
+    best: list[Problem] | None = None
+    speeds = {r.name: r.conversion.si for r in readings if r.entry.role == "output"}
+    for signature in info.signatures:
+        signature = with_speeds(signature, speeds)
+        found = _signature_faults(have, signature, free, places, info.name)
+        if best is None or len(found) < len(best):
+            best = found
+    return best or []
+
+
+def _signature_faults(have: dict[str, Reading], signature: Any, free: bool, places: Places, model: str) -> list[Problem]:
+    problems = []
+    needed = [(n, u, "output") for n, u in signature.outputs]
+    needed += [] if free else [(n, u, "input") for n, u in signature.inputs]
+    for name, unit, role in needed:
+        reading = have.get(name)
+        if reading is None:
+            others = [r.name for r in have.values() if r.entry.role == role and r.name not in [n for n, _, _ in needed]]
+            rename = f" ({role} channel here: {', '.join(others)})" if others else ""
+            message = f"model {model!r} needs the {role} channel {name!r} in {unit}, and the data lack it{rename}"
+            remedy = f'Add [channels.{name}] with role = "{role}"' + (" and the `column` to read" if others else "")
+            problems.append(places.problem(("channels", name), message, remedy))
+        elif reading.entry.role != role:
+            message = f"model {model!r} needs {name!r} as {role}, but it is {reading.entry.role}"
+            problems.append(places.problem(("channels", name, "role"), message, f'Write role = "{role}"'))
+        elif reading.conversion.si != si_unit(unit):
+            message = f"{name!r} is in {reading.entry.unit!r}, but model {model!r} needs a unit like {unit!r}"
+            remedy = "Correct the unit, or convert with `scale` and state the unit of the result"
+            problems.append(places.problem(("channels", name, "unit"), message, remedy))
+    if not problems:
+        outputs = [n for n, _ in signature.outputs]
+        for reading in have.values():
+            if reading.entry.role == "output" and reading.name not in outputs:
+                message = f"model {model!r} has no output {reading.name!r} (it has: {', '.join(outputs)})"
+                remedy = 'Give the channel role = "auxiliary", or name another model'
+                problems.append(places.problem(("channels", reading.name, "role"), message, remedy))
+    return problems
+
+
+def _samples(document: Document, readings: list[Reading], open_table: OpenTable, problems: list[Problem]) -> list[Harvest]:
+    names = _names(document.experiments)
+    time = document.header.time if document.header is not None else "t"
+    unit = document.header.time_unit if document.header is not None else None
+    units = {r.name: r.conversion for r in readings}
+    harvests = []
+    for index, entry in document.experiments.items():
+        table = open_table(index, entry)
+        if isinstance(table, Problem):
+            problems.append(table)
+            continue
+        problems += table.problems
+        if not table.columns:
+            continue
+        if entry.kind == "record":
+            harvest = read_record(table, entry, names[index], readings, time, unit)
+        elif entry.input in units and entry.output in units:
+            harvest = read_response(table, entry, names[index], units)
+        else:
+            continue
+        problems += harvest.problems
+        harvests.append(harvest)
+    return harvests
+
+
+def _names(entries: dict[int, ExperimentEntry]) -> dict[int, str]:
+    """An experiment's name: as stated, or its file's stem with what `where` chose, made unique by a number."""
+    taken = {e.name for e in entries.values() if e.name is not None}
+    names = {}
+    for index, entry in entries.items():
+        name = entry.name
+        if name is None:
+            stem = entry.file.rsplit("/", 1)[-1]
+            stem = stem.rsplit(".", 1)[0] if entry.file.endswith((".csv", ".parquet", ".pq")) else stem
+            base = name = ":".join([stem, *(str(v) for v in entry.where.values())])
+            number = 2
+            while name in taken:
+                name, number = f"{base}_{number}", number + 1
+            taken.add(name)
+        names[index] = name
+    return names
+
+
+def _still_outputs(harvests: list[Harvest]) -> list[Problem]:
+    """An output is refused where it moves in no run, and a run where none of its outputs moves.
+
+    A joint that is held in one run and moves in another is sound.
+    """
+    problems = []
+    moving = {name for h in harvests for name in h.moving}
+    for harvest in harvests:
+        for name, problem in harvest.still.items():
+            if name not in moving or not harvest.moving:
+                problems.append(problem)
+    return problems
+
+
+def _still_inputs(harvests: list[Harvest]) -> list[str]:
+    runs: dict[str, list[str]] = {}
+    for harvest in harvests:
+        for name in sorted(harvest.still_inputs):
+            runs.setdefault(name, []).append(harvest.experiments[0].name)
+    return [f"input {name!r} is constant in {', '.join(where)}: it excites nothing" for name, where in runs.items()]

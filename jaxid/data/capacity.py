@@ -1,0 +1,184 @@
+"""What work will need, said before it begins: memory and time, against what this machine can give.
+
+One principle: work that is large goes by windows and blocks; what would still take more than SHARE of the memory that is free is
+done on less where the answer does not need all of it (a diagnosis), and is otherwise refused with what to do.
+"""
+
+from __future__ import annotations
+
+import os
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+from jaxid.data.dataset import Dataset, Experiment
+from jaxid.errors import UsageError
+
+
+#: Share of the free memory that work may take: the rest is for what others start meanwhile, and for what is not foreseen.
+SHARE = 0.8
+#: Seconds of a diagnosis above which it looks at less.
+LONGEST_S = 3600.0
+#: Bytes that programs and libraries take, whatever the data.
+BASE = 0.7e9
+#: Below these no word is said.
+SMALL_BYTES, SMALL_S = 1.5e9, 120.0
+#: Measured (benchmarks/memory.py): numbers a row in memory for each channel, joint and parameter, and seconds for each sample and
+#: parameter of a fit, of one core.
+FIT_CHANNEL, FIT_JOINT, FIT_NUMBER = 12, 8, 8
+SECONDS = 6e-6
+#: A diagnosis refits each candidate, from more than one start.
+PER_CANDIDATE = 1.5
+
+
+@dataclass(frozen=True)
+class Need:
+    """What some work on so many rows of so many runs needs: bytes at its peak and seconds, both within a factor of about two."""
+
+    work: str
+    rows: int
+    runs: int
+    bytes: float
+    seconds: float
+
+    def __str__(self) -> str:
+        minutes = f"{self.seconds / 60:.0f} minutes" if self.seconds > 90 else "a minute or two"
+        runs = "1 run" if self.runs == 1 else f"{self.runs:,} runs"
+        return f"{self.work} of {self.rows:,} rows in {runs}: about {self.bytes / 1e9:.1f} GB and {minutes}"
+
+    @property
+    def large(self) -> bool:
+        """Whether it is worth a word before it begins."""
+        return self.bytes > SMALL_BYTES or self.seconds > SMALL_S
+
+
+def need(work: str, dataset: Dataset, joints: int, candidates: int = 0) -> Need:
+    """Of `fit`, `diagnose` (among so many candidates) or `identify`, of a model with so many joints."""
+    rows, runs = sum(len(e.whole) for e in dataset.experiments), len(dataset.experiments)
+    channels, numbers = 1 + len(dataset.channels), 6 * joints
+    if work == "identify":
+        return Need(work, rows, runs, BASE + 8 * rows * (4 * channels + 14 * joints), rows * joints * 5e-6)
+    outputs = len(dataset.outputs)
+    each = FIT_CHANNEL * channels + FIT_JOINT * joints + FIT_NUMBER * numbers * outputs
+    seconds = SECONDS * rows * joints * (1 + numbers) * (3 + PER_CANDIDATE * candidates if candidates else 1)
+    return Need(work, rows, runs, BASE + 8 * rows * (each + 16 * outputs * (candidates > 0)), seconds)
+
+
+def foreseen(work: str, model: object, dataset: Dataset, candidates: int = 0) -> Need:
+    """`need` of a model as it is given to a command."""
+    from jaxid.problem.binding import resolve_model
+
+    return need(work, dataset, resolve_model(model, dataset).nq, candidates)
+
+
+def refuse_too_large(wanted: Need) -> None:
+    """Raises `UsageError` where there is not so much memory."""
+    room, limit = available()
+    if wanted.bytes > SHARE * room:
+        part = max(0.0, (SHARE * room - BASE) / max(wanted.bytes - BASE, 1.0))
+        remedy = (
+            f"Take fewer rows: about {wanted.rows * part:,.0f} fit (`rows` or `window_s` of [[experiments]], or a lower sampling "
+            "rate), or give it more memory"
+            if wanted.rows * part >= 1000
+            else "Give it more memory"
+        )
+        raise UsageError(f"{wanted}, but only {room / 1e9:.1f} GB are free here ({limit}). {remedy}")
+
+
+def shortened(dataset: Dataset, wanted: Need) -> Dataset:
+    """The dataset, or the first part of each of its runs with a note, where `wanted` of the whole is more than there is memory
+    for, or takes longer than LONGEST_S. Each split keeps its share."""
+    from jaxid.data.records import MINIMUM_SAMPLES
+
+    room, _ = available()
+    part = min(1.0, (SHARE * room - BASE) / (wanted.bytes - BASE), LONGEST_S / wanted.seconds)
+    if part >= 1:
+        return dataset
+    refuse_too_large(replace(wanted, bytes=BASE))
+
+    def first(e: Experiment) -> Experiment:
+        stop = max(min(len(e), 50 * MINIMUM_SAMPLES), round(part * len(e)))
+        return e if stop >= len(e) else e.piece(0, stop, name=e.name, split=e.split)
+
+    dataset = dataset.with_splits()
+    experiments = tuple(first(e) for e in dataset.experiments)
+    left = sum(len(e) for e in experiments)
+    note = (
+        f"{wanted}: more than there is room or an hour for. The first part of each run is looked at, {left:,} rows in all "
+        f"({100 * part:.2g} %); choose others with `rows` or `window_s` of [[experiments]]"
+    )
+    return replace(dataset, experiments=experiments, notes=(*dataset.notes, note))
+
+
+def available() -> tuple[float, str]:
+    """Bytes that this process may still take, and what limits them: the machine, its control group, or a limit of its own."""
+    import psutil
+
+    found = [(float(psutil.virtual_memory().available), "free memory of this machine")]
+    found += [(room, "limit of its container or job") for room in _control_groups()]
+    try:
+        import resource
+
+        limit = resource.getrlimit(resource.RLIMIT_AS)[0]
+        if limit != resource.RLIM_INFINITY:
+            found.append((float(limit - psutil.Process().memory_info().vms), "limit of its address space, ulimit -v"))
+    except ImportError:  # Windows has no such limits
+        pass
+    return max(0.0, min(found)[0]), min(found)[1]
+
+
+def _control_groups() -> list[float]:
+    """Bytes left in each control group above this process that states a limit (Linux, both versions)."""
+    rooms = []
+    try:
+        own = [line.split(":", 2) for line in Path("/proc/self/cgroup").read_text().splitlines()]
+    except OSError:
+        return []
+    for _, controllers, name in own:
+        if controllers in ("", "memory"):
+            root = Path("/sys/fs/cgroup") / controllers
+            names = ("memory.max", "memory.current") if not controllers else ("memory.limit_in_bytes", "memory.usage_in_bytes")
+            inside = root / name.lstrip("/")
+            for folder in dict.fromkeys([inside, *inside.parents, root]):
+                if folder.is_relative_to(root) and (room := _room(folder, *names)) is not None:
+                    rooms.append(room)
+    return rooms
+
+
+def _room(folder: Path, limit: str, usage: str) -> float | None:
+    try:
+        most = (folder / limit).read_text().strip()
+        if most == "max" or int(most) > 1 << 60:
+            return None
+        statistics = dict(line.split() for line in (folder / "memory.stat").read_text().splitlines())
+        cached = int(statistics.get("inactive_file", statistics.get("total_inactive_file", 0)))  # given back when it is needed
+        return float(int(most) - int((folder / usage).read_text()) + cached)
+    except (OSError, ValueError):
+        return None
+
+
+# ---- files, before they are read
+
+#: Bytes in memory for each byte of CSV text, and for each number of a Parquet file, while it is read.
+CSV_FACTOR, PARQUET_NUMBER = 16, 8 * 5
+
+
+def too_large_to_read(path: Path) -> tuple[str, str] | None:
+    """(what is wrong, what to do) with a data file for which there is too little memory; its size is read, not its content."""
+    size = os.stat(path).st_size
+    if path.suffix.lower() == ".csv":
+        needed, what = float(size * CSV_FACTOR), f"{size / 1e6:,.0f} MB of text"
+    else:
+        import pyarrow as pa
+        import pyarrow.parquet as pq
+
+        try:
+            about = pq.read_metadata(path)
+        except (pa.ArrowException, OSError, ValueError):
+            return None  # said where it is read
+        needed = float(size + about.num_rows * about.num_columns * PARQUET_NUMBER)
+        what = f"{about.num_rows:,} rows of {about.num_columns} columns"
+    room, limit = available()
+    if needed <= SHARE * room:
+        return None
+    message = f"{what} take about {needed / 1e9:.1f} GB to read, and {room / 1e9:.1f} GB are free here ({limit})"
+    return message, "Write a file with fewer rows or columns, or split it into several datasets"

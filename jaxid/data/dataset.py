@@ -1,0 +1,415 @@
+"""Experiments and datasets in memory: SI units, float64, read-only, already checked.
+
+`Dataset` holds recorded runs (`Experiment`) and measured frequency responses (`FrequencyResponse`). Columns of `u`
+follow `Dataset.inputs` and columns of `y` follow `Dataset.outputs`.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from typing import Any, TYPE_CHECKING
+
+import numpy as np
+
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+
+
+@dataclass(frozen=True)
+class Problem:
+    """One fault of a dataset. `row` counts as an editor does (the header is row 1, the first sample row 2)."""
+
+    file: str
+    row: int | None
+    column: str | None
+    message: str
+    remedy: str
+
+    def __str__(self) -> str:
+        place = [self.file]
+        if self.row is not None:
+            place.append(f"row {self.row}")
+        if self.column is not None:
+            place.append(f"column {self.column}" if not self.file.endswith(".toml") else self.column)
+        return f"{', '.join(place)}: {self.message}. {self.remedy}"
+
+
+class DatasetError(ValueError):
+    """A dataset that was refused; `problems` holds every fault found, `str()` lists them all."""
+
+    def __init__(self, problems: Sequence[Problem]):
+        self.problems = list(problems)
+        super().__init__(str(self))
+
+    def __str__(self) -> str:
+        if len(self.problems) == 1:
+            return str(self.problems[0])
+        return "\n".join([f"{len(self.problems)} problems in the data:", *(f"- {p}" for p in self.problems)])
+
+    def __reduce__(self):
+        return (type(self), (self.problems,))
+
+
+class DatasetWarning(UserWarning):
+    """Data that were accepted and deserve a look; the same sentence stands in `Dataset.notes`."""
+
+
+def _frozen(values: Any, dtype: type = float) -> np.ndarray:
+    array = np.array(values, dtype=dtype)
+    array.setflags(write=False)
+    return array
+
+
+@dataclass(frozen=True)
+class Stated:
+    """How `dataset.toml` says a channel was recorded: value = scale * raw + offset in `unit`, and factor * value in SI."""
+
+    unit: str
+    factor: float = 1.0
+    scale: float = 1.0
+    offset: float = 0.0
+    column: str = ""
+    shift: int = 0
+    clock_ppm: float = 0.0
+
+
+@dataclass(frozen=True)
+class Channel:
+    """One measured signal, in SI; `noise_std` (one standard deviation) and `resolution` (quantisation step) too. `stated` is what
+    the dataset says of how it was recorded, for messages."""
+
+    name: str
+    role: str  # "input" | "output" | "auxiliary"
+    unit: str
+    noise_std: float | None = None
+    resolution: float | None = None
+    hold: str = "zero"  # an input between its samples: "zero" | "linear"
+    stated: Stated | None = field(default=None, compare=False, repr=False)
+
+
+@dataclass(frozen=True, eq=False)
+class Experiment:
+    """One recorded run.
+
+    `t [time]` s, strictly increasing; `u [time nu]` inputs; `y [time ny]` outputs; `auxiliary` channel -> `[time]`.
+    `initial` (state -> value) or `at_rest` fix the initial state; with neither it is estimated.
+    `past` samples before the first of `t` belong to the same recording and to none of its splits: delays, lags and friction
+    that remember bring their state from there. `source` says where the samples stand, for messages. `scatter [time ny]` is the
+    standard deviation of what each reading is off by beside its channel's noise, where that is known (see `time_stamps`).
+    `left_out [time ny]` marks readings that count in no loss (glitches, repeated rows); `y` keeps there what was recorded.
+    `repeat_of` names the run of which this is a repeat.
+    """
+
+    name: str
+    split: str  # "fit" | "validation" | "report"
+    t: np.ndarray
+    u: np.ndarray
+    y: np.ndarray
+    auxiliary: dict[str, np.ndarray] = field(default_factory=dict)
+    initial: dict[str, float] | None = None
+    at_rest: bool = False
+    constants: dict[str, float] = field(default_factory=dict)
+    initial_window_s: float | None = None
+    past: Experiment | None = None
+    source: str = ""
+    scatter: np.ndarray | None = None
+    left_out: np.ndarray | None = None
+    repeat_of: str | None = None
+
+    def __post_init__(self):
+        t = _frozen(self.t)
+        object.__setattr__(self, "t", t)
+        object.__setattr__(self, "u", _frozen(self.u))
+        object.__setattr__(self, "y", _frozen(self.y))
+        object.__setattr__(self, "auxiliary", {k: _frozen(v) for k, v in self.auxiliary.items()})
+        if self.left_out is not None:
+            object.__setattr__(self, "left_out", _frozen(self.left_out, bool) if np.any(self.left_out) else None)
+        if t.ndim != 1 or self.u.ndim != 2 or self.y.ndim != 2 or not len(t) == len(self.u) == len(self.y):
+            raise ValueError(
+                f"experiment {self.name!r}: t {t.shape}, u {self.u.shape}, y {self.y.shape}; "
+                "expected t [time], u [time nu], y [time ny]"
+            )
+
+    def __eq__(self, other: object) -> bool:
+        if not isinstance(other, Experiment):
+            return NotImplemented
+        plain = ("name", "split", "initial", "at_rest", "constants", "initial_window_s", "repeat_of")
+        return (
+            all(getattr(self, k) == getattr(other, k) for k in plain)
+            and all(np.array_equal(getattr(self, k), getattr(other, k)) for k in ("t", "u", "y"))
+            and np.array_equal(self.read, other.read)
+            and list(self.auxiliary) == list(other.auxiliary)
+            and all(np.array_equal(v, other.auxiliary[k]) for k, v in self.auxiliary.items())
+        )
+
+    __hash__ = None  # type: ignore[assignment]
+
+    def __len__(self) -> int:
+        return len(self.t)
+
+    @property
+    def duration(self) -> float:
+        """Seconds from the first sample to the last."""
+        return float(self.t[-1] - self.t[0])
+
+    @property
+    def whole(self) -> Experiment:
+        """The samples with their past."""
+        if self.past is None:
+            return self
+        join = lambda a, b: np.concatenate([a, b])
+        both = {k: join(getattr(self.past, k), getattr(self, k)) for k in ("t", "u", "y")}
+        if self.scatter is not None and self.past.scatter is not None:
+            both["scatter"] = join(self.past.scatter, self.scatter)
+        both["left_out"] = ~join(self.past.read, self.read)
+        return replace(self, **both, auxiliary={k: join(v, self.auxiliary[k]) for k, v in self.past.auxiliary.items()}, past=None)
+
+    def noise(self, sigma: np.ndarray, columns: Sequence[int]) -> np.ndarray:
+        """Noise of each reading of some outputs [time columns] whose channels have the noise `sigma` [columns]."""
+        all_alike = np.hypot(sigma, 0.0 if self.scatter is None else self.scatter[:, columns]) * np.ones((len(self), 1))
+        return all_alike if self.left_out is None else np.where(self.left_out[:, columns], np.inf, all_alike)
+
+    def noise_rms(self, sigma: np.ndarray, columns: Sequence[int]) -> np.ndarray:
+        """Its root mean square over the readings that count [columns]."""
+        each, read = self.noise(sigma, columns), self.read[:, columns]
+        return np.sqrt(np.sum(np.where(read, each, 0.0) ** 2, 0) / np.maximum(np.sum(read, 0), 1))
+
+    @property
+    def read(self) -> np.ndarray:
+        """Which readings [time ny] count."""
+        return np.ones(self.y.shape, bool) if self.left_out is None else ~self.left_out
+
+    def motion(self) -> np.ndarray:
+        """`y [time ny]` to smooth: readings that are left out lie on the line between their neighbours. Never for a loss."""
+        if self.left_out is None:
+            return self.y
+        pairs = [(self.y[:, i], self.read[:, i]) for i in range(self.y.shape[1])]
+        return np.stack([np.interp(self.t, self.t[k], y[k]) if k.any() else y for y, k in pairs], 1)
+
+    def piece(self, start: int, stop: int, *, name: str, split: str, past: int = 0) -> Experiment:
+        """Samples `start:stop` as a run of its own, at their times, that knows up to `past` samples before them; only one from
+        sample 0 keeps the initial state."""
+        first = start == 0
+        if past and not first:
+            whole = self.whole
+            begin = start + len(whole) - len(self)
+            before = whole.piece(max(0, begin - past), begin, name=name, split=split)
+        else:
+            before = self.past if first else None
+        return replace(
+            self,
+            name=name,
+            split=split,
+            t=self.t[start:stop],
+            u=self.u[start:stop],
+            y=self.y[start:stop],
+            auxiliary={k: v[start:stop] for k, v in self.auxiliary.items()},
+            initial=self.initial if first else None,
+            at_rest=self.at_rest if first else False,
+            past=before,
+            scatter=None if self.scatter is None else self.scatter[start:stop],
+            left_out=None if self.left_out is None else self.left_out[start:stop],
+            source=f"{self.source}, samples {start + 1} to {stop} of it",
+        )
+
+
+@dataclass(frozen=True, eq=False)
+class FrequencyResponse:
+    """A measured `output / input`: `omega [f]` rad/s, `response [f]` complex, in SI; repeats are repeated rows."""
+
+    name: str
+    split: str
+    omega: np.ndarray
+    response: np.ndarray
+    input: str
+    output: str
+    source: str = ""
+
+    def __post_init__(self):
+        object.__setattr__(self, "omega", _frozen(self.omega))
+        object.__setattr__(self, "response", _frozen(self.response, complex))
+        if self.omega.ndim != 1 or self.omega.shape != self.response.shape:
+            raise ValueError(f"response {self.name!r}: omega {self.omega.shape}, response {self.response.shape}")
+
+    def __eq__(self, other: object) -> bool:
+        if not isinstance(other, FrequencyResponse):
+            return NotImplemented
+        return (
+            all(getattr(self, k) == getattr(other, k) for k in ("name", "split", "input", "output"))
+            and np.array_equal(self.omega, other.omega)
+            and np.array_equal(self.response, other.response)
+        )
+
+    __hash__ = None  # type: ignore[assignment]
+
+
+@dataclass(frozen=True)
+class ParameterPrior:
+    """What the user knows beforehand of a fitted parameter: start value, bounds, whether its logarithm is searched (None: as the
+    model says), and a Gaussian prior {"mean": ..., "std": ...}."""
+
+    value: float | None = None
+    lower: float | None = None
+    upper: float | None = None
+    log: bool | None = None
+    prior: dict[str, float] | None = None
+
+
+@dataclass(frozen=True)
+class Geometry:
+    """The links of a `serial_arm`: the text of a URDF with its file's name, root and tip of the chain, or the columns of a
+    Denavit-Hartenberg table of a `convention` (modified or standard)."""
+
+    urdf: str = ""
+    file: str = ""
+    tip: str | None = None
+    root: str | None = None
+    convention: str = "modified"
+    columns: dict[str, list[float] | list[bool]] = field(default_factory=dict)
+    robot: str = ""  # the text of a robot's file, MJCF or URDF
+
+
+@dataclass(frozen=True)
+class ModelSpec:
+    """The model a dataset is meant for; `free` is motion without any input, `geometry` that of a `serial_arm` or a robot, whose
+    `base` is fixed or prescribed; `joints`: channel of a position -> the name of its joint."""
+
+    name: str | None = None
+    without: tuple[str, ...] = ()
+    free: bool = False
+    constants: dict[str, float] = field(default_factory=dict)
+    parameters: dict[str, ParameterPrior] = field(default_factory=dict)
+    geometry: Geometry | None = None
+    joints: dict[str, str] = field(default_factory=dict)
+    base: dict[str, Any] = field(default_factory=dict)
+
+
+@dataclass(frozen=True)
+class Controller:
+    """The feedback law under which the data were recorded; sample time, saturation and gains stand in `settings`."""
+
+    kind: str
+    settings: dict[str, float | list[float] | str | list[str] | dict[str, float]] = field(default_factory=dict)
+
+
+@dataclass(frozen=True)
+class Dataset:
+    """Checked experiments with their channels.
+
+    `notes` says what was done and what deserves a look; `sha256` is that of the content. Two datasets are equal when
+    their names, channels, runs, model and controller are, wherever they were read from.
+    """
+
+    name: str
+    channels: tuple[Channel, ...]
+    experiments: tuple[Experiment, ...] = ()
+    responses: tuple[FrequencyResponse, ...] = ()
+    model: ModelSpec | None = None
+    controller: Controller | None = None
+    description: str = ""
+    source: dict[str, Any] | str | None = None
+    notes: tuple[str, ...] = field(default=(), compare=False)
+    sha256: str = field(default="", compare=False)
+
+    __hash__ = None  # type: ignore[assignment]
+
+    @property
+    def inputs(self) -> tuple[Channel, ...]:
+        return tuple(c for c in self.channels if c.role == "input")
+
+    @property
+    def outputs(self) -> tuple[Channel, ...]:
+        return tuple(c for c in self.channels if c.role == "output")
+
+    def split(self, name: str) -> tuple[Experiment, ...]:
+        """The runs of one split: "fit", "validation" or "report"."""
+        if name not in ("fit", "validation", "report"):
+            raise ValueError(f"no split {name!r} (there is: fit, validation, report)")
+        return tuple(e for e in self.experiments if e.split == name)
+
+    def with_splits(self) -> Dataset:
+        """The dataset with validation and report data, by these rules; `notes` says what was done.
+
+        Without a validation run, the last 30 % of each fit run are kept for it. Without a report run, each
+        validation run is cut once in time: first half validation, second half report. After each cut
+        max(20 samples, 0.1 s) are left out. Times stay absolute; a later piece knows no initial state, but what went
+        before it, up to 5 s (1000 samples) for validation and 60 s (20 000 samples) for report: delays, lags, springs
+        and friction that remembers start from there, and the free run begins up to 1 s before the part.
+        A run whose later piece would be under 20 samples is not cut.
+        """
+        from jaxid.data.splits import with_splits
+
+        return with_splits(self)
+
+    @classmethod
+    def from_arrays(
+        cls,
+        t: Any,
+        inputs: Mapping[str, Any] | None = None,
+        outputs: Mapping[str, Any] | None = None,
+        *,
+        auxiliary: Mapping[str, Any] | None = None,
+        units: Mapping[str, str] | None = None,
+        **settings: Any,
+    ) -> Dataset:
+        """A dataset from arrays, with the same checks as a folder.
+
+        One run: `t [time]` seconds and channel -> `[time]`. Several runs: lists of such arrays, one a run.
+        `units`: channel -> unit; a channel named by convention (`q1`, `qd`, `tau`, `force`, `current2` …) needs none.
+        No inputs is free motion.
+
+        Settings of a run (one value for all, or a list with one a run): `split` ("fit"), `at_rest`, `initial`
+        (state -> value), `constants`, `initial_window_s`, `split_at_gaps`, `names`. Of a channel (channel -> value):
+        `noise_std`, `resolution`, `hold`. Of the dataset: `name`, `description`, `source`, `model` (an id or a
+        `ModelSpec`), `controller` (a `Controller`), `check_model` (True).
+
+        Raises `DatasetError` with every fault; `file` is then the run's name and `row` the index into the array.
+        """
+        from jaxid.data.from_arrays import from_arrays
+
+        return from_arrays(t, inputs or {}, outputs or {}, auxiliary or {}, units or {}, **settings)
+
+    @classmethod
+    def from_frame(
+        cls,
+        frame: Any,
+        inputs: Sequence[str] | Mapping[str, str] = (),
+        outputs: Sequence[str] | Mapping[str, str] = (),
+        *,
+        auxiliary: Sequence[str] | Mapping[str, str] = (),
+        time: str = "t",
+        **settings: Any,
+    ) -> Dataset:
+        """A dataset from a data frame, or from a list of frames (one a run); else like `from_arrays`.
+
+        `inputs`, `outputs`, `auxiliary`: column names, or channel -> column; `time`: the column of seconds. A frame is
+        whatever gives its columns by `frame[name]` and lists them in `frame.columns` (pandas, polars, a pyarrow table
+        has `column_names`).
+        """
+        from jaxid.data.from_arrays import from_frame
+
+        return from_frame(frame, inputs, outputs, auxiliary, time, **settings)
+
+    def plot(self, channel: str | None = None, ax: Axes | None = None) -> Axes:
+        """Draws a channel (default: the first output) of every run over time, on new axes or the given ones."""
+        from jaxid.report import figures
+
+        return figures.dataset(self, channel, ax)
+
+    def __repr__(self) -> str:
+        from jaxid.cli.terminal import one_line
+
+        runs = [f"{e.name} ({e.split}, {len(e.t)} samples)" for e in self.experiments]
+        runs += [f"{r.name} ({r.split}, {len(r.omega)} lines)" for r in self.responses]
+        of = lambda channels: ", ".join(f"{c.name} ({c.unit})" for c in channels) or "none"
+        more = f" and {len(runs) - 6} more" if len(runs) > 6 else ""
+        return one_line(
+            f"Dataset {self.name}: inputs {of(self.inputs)}; outputs {of(self.outputs)}; runs {', '.join(runs[:6])}{more}"
+        )
+
+    def _repr_html_(self) -> str:
+        from jaxid.report import dataset_fragment
+
+        return dataset_fragment(self)

@@ -1,0 +1,227 @@
+"""Datasets from arrays and data frames, through the same checks as a folder."""
+
+from __future__ import annotations
+
+import hashlib
+import re
+from collections.abc import Mapping, Sequence
+from dataclasses import asdict
+from typing import Any
+
+import numpy as np
+
+from jaxid.data.assemble import assemble
+from jaxid.data.dataset import Controller, Dataset, DatasetError, ModelSpec, Problem
+from jaxid.data.schema import ExperimentEntry, Places, read_document
+from jaxid.data.table import Table, table_of_arrays
+from jaxid.errors import nearest
+
+
+RUN_SETTINGS = ("split", "at_rest", "initial", "constants", "initial_window_s", "split_at_gaps", "repeat_of")
+FORMS = ("scale", "offset", "unwrap", "drop_glitches", "sampled_every", "shift", "delay_s", "clock_ppm")
+CHANNEL_SETTINGS = ("noise_std", "resolution", "hold", *FORMS)
+DATASET_SETTINGS = ("name", "time_unit", "names", "description", "source", "model", "controller", "check_model")
+
+# The conventions of names; a number behind a name is a joint.
+_NAMED_UNITS = {
+    "q": "rad",
+    "q_cmd": "rad",
+    "qd": "rad/s",
+    "qd_cmd": "rad/s",
+    "qdd": "rad/s^2",
+    "tau": "N m",
+    "tau_cmd": "N m",
+    "theta": "rad",
+    "alpha": "rad",
+    "phi": "rad",
+    "tau_theta": "N m",
+    "tau_alpha": "N m",
+    "u_theta": "V",
+    "u_alpha": "V",
+    "force": "N",
+    "position": "m",
+    "velocity": "m/s",
+    "acceleration": "m/s^2",
+    "tip_acceleration": "m/s^2",
+    "current": "A",
+    "current_cmd": "A",
+    "voltage": "V",
+    "temperature": "degC",
+}
+
+
+def from_arrays(
+    t: Any,
+    inputs: Mapping[str, Any],
+    outputs: Mapping[str, Any],
+    auxiliary: Mapping[str, Any],
+    units: Mapping[str, str],
+    **settings: Any,
+) -> Dataset:
+    """See `Dataset.from_arrays`."""
+    allowed = (*RUN_SETTINGS, *CHANNEL_SETTINGS, *DATASET_SETTINGS)
+    for key in settings:
+        if key not in allowed:
+            raise TypeError(f"from_arrays has no argument {key!r}{nearest(key, allowed)}")
+    name = str(settings.get("name", "data"))
+    roles = {"input": inputs, "output": outputs, "auxiliary": auxiliary}
+    signals = {channel: values for group in roles.values() for channel, values in group.items()}
+    twice = [c for c in signals if sum(c in group for group in roles.values()) > 1]
+    if twice:
+        raise DatasetError([Problem(name, None, twice[0], "the channel has two roles", "Give it one role")])
+    count = _runs(t)
+    runs = [(t, signals)] if count is None else _each_run(name, t, signals, count)
+    entries = _run_entries(name, count, settings)
+    channels = {channel: _channel(channel, role, units, settings) for role, group in roles.items() for channel in group}
+    problems = [
+        Problem(name, None, key, f"{what} names a channel that is not there{nearest(key, signals)}", "Correct the name")
+        for what, given in (("units", units), *((s, settings.get(s) or {}) for s in CHANNEL_SETTINGS))
+        for key in given
+        if key not in signals
+    ]
+    problems += [
+        Problem(name, None, channel, "the unit is not stated", f"Say units={{{channel!r}: ...}}")
+        for channel, entry in channels.items()
+        if "unit" not in entry
+    ]
+    if problems:
+        raise DatasetError(problems)
+    raw: dict[str, Any] = {"name": name, "description": str(settings.get("description", ""))}
+    raw |= {"time_unit": settings["time_unit"]} if settings.get("time_unit") is not None else {}
+    raw |= {"source": settings["source"]} if settings.get("source") is not None else {}
+    raw |= {"channels": channels, "experiments": entries}
+    model = _model(settings.get("model"), free=not inputs)
+    raw |= {"model": model} if model else {}
+    controller = settings.get("controller")
+    if isinstance(controller, Controller):
+        controller = {"kind": controller.kind, **controller.settings}
+    raw |= {"controller": controller} if controller is not None else {}
+    tables = [table_of_arrays(entry["file"], {"t": time, **values}) for entry, (time, values) in zip(entries, runs, strict=True)]
+
+    def open_table(index: int, entry: ExperimentEntry) -> Table:
+        return tables[index]
+
+    places = Places(name)
+    return assemble(
+        read_document(raw, places),
+        places,
+        open_table,
+        check_model=bool(settings.get("check_model", True)),
+        sha256=lambda: _digest(raw, tables),
+    )
+
+
+def _runs(t: Any) -> int | None:
+    """How many runs `t` holds, or None for one run given plainly."""
+    if isinstance(t, list | tuple) and t and np.ndim(t[0]) > 0:
+        return len(t)
+    return None
+
+
+def _each_run(name: str, t: Sequence[Any], signals: Mapping[str, Any], count: int) -> list[tuple[Any, dict[str, Any]]]:
+    for channel, values in signals.items():
+        if not isinstance(values, list | tuple) or len(values) != count:
+            message = f"t holds {count} runs, but {channel!r} is not a list of {count} arrays"
+            raise DatasetError([Problem(name, None, channel, message, "Give one array a run, in the same order")])
+    return [(t[i], {channel: values[i] for channel, values in signals.items()}) for i in range(count)]
+
+
+def _run_entries(name: str, count: int | None, settings: Mapping[str, Any]) -> list[dict[str, Any]]:
+    """One entry a run; a setting given as a list has one value a run."""
+    total = 1 if count is None else count
+    given = settings.get("names")
+    names = [name] if count is None else [f"run_{i + 1}" for i in range(total)]
+    if given is not None:
+        names = [given] if isinstance(given, str) else list(given)
+    entries: list[dict[str, Any]] = []
+    for i in range(total):
+        entry: dict[str, Any] = {}
+        for key in RUN_SETTINGS:
+            value = settings.get(key)
+            if isinstance(value, list | tuple):
+                if len(value) != total:
+                    message = f"{key} has {len(value)} values for {total} run{'s' * (total > 1)}"
+                    raise DatasetError([Problem(name, None, None, message, "Give one value, or one a run")])
+                value = value[i]
+            if value is not None:
+                entry[key] = _builtin(value)
+        entries.append(entry)
+    if len(names) != total:
+        raise DatasetError([Problem(name, None, None, f"{len(names)} names for {total} runs", "Give one name a run")])
+    return [{"file": str(n), "name": str(n), **entry} for n, entry in zip(names, entries, strict=True)]
+
+
+def _channel(channel: str, role: str, units: Mapping[str, str], settings: Mapping[str, Any]) -> dict[str, Any]:
+    entry = {"role": role}
+    unit = units.get(channel) or _NAMED_UNITS.get(channel) or _NAMED_UNITS.get(re.sub(r"\d+(?=_cmd$|$)", "", channel))
+    entry |= {"unit": unit} if unit is not None else {}
+    for key in CHANNEL_SETTINGS:
+        value = (settings.get(key) or {}).get(channel)
+        entry |= {key: _builtin(value)} if value is not None else {}
+    return entry
+
+
+def _model(model: str | ModelSpec | None, free: bool) -> dict[str, Any]:
+    spec = model if isinstance(model, ModelSpec) else ModelSpec(name=model)
+    entry = {k: v for k, v in asdict(spec).items() if v}
+    entry |= {"without": list(spec.without)} if spec.without else {}
+    return entry | ({"free": True} if free else {})
+
+
+def _builtin(value: Any) -> Any:
+    """NumPy scalars as Python numbers."""
+    if isinstance(value, Mapping):
+        return {str(k): _builtin(v) for k, v in value.items()}
+    return value.item() if isinstance(value, np.generic) else value
+
+
+def _digest(raw: Mapping[str, Any], tables: Sequence[Table]) -> str:
+    digest = hashlib.sha256(repr(raw).encode())
+    for table in tables:
+        for column, values in table.columns.items():
+            digest.update(column.encode() + b"\0" + np.asarray(values).tobytes())
+    return digest.hexdigest()
+
+
+_TIME_INDEX = ("DatetimeIndex", "TimedeltaIndex")
+
+
+def from_frame(
+    frame: Any,
+    inputs: Sequence[str] | Mapping[str, str],
+    outputs: Sequence[str] | Mapping[str, str],
+    auxiliary: Sequence[str] | Mapping[str, str],
+    time: str,
+    **settings: Any,
+) -> Dataset:
+    """See `Dataset.from_frame`."""
+    frames = list(frame) if isinstance(frame, list | tuple) else [frame]
+    groups = [_mapping(g) for g in (inputs, outputs, auxiliary)]
+    name = str(settings.get("name", "data"))
+    problems = []
+    for one in frames:
+        there = [str(c) for c in (one.column_names if hasattr(one, "column_names") else one.columns)]
+        for column in [time, *(c for g in groups for c in g.values())]:
+            if column not in there:
+                message = f"there is no column {column!r}{nearest(column, there)}"
+                index = getattr(getattr(one, "index", None), "name", None)
+                own = column == time and (index == time or type(getattr(one, "index", None)).__name__ in _TIME_INDEX)
+                remedy = "The time is the frame's index: give frame.reset_index()" if own else "Name a column of the frame"
+                problems.append(Problem(name, None, column, message, remedy))
+    if problems:
+        raise DatasetError(list(dict.fromkeys(problems)))
+    single = not isinstance(frame, list | tuple)
+
+    def arrays_of(column: str) -> Any:
+        arrays = [np.asarray(one[column]) for one in frames]
+        return arrays[0] if single else arrays
+
+    signals = [{channel: arrays_of(c) for channel, c in group.items()} for group in groups]
+    units = settings.pop("units", None) or {}
+    return from_arrays(arrays_of(time), signals[0], signals[1], signals[2], units, **settings)
+
+
+def _mapping(columns: Sequence[str] | Mapping[str, str]) -> dict[str, str]:
+    if isinstance(columns, str):
+        return {columns: columns}
+    return dict(columns) if isinstance(columns, Mapping) else {c: c for c in columns}

@@ -1,0 +1,1 @@
+"""Recordings of others, as datasets: one kind of file a module."""

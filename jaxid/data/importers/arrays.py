@@ -1,0 +1,248 @@
+"""Arrays that other programs write: MAT, npz and npy, JSON and JSON lines, TDMS, Parquet, PyTorch; read by their own libraries.
+
+Each reader gives name -> array; what lies inside structs, groups and objects has their names before it: `log.q`, `data[0].q`.
+"""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable, Mapping
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from jaxid.data.importers.runs import first_line, needed, refused
+from jaxid.data.records import MINIMUM_SAMPLES
+
+
+Arrays = dict[str, Any]
+_MATLAB_TIME = (
+    "In MATLAB write its arrays by themselves: s = struct('t', ts.Time, 'q', ts.Data); save('plain.mat', '-struct', 's') "
+    "(a timetable: s = table2struct(timetable2table(tt), 'ToScalar', true))"
+)
+_EXCEL = "In the spreadsheet choose Save as, CSV UTF-8, and import that: jaxid import csv"
+
+
+def kind_of(path: Path, content: bytes) -> str:
+    """Which kind of file it is, by what it begins with, else by its name."""
+    suffix = path.suffix.lower()
+    if suffix in (".xlsx", ".xls", ".xlsm", ".ods"):
+        raise refused(path, "a spreadsheet, which jaxid does not read", _EXCEL)
+    if suffix in (".pkl", ".pickle"):
+        raise refused(
+            path, "a pickle, which can run any program and is not read", "Write it as npz: numpy.savez('log.npz', t=t, q=q)"
+        )
+    begins = {b"PAR1": "parquet", b"\x93NUMPY": "npz", b"TDSm": "tdms", b"\x89HDF": "mat", b"MATLAB 5": "mat", b"MATLAB 7": "mat"}
+    for start, kind in begins.items():
+        if content.startswith(start):
+            return kind
+    if content.startswith(b"PK\x03\x04"):
+        names = _zip_names(path, content)
+        if any(n.endswith("data.pkl") for n in names):
+            return "torch"
+        if any(n.startswith("xl/") for n in names):
+            raise refused(path, "an Excel workbook, which jaxid does not read", _EXCEL)
+        return "npz"
+    if suffix in (".pt", ".pth"):
+        return "torch"
+    if suffix in (".json", ".jsonl", ".ndjson") or content.lstrip()[:1] in (b"{",):
+        return "json"
+    return "mat" if suffix == ".mat" else "csv"
+
+
+def read_arrays(kind: str, path: Path) -> Arrays:
+    """The arrays of a file. Raises `DatasetError` that says what was recognised where it cannot be read."""
+    try:
+        return READERS[kind](path)
+    except (OSError, ValueError, KeyError, TypeError, NotImplementedError, EOFError) as error:
+        from jaxid.data.dataset import DatasetError
+        from jaxid.errors import UsageError
+
+        if isinstance(error, DatasetError | UsageError):
+            raise
+        raise refused(path, f"not readable as {_WORDS[kind]} ({first_line(error)})", "Write the file again") from None
+
+
+_WORDS = {
+    "mat": "a MAT file",
+    "npz": "NumPy's npz or npy",
+    "json": "JSON",
+    "torch": "PyTorch tensors",
+    "tdms": "TDMS",
+    "parquet": "Parquet",
+}
+
+
+def _zip_names(path: Path, content: bytes) -> list[str]:
+    import io
+    import zipfile
+
+    try:
+        return zipfile.ZipFile(io.BytesIO(content)).namelist()
+    except (zipfile.BadZipFile, OSError) as error:
+        raise refused(path, f"a damaged archive ({first_line(error)})", "Write the file again") from None
+
+
+def _flat(name: str, value: Any, out: Arrays) -> None:
+    """Adds what a nested value holds, each array under its path."""
+    if isinstance(value, Mapping):
+        for key, inner in value.items():
+            _flat(f"{name}.{key}" if name else str(key), inner, out)
+        return
+    if isinstance(value, np.ndarray) and value.dtype.names:
+        for key in value.dtype.names:
+            _flat(f"{name}.{key}" if name else key, value[key], out)
+        return
+    if isinstance(value, np.ndarray) and value.dtype == object:
+        value = value.tolist()
+    if isinstance(value, list) and value and all(isinstance(v, Mapping) for v in value):
+        columns = _records(value)
+        for key, inner in (columns or {}).items():
+            _flat(f"{name}.{key}" if name else key, inner, out)
+        if columns is None:
+            for k, inner in enumerate(value):
+                _flat(f"{name}[{k}]", inner, out)
+        return
+    if isinstance(value, list):
+        try:
+            value = np.array(value, dtype=float)
+        except (ValueError, TypeError):
+            value = np.array([str(v) for v in value])
+    out[name] = value
+
+
+def _records(rows: list[Any]) -> dict[str, list[Any]] | None:
+    """Objects of the same keys whose values are single numbers, texts or short lists, as columns; None for anything else."""
+    keys = list(rows[0])
+    if len(rows) < 2 or any(set(r) != set(keys) for r in rows):
+        return None
+    if len(rows) < MINIMUM_SAMPLES and any(isinstance(v, list) for v in rows[0].values()):
+        return None  # a few recordings, not a few samples
+    return {k: [r[k] for r in rows] for k in keys}
+
+
+def _npz(path: Path) -> Arrays:
+    loaded = np.load(path, allow_pickle=False)
+    out: Arrays = {}
+    if isinstance(loaded, np.ndarray):
+        _flat("" if loaded.dtype.names else "data", loaded, out)
+        return out
+    with loaded:
+        for name in loaded.files:
+            _flat(name, loaded[name], out)
+    return out
+
+
+def _json(path: Path) -> Arrays:
+    text = path.read_text(encoding="utf-8-sig")
+    out: Arrays = {}
+    try:
+        content = json.loads(text)
+    except ValueError:
+        lines = [json.loads(line) for line in text.splitlines() if line.strip()]  # JSON lines
+        content = lines
+    except RecursionError:
+        raise refused(path, "JSON nested too deeply", "Write plain arrays") from None
+    if isinstance(content, list) and content and all(isinstance(r, Mapping) for r in content):
+        content = _joined(content)
+    _flat("", content if isinstance(content, Mapping) else {"data": content}, out)
+    return out
+
+
+def _joined(rows: list[Any]) -> Any:
+    """Objects a line: where some lines lack keys, only the lines that have the most common keys count."""
+    sets = [frozenset(r) for r in rows]
+    usual = max(dict.fromkeys(sets), key=sets.count)
+    kept = [r for r in rows if frozenset(r) == usual]
+    nested: list[dict[str, Any]] = []
+    for row in kept:
+        flat: Arrays = {}
+        for key, value in row.items():
+            _flat_object(key, value, flat)
+        nested.append(flat)
+    return _records(nested) or {f"[{k}]": r for k, r in enumerate(kept)}
+
+
+def _flat_object(name: str, value: Any, out: Arrays) -> None:
+    if isinstance(value, Mapping):
+        for key, inner in value.items():
+            _flat_object(f"{name}.{key}", inner, out)
+    else:
+        out[name] = value
+
+
+def _mat(path: Path) -> Arrays:
+    with path.open("rb") as stream:
+        head = stream.read(128)
+    if b"HDF" in head or b"MATLAB 7.3" in head:
+        return _mat73(path)
+    from scipy.io import loadmat
+    from scipy.io.matlab import MatlabOpaque, MatReadError
+
+    try:
+        content = loadmat(path, squeeze_me=True, simplify_cells=True)
+    except (MatReadError, NotImplementedError) as error:
+        raise refused(path, f"not readable as a MAT file ({first_line(error)})", "Write it again with save(..., '-v7')") from None
+    except Exception as error:  # SciPy raises whatever its parser stumbles on
+        raise refused(path, f"not readable as a MAT file ({first_line(error)})", "Write the file again") from None
+    opaque = [n for n, v in content.items() if isinstance(v, MatlabOpaque) or n == "None" or n == "__function_workspace__"]
+    out: Arrays = {}
+    for name, value in content.items():
+        if not name.startswith("__") and name not in opaque:
+            _flat(name, value, out)
+    if opaque and not any(np.ndim(v) for v in out.values()):
+        raise refused(path, "holds MATLAB objects (timeseries, timetable, table), which only MATLAB reads", _MATLAB_TIME)
+    return out
+
+
+def _mat73(path: Path) -> Arrays:
+    h5py = needed("h5py", "mat")
+    out: Arrays = {}
+    objects: list[str] = []
+
+    def visit(prefix: str, group: Any) -> None:
+        for name, item in group.items():
+            if name.startswith("#"):
+                continue
+            full = f"{prefix}.{name}" if prefix else name
+            made_by = item.attrs.get("MATLAB_class", b"")
+            if made_by in (b"timeseries", b"timetable", b"table") or "MATLAB_object_decode" in item.attrs:
+                objects.append(full)
+            elif isinstance(item, h5py.Group):
+                visit(full, item)
+            elif item.dtype.kind in "biuf":
+                out[full] = np.squeeze(item[()].T)  # MATLAB stores columns first
+
+    with h5py.File(path, "r") as file:
+        visit("", file)
+    if objects and not any(np.ndim(v) for v in out.values()):
+        raise refused(
+            path, f"{objects[0]!r} is a MATLAB object (timeseries, timetable, table), which only MATLAB reads", _MATLAB_TIME
+        )
+    return out
+
+
+def _tdms(path: Path) -> Arrays:
+    reader = needed("nptdms", "tdms").TdmsFile
+    out: Arrays = {}
+    with reader.open(path) as file:
+        groups = file.groups()
+        for group in groups:
+            for channel in group.channels():
+                name = channel.name if len(groups) == 1 else f"{group.name}.{channel.name}"
+                out[name] = channel[:]
+                if "wf_increment" in channel.properties and len(channel):
+                    out.setdefault("dt", np.float64(channel.properties["wf_increment"]))
+    return out
+
+
+def _torch(path: Path) -> Arrays:
+    from jaxid.data.importers.torch import read_tensors
+
+    out: Arrays = {}
+    _flat("", read_tensors(path), out)
+    return out
+
+
+READERS: dict[str, Callable[[Path], Arrays]] = {"npz": _npz, "json": _json, "mat": _mat, "tdms": _tdms, "torch": _torch}

@@ -1,0 +1,181 @@
+"""What all importers share: recordings as runs, what is repeated or missing in them counted, and the dataset they become.
+
+Nothing is filled in and no run is dropped: a time that starts again begins a new run, a run is split where too much is missing.
+"""
+
+from __future__ import annotations
+
+import os
+import re
+import warnings
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from jaxid.data.dataset import Dataset, DatasetError, DatasetWarning, ModelSpec, Problem
+from jaxid.data.io import save_dataset
+from jaxid.data.records import MINIMUM_SAMPLES
+from jaxid.errors import UsageError
+
+
+Paths = str | os.PathLike[str] | Sequence[str | os.PathLike[str]]
+
+
+@dataclass
+class Run:
+    """One recording: `t [time]` s and channel -> `[time]`; `notes` say what was wrong with it."""
+
+    name: str
+    t: np.ndarray
+    columns: dict[str, np.ndarray]
+    notes: list[str] = field(default_factory=list)
+
+
+def runs_of(name: str, t: np.ndarray, columns: Mapping[str, np.ndarray], file: str) -> list[Run]:
+    """The runs of a recording whose time may start again; rows that are merely out of order are sorted, both said.
+
+    Raises `DatasetError` for rows that are out of order and cannot be sorted: two recordings mixed row by row.
+    """
+    back = np.flatnonzero(np.diff(t) < 0) + 1
+    edges = [0, *back.tolist(), len(t)]
+    if len(back) == 0 or min(np.diff(edges)) >= MINIMUM_SAMPLES:
+        parts = list(zip(edges[:-1], edges[1:], strict=True))
+        names = [name] if len(parts) == 1 else [f"{name}_{k}" for k in range(1, len(parts) + 1)]
+        runs = [_counted(n, t[a:b], {k: v[a:b] for k, v in columns.items()}) for n, (a, b) in zip(names, parts, strict=True)]
+        if len(back):
+            rows = ", ".join(str(int(b)) for b in back[:5])
+            runs[0].notes.append(f"{name}: the time starts again at sample {rows}, so it is {len(parts)} runs")
+        return runs
+    order = np.argsort(t, kind="stable")
+    late = int(np.sum(t < np.maximum.accumulate(t)))
+    sorted_t, sorted_columns = t[order], {k: v[order] for k, v in columns.items()}
+    torn = [k for k in np.flatnonzero(np.diff(sorted_t) == 0) if any(v[k] != v[k + 1] for v in sorted_columns.values())]
+    if torn:
+        message = f"{late} rows run backwards in time, and {len(torn)} of the times stand there twice with other values"
+        remedy = (
+            "It seems to be several recordings mixed row by row: import each by itself (--rows FIRST:END), or sort them apart"
+        )
+        raise DatasetError([Problem(file, None, None, message, remedy)])
+    run = _counted(name, sorted_t, sorted_columns)
+    run.notes.insert(0, f"{name}: {late} rows were out of order in time; they were sorted")
+    return [run]
+
+
+def _counted(name: str, t: np.ndarray, columns: Mapping[str, np.ndarray]) -> Run:
+    """Without repeated times, which are counted; what is missing is counted too."""
+    keep = np.concatenate([[True], np.diff(t) > 0]) if len(t) else np.zeros(0, bool)
+    notes = []
+    if repeated := int(np.sum(~keep)):
+        torn = [k for k in np.flatnonzero(np.diff(t) == 0) if any(v[k] != v[k + 1] for v in columns.values())]
+        other = f", {len(torn)} of them with other values" if torn else ""
+        notes.append(f"{name}: {repeated} rows repeat a time{other}; the first of each was kept")
+    t = t[keep] - (t[keep][0] if keep.any() else 0.0)
+    step = np.diff(t)
+    if len(step):
+        period = float(np.median(step))
+        missing = np.maximum(np.round(step / period).astype(int) - 1, 0)
+        if missing.any():
+            worst = int(np.argmax(missing))
+            notes.append(
+                f"{name}: {missing.sum()} samples are missing in {np.count_nonzero(missing)} gaps "
+                f"({100 * missing.sum() / (missing.sum() + len(t)):.1f} %), the longest of {missing[worst]} at {t[worst]:.3f} s"
+            )
+    return Run(name, t, {k: v[keep] for k, v in columns.items()}, notes)
+
+
+def save_runs(
+    runs: Sequence[Run],
+    out: str | os.PathLike[str],
+    kind: str,
+    roles: Mapping[str, tuple[str | None, str]],
+    *,
+    overwrite: bool = False,
+    resolution: Mapping[str, float] | None = None,
+    units: Mapping[str, str] | None = None,
+    joints: Mapping[str, str] | None = None,
+    notes: Sequence[str] = (),
+) -> Path:
+    """Writes the dataset folder. `roles`: channel, or its name without the joint -> role (None: by convention) and unit;
+    `joints`: channel of a position -> the joint's own name; every note is warned of and stands in the description."""
+    names = [c for c in runs[0].columns if all(c in r.columns for r in runs)]
+    notes = [*notes, *(n for r in runs for n in r.notes)]
+    if left := sorted({c for r in runs for c in r.columns} - set(names)):
+        notes.append(f"channels that not every run has were left out: {', '.join(left)}")
+    stem = lambda c: c if c in roles else re.sub(r"\d+", "", c)
+    role = {c: roles[stem(c)][0] or role_of(c) for c in names}
+    for c in names:  # a joint that nobody moved would make the whole dataset unreadable
+        if role[c] == "output" and all(np.ptp(r.columns[c]) == 0 for r in runs):
+            role[c] = "auxiliary"
+            notes.append(f"{c} never moves and is kept as an auxiliary channel")
+    pick = lambda wanted: {c: [r.columns[c] for r in runs] for c in names if role[c] == wanted}
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", DatasetWarning)  # the same is said below, in words that name the file
+        dataset = Dataset.from_arrays(
+            [r.t for r in runs],
+            pick("input"),
+            pick("output"),
+            auxiliary=pick("auxiliary"),
+            units={c: (units or {}).get(c, roles[stem(c)][1]) for c in names},
+            name=Path(out).name,
+            description=f"imported from {kind}; " + ("; ".join(notes) or "nothing repeated, nothing missing"),
+            source={"source": kind, "files": ", ".join(r.name for r in runs)},
+            names=_unique([r.name for r in runs]),
+            split_at_gaps=True,
+            resolution={c: v for c in names for s, v in (resolution or {}).items() if stem(c) == s},
+            model=ModelSpec(joints=dict(joints)) if joints else None,
+            time_unit="s",  # stated or judged by the importer
+            check_model=False,
+        )
+    folder = save_dataset(dataset, out, overwrite=overwrite)
+    for note in notes:
+        warnings.warn(note, DatasetWarning, stacklevel=3)
+    return folder
+
+
+def _unique(names: Sequence[str]) -> list[str]:
+    """Names of runs, numbered where files of other folders have the same."""
+    return [n if names.count(n) == 1 else f"{n}_{names[: k + 1].count(n)}" for k, n in enumerate(names)]
+
+
+def role_of(name: str) -> str:
+    """The role of a channel by its name."""
+    stem = re.sub(r"\d+", "", name)
+    if stem.endswith("_cmd") or stem in ("tau", "force", "current", "voltage", "u"):
+        return "input"
+    return "output" if stem in ("q", "position", "theta", "alpha", "phi") else "auxiliary"
+
+
+def held(t: np.ndarray, own: np.ndarray, values: np.ndarray) -> np.ndarray:
+    """What was last given (`values [n ...]` at times `own [n]`) at each of the times t; NaN before the first."""
+    at = np.searchsorted(own, t, side="right") - 1
+    out = np.array(values[np.maximum(at, 0)], float)
+    out[at < 0] = np.nan
+    return out
+
+
+def paths_of(files: Paths) -> list[Path]:
+    return [Path(files)] if isinstance(files, str | os.PathLike) else [Path(f) for f in files]
+
+
+def needed(module: str, extra: str) -> Any:
+    """An optional package, or a `UsageError` that says how to get it."""
+    from importlib import import_module
+
+    try:
+        return import_module(module)
+    except ImportError:
+        package = module.partition(".")[0]
+        raise UsageError(
+            f'this format needs the package {package}, which is not installed: pip install "jaxid[{extra}]"'
+        ) from None
+
+
+def refused(path: Path, message: str, remedy: str) -> DatasetError:
+    return DatasetError([Problem(path.name or str(path), None, None, message, remedy)])
+
+
+def first_line(error: Exception) -> str:
+    return (str(error).strip().splitlines() or [type(error).__name__])[0][:120]

@@ -1,0 +1,155 @@
+"""A file of a recording as named columns, whatever its kind: where a column is, its numbers, and its times."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Mapping
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from jaxid.data.dataset import DatasetError, Problem
+from jaxid.data.importers.arrays import Arrays, kind_of, read_arrays
+from jaxid.data.importers.runs import refused
+from jaxid.data.importers.text import read_text, Stated
+from jaxid.data.table import read_table, Table
+from jaxid.data.time_axis import impossible, PER_SECOND, since_start
+
+
+_RATES = ("hz", "rate", "fs", "fps", "sample_rate", "sampling_rate", "samplerate")
+_STEPS = ("dt", "Ts", "ts", "period", "sample_time", "interval")
+
+
+@dataclass
+class Source:
+    """What one file holds: column -> cells [time] (or arrays of two axes), units that it states, and how it was read."""
+
+    path: Path
+    kind: str
+    columns: Arrays
+    units: dict[str, str] = field(default_factory=dict)
+    rows: np.ndarray | None = None
+    words: str = ""
+    options: str = ""
+    twice: Mapping[str, list[int]] = field(default_factory=dict)
+    ragged: Mapping[int, int] = field(default_factory=dict)
+
+
+def read_source(path: Path, stated: Stated) -> Source:
+    """A file by its own kind, whatever it is called."""
+    if not path.is_file():
+        raise refused(path, f"{path} {'is a folder' if path.is_dir() else 'does not exist'}", _instead(path))
+    content = path.read_bytes()
+    if not content.strip():
+        raise refused(path, "the file is empty", "Record again")
+    kind = kind_of(path, content)
+    if kind == "csv":
+        table, units, form = read_text(path, content, stated)
+        return Source(path, kind, dict(table.columns), units, table.rows, form.words(), form.options(), table.twice, table.ragged)
+    if kind == "parquet":
+        table = read_table(Path("a.parquet"), path.name, content)
+        if table.problems:
+            raise DatasetError(table.problems)
+        return Source(path, "csv", dict(table.columns), {}, table.rows, "a Parquet file", "", table.twice)
+    return Source(path, kind, read_arrays(kind, path), words=f"read as {kind}")
+
+
+def _instead(path: Path) -> str:
+    """What to type for a folder that is a recording of another kind."""
+    for kind, mark in (("lerobot", "meta/info.json"), ("rosbag", "metadata.yaml")):
+        if (path / mark).is_file():
+            return f"It looks like a recording of its own kind: jaxid import {kind} {path}"
+    return "Name a file"
+
+
+def parts_of(source: Source) -> list[Source]:
+    """A file that holds a list of recordings (`data[0].q`, `data[1].q`) as one source each."""
+    split = {n: re.fullmatch(r"(.*?)\[(\d+)\]\.(.+)", n) for n in source.columns}
+    numbers = sorted({int(m[2]) for m in split.values() if m})
+    if not numbers:
+        return [source]
+    common = {n: v for n, v in source.columns.items() if split[n] is None}
+    parts = []
+    for k in numbers:
+        own = {m[3]: source.columns[n] for n, m in split.items() if m and int(m[2]) == k}
+        path = source.path if len(numbers) == 1 else source.path.with_stem(f"{source.path.stem}_{k + 1}")
+        parts.append(replace(source, path=path, columns=common | own))
+    return parts
+
+
+def series_of(columns: Arrays, length: int | None) -> Arrays:
+    """Every column of one axis; an array of two axes as one column a row of its shorter axis (`length` decides): `q[0]` …"""
+    out: Arrays = {}
+    for name, values in columns.items():
+        array = np.asarray(values) if not isinstance(values, list) else None
+        if array is None or array.ndim == 1:
+            out[name] = values
+        elif array.ndim == 2:
+            along = (
+                array if array.shape[0] == length or (array.shape[1] != length and array.shape[0] >= array.shape[1]) else array.T
+            )
+            out |= {f"{name}[{k}]": along[:, k] for k in range(min(along.shape[1], 200))}
+            if along.shape[1] == 1:
+                out[name] = along[:, 0]
+    return out
+
+
+def find_column(source: Source, columns: Arrays, column: str) -> str | None:
+    """A column by its name, by its number from 1, or by the end of its path where that is unique."""
+    if column in source.twice:
+        numbers = source.twice[column]
+        message = f"column {column!r} stands twice (columns {' and '.join(map(str, numbers))}, which differ)"
+        raise refused(source.path, message, f"Name one by its number, as in q={numbers[0]}:rad")
+    if column in columns:
+        return column
+    if column.isdigit() and source.rows is not None and 1 <= int(column) <= len(columns):
+        return list(columns)[int(column) - 1]
+    ends = [n for n in columns if n.endswith("." + column)]
+    return ends[0] if len(ends) == 1 else None
+
+
+def stated_rate(source: Source) -> tuple[str, float] | None:
+    """A sampling rate that the file states: its name, and Hz."""
+    for names, invert in ((_RATES, False), (_STEPS, True)):
+        for name, value in source.columns.items():
+            last = name.rpartition(".")[2]
+            if last in names and np.size(value) == 1 and np.asarray(value).dtype.kind in "iuf" and float(np.ravel(value)[0]) > 0:
+                return name, 1 / float(np.ravel(value)[0]) if invert else float(np.ravel(value)[0])
+    return None
+
+
+def times_of(
+    source: Source, cells: Any, name: str, unit: str | None, rows: tuple[int, int] | None
+) -> tuple[np.ndarray, int | None]:
+    unit = unit or (source.units.get(name) if source.units.get(name) in PER_SECOND else None)
+    table = Table(source.path.name, {name: cells}, len(cells), source.rows)
+    t, start = since_start(cells, table.numbers(name).values, unit)
+    chosen = slice(*rows) if rows is not None else slice(None)
+    if start is None and not np.isfinite(t[chosen]).all():
+        numbers_of(source, cells, name, chosen, len(t[chosen]))
+    doubted = impossible(t[chosen], name) if unit is None and start is None else None
+    if doubted is not None:
+        remedy = re.sub(r'time_unit = "(\w+)"', rf"--channel t={name}:\1", doubted[1])
+        message = re.sub(r'time_unit = "(\w+)"', rf"--channel t={name}:\1", doubted[0])
+        raise DatasetError([Problem(source.path.name, None, name, message, remedy)])
+    return t, start
+
+
+def numbers_of(source: Source, cells: Any, column: str, chosen: slice, length: int) -> np.ndarray:
+    """A column as numbers at the chosen rows, or the first cell that is none."""
+    table = Table(source.path.name, {column: cells}, len(cells), source.rows)
+    numbers = table.numbers(column)
+    values = numbers.values[chosen]
+    if len(values) != length:
+        raise refused(source.path, f"{column!r} has {len(values)} samples, the time {length}", "Name arrays of one recording")
+    bad = sorted(k for k in numbers.faults if k in range(*chosen.indices(len(cells))))
+    if bad:
+        torn = source.ragged.get(bad[0])
+        what = f"{torn} fields where the others have {len(source.columns)}" if torn is not None else numbers.faults[bad[0]]
+        more = f"; so {len(bad)} rows" if len(bad) > 1 else ""
+        row = table.row(bad[0]) if source.rows is not None else None
+        remedy = f"Correct it, or choose other rows: --rows 0:{bad[0]}"
+        raise DatasetError([Problem(table.file, row, column, what + more, remedy)])
+    return values

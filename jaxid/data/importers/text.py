@@ -1,0 +1,247 @@
+"""Tables that instruments and scripts write as text: separator, decimal sign, preamble, header, units and comments recognised.
+
+The rows that hold the data are looked for from the end of the file, where nothing else stands; what is above them is then the
+header, the units and the preamble.
+"""
+
+from __future__ import annotations
+
+import csv
+import datetime
+import re
+import shlex
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+from jaxid.data.dataset import DatasetError
+from jaxid.data.importers.runs import refused
+from jaxid.data.table import csv_columns, Table
+from jaxid.data.units import conversion, UnitError
+from jaxid.errors import UsageError
+
+
+SEPARATORS = {",": "commas", ";": "semicolons", "\t": "tabs", "|": "bars", " ": "spaces"}
+COMMENTS = ("#", "%", "//")
+_BODY = 60  # rows at the end that say how numbers are written, at most half of all
+
+
+_TORN = re.compile(r"[\d\s.,;|+\-eE]*[.,;|\s][\d\s.,;|+\-eE]*\d[\d\s.,;|+\-eE]*")  # numbers that another sign separates
+
+
+@dataclass(frozen=True)
+class Form:
+    """How a file writes its table. Rows count from 1, as an editor shows them; `header` and `units` are None where there is none,
+    `comment` begins rows that are passed over."""
+
+    separator: str
+    decimal: str
+    first: int
+    header: int | None
+    units: int | None
+    comment: str | None
+
+    def options(self) -> str:
+        """The options of `jaxid import csv` that say it."""
+        said = f"--separator {shlex.quote({chr(9): 'tab', ' ': 'space'}.get(self.separator, self.separator))}"
+        said += f" --decimal {shlex.quote(self.decimal)}" if self.decimal != "." else ""
+        return said + f" --header {self.header or 'none'} --first {self.first}"
+
+    def words(self) -> str:
+        said = f"columns separated by {SEPARATORS.get(self.separator, repr(self.separator))}"
+        said += ", decimal commas" if self.decimal == "," else ""
+        said += f", header in row {self.header}" if self.header else ", no header"
+        said += f", units in row {self.units}" if self.units else ""
+        return f"{said}, data from row {self.first}"
+
+
+@dataclass(frozen=True)
+class Stated:
+    """What the user says of it himself; None is left to be recognised, a `header` of 0 is none."""
+
+    separator: str | None = None
+    decimal: str | None = None
+    header: int | None = None
+    first: int | None = None
+
+
+def read_text(path: Path, content: bytes, stated: Stated) -> tuple[Table, dict[str, str], Form]:
+    """The table, units of its columns where the file has them, and how it is written.
+
+    Raises `DatasetError` where no rows of numbers are found.
+    """
+    lines = _decoded(path, content).splitlines()
+    form = recognise(lines, stated)
+    if form is None:
+        shown = next((line for line in lines if line.strip()), "")[:60]
+        raise refused(
+            path, f"no rows of numbers are found in it (it begins with {shown!r})", "State --separator, --decimal and --header"
+        )
+    rows, numbers = [], []
+    header = _fields(_bare(lines[form.header - 1], form), form) if form.header else None
+    for number, line in enumerate(lines[form.first - 1 :], form.first):
+        if not line.strip() or (form.comment and line.lstrip().startswith(form.comment)):
+            continue
+        cells = _fields(line, form)
+        if not any(cells) or cells == header:
+            continue
+        rows.append([_point(c) for c in cells] if form.decimal == "," else cells)
+        numbers.append(number)
+    if not rows:
+        raise refused(path, "a header without samples", "Give at least 20 samples")
+    counts = [len(r) for r in rows]
+    width = max(dict.fromkeys(counts), key=counts.count)
+    names = [*(header or ()), *(str(k + 1) for k in range(len(header or ()), width))][:width]
+    stripped, units = zip(*(_unit(n) for n in names), strict=True)
+    table = csv_columns(path.name, list(stripped), rows, numbers)
+    if table.problems:
+        raise DatasetError(table.problems)
+    said = {n: u for n, u in zip(stripped, units, strict=True) if u}
+    if form.units is not None:
+        cells = _fields(_bare(lines[form.units - 1], form), form)
+        said |= {n: _inside(c) for n, c in zip(stripped, cells, strict=False) if _known(_inside(c))}
+    return table, said, form
+
+
+def recognise(lines: Sequence[str], stated: Stated = Stated()) -> Form | None:
+    """How rows of text hold a table, or None where none of them are numbers."""
+    comment = next((c for c in COMMENTS for line in lines[:1000] if line.lstrip().startswith(c)), None)
+    data = [k for k, line in enumerate(lines) if line.strip(" \t,;|") and not (comment and line.lstrip().startswith(comment))]
+    if stated.first is not None:
+        data = [k for k in data if k >= stated.first - 1]
+    body = [lines[k] for k in data[-min(_BODY, -(-len(data) // 2)) :]] if data else []
+    best: tuple[int, list[bool], Form] | None = None
+    for separator in [stated.separator] if stated.separator else SEPARATORS:
+        for decimal in [stated.decimal] if stated.decimal else [d for d in ".," if d != separator]:
+            form = Form(separator, decimal, 1, None, None, comment)
+            numeric = _numeric(body, form)
+            if any(numeric) and (best is None or sum(numeric) > best[0]):
+                best = (sum(numeric), numeric, form)
+    if best is None:
+        return None
+    _, numeric, form = best
+    first = _first(lines, data, numeric, form) if stated.first is None else stated.first - 1
+    form = replace(form, first=first + 1)
+    if stated.header is not None:
+        return replace(form, header=stated.header or None, first=max(form.first, stated.header + 1))
+    return _with_header(lines, len(numeric), form)
+
+
+def _numeric(body: Sequence[str], form: Form) -> list[bool]:
+    """Which columns of the rows at the end hold numbers, dates or lists; empty where the rows differ in their count of
+    fields, or where what is left of numbers shows that another sign separates them."""
+    rows = [_fields(line, form) for line in body]
+    width = max((len(r) for r in rows), key=[len(r) for r in rows].count, default=0)
+    usual = [r for r in rows if len(r) == width]
+    if not usual or len(usual) < 0.9 * len(rows):
+        return []
+    numeric = [sum(_is_data(r[k], form) for r in usual) >= 0.9 * len(usual) for k in range(width)]
+    torn = any(_TORN.fullmatch(r[k]) for k in range(width) if not numeric[k] for r in usual)
+    return [] if torn else numeric
+
+
+def _is_data(cell: str, form: Form) -> bool:
+    if form.decimal == "," and "." in cell and "," not in cell and not _is_date(cell):
+        return False
+    text = _point(cell) if form.decimal == "," else cell
+    try:
+        float(text)
+        return "_" not in text
+    except ValueError:
+        return text[:1] == "[" or _is_date(text)
+
+
+def _is_date(text: str) -> bool:
+    try:
+        datetime.datetime.fromisoformat(text.replace(",", "."))
+        return len(text) >= 10
+    except ValueError:
+        return False
+
+
+def _point(cell: str) -> str:
+    return cell.replace(",", ".") if re.fullmatch(r"[+-]?\d*,\d*([eE][+-]?\d+)?", cell) else cell
+
+
+def _first(lines: Sequence[str], data: Sequence[int], numeric: Sequence[bool], form: Form) -> int:
+    """The first row that looks like those at the end."""
+    for k in data:
+        cells = _fields(lines[k], form)
+        if len(cells) == len(numeric) and all(_is_data(c, form) or not c for c, n in zip(cells, numeric, strict=True) if n):
+            if any(_is_data(c, form) for c, n in zip(cells, numeric, strict=True) if n):
+                return k
+    return data[0]
+
+
+def _with_header(lines: Sequence[str], width: int, form: Form) -> Form:
+    """The form with the header, and the units below it, that stand right above the data."""
+    above: list[int] = []
+    for k in range(form.first - 2, -1, -1):
+        cells = _fields(_bare(lines[k], form), form)
+        if not any(cells):
+            continue
+        named = sum(bool(c) for c in cells)
+        if not (width <= len(cells) <= width + 2 or (named >= width and len(cells) >= width)):
+            break
+        above.append(k)
+        if len(above) == 2:
+            break
+    if not above:
+        return form
+    units = [_inside(c) for c in _fields(_bare(lines[above[0]], form), form) if c]
+    if len(above) == 2 and units and all(_known(u) for u in units):
+        return replace(form, header=above[1] + 1, units=above[0] + 1)
+    return replace(form, header=above[0] + 1)
+
+
+def _fields(line: str, form: Form) -> list[str]:
+    if form.separator == " ":
+        return line.split()
+    cells = next(csv.reader([line], delimiter=form.separator, skipinitialspace=True), [])
+    return [c.strip() for c in cells]
+
+
+def _bare(line: str, form: Form) -> str:
+    """A header without the sign of a comment before it."""
+    return line.lstrip()[len(form.comment) :] if form.comment and line.lstrip().startswith(form.comment) else line
+
+
+def _unit(name: str) -> tuple[str, str]:
+    """`q [rad]` or `q (rad)` as name and unit."""
+    match = re.fullmatch(r"(.*\S)\s*[\[(]([^\[\]()]*)[\])]", name)
+    if match and _known(match[2]) and match[2].strip() and not match[2].strip().isdigit():
+        return match[1], match[2].strip()
+    return name, ""
+
+
+def _inside(cell: str) -> str:
+    return cell.strip().strip("[]()").strip()
+
+
+def _known(unit: str) -> bool:
+    try:
+        conversion(unit, "kg")
+        return True
+    except UnitError:
+        return False
+
+
+def _decoded(path: Path, content: bytes) -> str:
+    if content[:2] in (b"\xff\xfe", b"\xfe\xff"):
+        return content.decode("utf-16", errors="replace")
+    if b"\0" in content[:4096]:
+        raise refused(path, "binary data of a kind that is not known", "Convert it to CSV, MAT, npz, JSON or Parquet")
+    try:
+        return content.decode("utf-8-sig")
+    except UnicodeDecodeError:
+        return content.decode("cp1252", errors="replace")  # instruments that write ° and µ
+
+
+def separator_of(text: str | None) -> str | None:
+    """A separator as it is stated on the command line."""
+    if text is None:
+        return None
+    found = {"tab": "\t", "\\t": "\t", "space": " ", "comma": ",", "semicolon": ";"}.get(text.lower(), text)
+    if len(found) != 1:
+        raise UsageError(f"--separator {text}: write one character, or tab, space, comma, semicolon")
+    return found

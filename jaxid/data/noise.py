@@ -1,0 +1,167 @@
+"""The noise floor of each output channel: how close to the measurement any model can come.
+
+The largest counts of what is stated (noise and step of the sensor, together where both are), a quantisation that is found,
+and the scatter between repeated runs. Where nothing is stated, the sensor's white noise is estimated from differences of
+neighbouring samples. Without repeats the floor is the sensor's alone: what the machine does differently from run to run is not
+in it.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from math import comb, sqrt
+
+import numpy as np
+
+from jaxid.data.dataset import Channel, Dataset, Experiment
+
+
+BLOCK = 50  # samples; the median over blocks keeps impacts and reversals out of the estimate
+_LEAST_SHARE = 1e-9  # of the motion: the floor of data that are free of noise
+
+
+@dataclass(frozen=True)
+class Noise:
+    """One standard deviation in `unit`; `source` is "stated", "quantisation", "sensor" or "repeatability"."""
+
+    std: float
+    source: str
+    unit: str
+    text: str
+
+
+def noise_floor(dataset: Dataset) -> dict[str, Noise]:
+    """Output channel -> its noise. Report runs are not looked at unless there is no other run."""
+    runs = [e for e in dataset.experiments if e.split != "report"] or list(dataset.experiments)
+    groups = repeats(runs)
+    return {channel.name: _floor(channel, i, runs, groups) for i, channel in enumerate(dataset.outputs)}
+
+
+def _floor(channel: Channel, column: int, runs: Sequence[Experiment], groups: list[list[Experiment]]) -> Noise:
+    parts = [(run, at) for run in runs for at in _evenly(run.read[:, column])]
+    series = [run.y[at, column] for run, at in parts]
+    found: dict[str, tuple[float, str]] = {}
+    if channel.noise_std is not None:  # a stated step comes on top of the noise before it
+        both = channel.resolution is not None
+        text = f"stated: {channel.noise_std:.3g}, and step {channel.resolution:.3g} / sqrt(12)" if both else "stated"
+        found["stated"] = (float(np.hypot(channel.noise_std, (channel.resolution or 0.0) / sqrt(12))), text)
+    step = channel.resolution if channel.resolution is not None else quantisation_step(series)
+    if step is not None:
+        how = "stated" if channel.resolution is not None else "found in the data"
+        found["quantisation"] = (step / sqrt(12), f"step {step:.3g} {channel.unit} / sqrt(12), {how}")
+    if channel.noise_std is None and channel.resolution is None and series:
+        scatter = [run.noise(np.zeros(1), [column])[at, 0] for run, at in parts]
+        std = _beside(series, scatter) if any(s.any() for s in scatter) else sensor_noise(series)
+        found["sensor"] = (std, "estimated from differences of neighbouring samples")
+    between = [_scatter([run.motion()[:, column] for run in group]) for group in groups]
+    if between:
+        found["repeatability"] = (
+            float(np.sqrt(np.mean(np.square(between)))),
+            f"scatter between {sum(map(len, groups))} runs with identical inputs",
+        )
+    if not found:
+        return Noise(0.0, "sensor", channel.unit, f"{channel.name}: no run to estimate the noise from")
+    source = max(found, key=lambda key: found[key][0])
+    std, text = found[source]
+    motion = max((float(np.ptp(y)) for y in series), default=0.0)
+    if std < _LEAST_SHARE * motion and source == "sensor":
+        std, text = _LEAST_SHARE * motion, f"no noise visible, {_LEAST_SHARE:g} of the motion is used"
+    alone = "" if groups else "; the sensor's alone, for no run was repeated"
+    return Noise(float(std), source, channel.unit, f"{channel.name}: {std:.3g} {channel.unit} ({text}{alone})")
+
+
+def _evenly(read: np.ndarray) -> list[np.ndarray]:
+    """Indices of the readings [time] that count, in stretches where each is as many samples behind the last as usual: differences
+    of neighbours mean something only there."""
+    at = np.flatnonzero(read)
+    if len(at) == len(read) or len(at) < 2:
+        return [at]
+    stretches = np.split(at, np.flatnonzero(np.diff(at) != np.median(np.diff(at))) + 1)
+    return [s for s in stretches if len(s) > 5] or [at]
+
+
+def sensor_noise(series: Sequence[np.ndarray]) -> float:
+    """The standard deviation of white noise on smooth signals `[time]`: third differences, median over blocks.
+
+    Where fifth differences give less than half of it, the motion shows in the third ones and the fifth are used.
+    """
+    third, fifth = (_from_differences(series, order) for order in (3, 5))
+    return fifth if fifth < 0.5 * third else third
+
+
+def _from_differences(series: Sequence[np.ndarray], order: int) -> float:
+    variances: list[float] = []
+    for y in series:
+        d = np.diff(y, order) / sqrt(comb(2 * order, order))
+        blocks = np.array_split(d, max(1, len(d) // BLOCK)) if len(d) else []
+        variances += [float(np.mean(block**2)) for block in blocks]
+    return sqrt(float(np.median(variances))) if variances else 0.0
+
+
+def _beside(series: Sequence[np.ndarray], scatter: Sequence[np.ndarray]) -> float:
+    """The same where each sample `[time]` is off by a known standard deviation beside that noise: likeliest variance."""
+    d = np.concatenate([np.diff(y, 3) ** 2 / comb(6, 3) for y in series])
+    known = np.concatenate([s[1 : len(s) - 2] ** 2 for s in scatter])
+    variance = float(np.mean(d))
+    for _ in range(30):
+        weight = 1 / (variance + known) ** 2
+        variance = max(float(np.sum(weight * (d - known)) / np.sum(weight)), 1e-2 * variance)
+    return sqrt(variance)
+
+
+def quantisation_step(series: Sequence[np.ndarray]) -> float | None:
+    """The step of a quantised signal, or None: every distance of distinct values is then a multiple of one step."""
+    values = np.concatenate([np.asarray(y, dtype=float) for y in series]) if len(series) else np.zeros(0)
+    distinct = np.unique(values)
+    if len(distinct) < 3:
+        return None
+    spacing = np.diff(distinct)
+    rounding = 1000 * np.finfo(float).eps * float(np.max(np.abs(distinct)))
+    # The same code may come out of a conversion as two floats: such a pair is no step.
+    spacing = spacing[spacing > rounding]
+    if len(spacing) < 2:
+        return None
+    smallest = spacing[spacing < 1.5 * spacing.min()]
+    step = float(np.mean(smallest))
+    multiple = spacing / step
+    on_grid = np.abs(multiple - np.round(multiple)) < 0.05
+    # Repeated values speak for a step; so do many distances of several steps (one step each is but steady motion).
+    enough = len(distinct) <= len(values) / 2 or np.count_nonzero(multiple > 1.5) >= 12
+    return step if enough and on_grid.mean() > 0.99 else None
+
+
+def repeats(runs: Sequence[Experiment]) -> list[list[Experiment]]:
+    """Groups of two and more runs with the same inputs at the same times, the same constants and the same start, or of which one
+    is stated to repeat the other."""
+    groups: list[list[Experiment]] = []
+    for run in runs:
+        group = next((g for g in groups if _same_conditions(g[0], run)), None)
+        if group is None:
+            groups.append([run])
+        else:
+            group.append(run)
+    return [g for g in groups if len(g) > 1]
+
+
+def _same_conditions(a: Experiment, b: Experiment) -> bool:
+    if a.t.shape != b.t.shape:
+        return False
+    stated = a.repeat_of == b.name or b.repeat_of in (a.name, a.repeat_of or b.name)
+    if stated:
+        return bool(np.max(np.abs((a.t - a.t[0]) - (b.t - b.t[0]))) <= 0.01 * float(np.median(np.diff(a.t))))
+    if a.u.shape != b.u.shape or not np.array_equal(a.u, b.u):
+        return False
+    if (a.constants, a.initial, a.at_rest) != (b.constants, b.initial, b.at_rest):
+        return False
+    step = float(np.median(np.diff(a.t)))
+    if np.max(np.abs((a.t - a.t[0]) - (b.t - b.t[0]))) > 0.01 * step:
+        return False
+    if a.initial is not None or a.at_rest:
+        return True
+    # A start that nobody states must at least look the same.
+    return bool(np.all(np.abs(a.y[0] - b.y[0]) <= 0.02 * np.ptp(a.y, axis=0)))
+
+
+def _scatter(repeated: Sequence[np.ndarray]) -> float:
+    return sqrt(float(np.mean(np.var(np.stack(repeated), axis=0, ddof=1))))

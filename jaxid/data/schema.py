@@ -1,0 +1,423 @@
+"""What may stand in `dataset.toml`: pydantic models of it, and its faults as problems with the line of the key."""
+
+from __future__ import annotations
+
+import datetime
+import math
+import re
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from difflib import get_close_matches
+from typing import Annotated, Any, Literal, TypeVar
+
+from pydantic import BaseModel, ConfigDict, Field, field_validator, FiniteFloat, model_validator, ValidationError
+
+from jaxid.data.dataset import Problem
+from jaxid.data.places import dotted, Places, real_path
+from jaxid.errors import nearest
+
+
+Split = Literal["fit", "validation", "report"]
+Number = FiniteFloat | bool
+Positive = Field(default=None, gt=0)
+Column = str | Annotated[int, Field(ge=1)]  # a name, or a number that counts from 1
+
+
+class _Strict(BaseModel):
+    model_config = ConfigDict(extra="forbid", strict=True, allow_inf_nan=False)
+
+
+def _plain(text: str) -> str:
+    if not text.strip():
+        raise ValueError("is empty")
+    if any(ord(c) < 32 or ord(c) == 127 for c in text):
+        raise ValueError("holds control characters")
+    return text
+
+
+class Header(_Strict):
+    """The top-level keys other than the tables."""
+
+    name: str
+    description: str = ""
+    source: str | dict[str, str | int | float | datetime.date] | None = None
+    licence: str | None = None
+    recorded: str | datetime.date | None = None
+    hardware: str | None = None
+    time: Column = "t"
+    time_unit: Literal["s", "ms", "us", "ns"] | None = None
+
+    _name = field_validator("name")(_plain)
+
+    @field_validator("time")
+    @classmethod
+    def _time(cls, value: str | int) -> str | int:
+        return _plain(value) if isinstance(value, str) else value
+
+
+class ChannelEntry(_Strict):
+    """`[channels.NAME]`. A value is `scale * raw + offset`, in `unit`; raw is a column, or columns with weights. What else may be
+    said of how it was recorded is applied to it in that unit (`jaxid.data.forms`)."""
+
+    role: Literal["input", "output", "auxiliary"]
+    unit: str
+    column: Column | None = None
+    columns: list[Column] | None = Field(default=None, min_length=1)
+    weights: list[FiniteFloat] | None = None
+    valid: Column | None = None
+    unwrap: bool | FiniteFloat = False
+    drop_glitches: bool = False
+    sampled_every: int = Field(default=1, ge=1)
+    shift: int = 0
+    delay_s: FiniteFloat = 0.0
+    clock_ppm: FiniteFloat = 0.0
+    scale: FiniteFloat = 1.0
+    offset: FiniteFloat = 0.0
+    noise_std: FiniteFloat | None = Positive
+    resolution: FiniteFloat | None = Positive
+    hold: Literal["zero", "linear"] = "zero"
+
+    @field_validator("scale")
+    @classmethod
+    def _scale(cls, value: float) -> float:
+        if value == 0:
+            raise ValueError("is 0, so every sample would be the offset")
+        return value
+
+    @field_validator("unwrap")
+    @classmethod
+    def _range(cls, value: bool | float) -> bool | float:
+        if not isinstance(value, bool) and value <= 0:
+            raise ValueError(f"is {value:g}: write true, or the range of the counter above 0")
+        return value
+
+    @field_validator("clock_ppm")
+    @classmethod
+    def _clock(cls, value: float) -> float:
+        if not abs(value) < 1e5:
+            raise ValueError(f"is {value:g}: a clock that is off by a tenth has another unit (time_unit)")
+        return value
+
+    @model_validator(mode="after")
+    def _together(self) -> ChannelEntry:
+        if (self.columns is None) != (self.weights is None):
+            raise ValueError("`columns` and `weights` go together: columns = ['m5', 'm6'], weights = [32.0, 32.0]")
+        if self.columns is not None and self.column is not None:
+            raise ValueError("both `column` and `columns` say what to read: keep one of them")
+        if self.columns is not None and len(self.columns) != len(self.weights or ()):
+            raise ValueError(f"{len(self.columns)} columns have {len(self.weights or ())} weights: write one for each")
+        return self
+
+
+class ExperimentEntry(_Strict):
+    """`[[experiments]]`: a recorded run, several of them by a pattern (`files`), or a frequency response."""
+
+    file: str = ""
+    files: str | None = None
+    name: str | None = None
+    split: Split = "fit"
+    kind: Literal["record", "frequency_response"] = "record"
+    rows: list[int] | None = Field(default=None, min_length=2, max_length=2)
+    window_s: list[FiniteFloat] | None = Field(default=None, min_length=2, max_length=2)
+    where: dict[str, str | bool | int | FiniteFloat] = {}
+    at_rest: bool = False
+    initial: dict[str, FiniteFloat] | None = None
+    initial_window_s: FiniteFloat | None = Positive
+    constants: dict[str, Number] = {}
+    split_at_gaps: bool = False
+    input: str | None = None
+    output: str | None = None
+    columns: dict[Literal["omega", "frequency", "gain", "phase", "re", "im"], str] = {}
+    phase_unit: Literal["rad", "deg"] = "rad"
+    repeat_of: str | None = None
+
+    @field_validator("name", "repeat_of")
+    @classmethod
+    def _name(cls, value: str | None) -> str | None:
+        return value if value is None else _plain(value)
+
+    @field_validator("rows", "window_s")
+    @classmethod
+    def _interval(cls, value: list[float] | None) -> list[float] | None:
+        if value is not None and not value[0] < value[1]:
+            raise ValueError(f"is {value}: the end must lie behind the start")
+        return value
+
+    @field_validator("rows")
+    @classmethod
+    def _not_negative(cls, value: list[int] | None) -> list[int] | None:
+        if value is not None and value[0] < 0:
+            raise ValueError(f"is {value}: the first sample is number 0")
+        return value
+
+    @model_validator(mode="after")
+    def _kinds(self) -> ExperimentEntry:
+        if self.files is not None and (self.file or self.name is not None):
+            raise ValueError(f"`files` are several runs, and {'`file`' if self.file else '`name`'} is of one: keep one of them")
+        response = {"input", "output", "columns", "phase_unit"}
+        record = {"at_rest", "initial", "initial_window_s", "constants", "split_at_gaps", "window_s", "repeat_of"}
+        wrong = sorted(self.model_fields_set & (response if self.kind == "record" else record))
+        if wrong:
+            raise ValueError(f"{wrong[0]!r} has no meaning in an experiment of kind {self.kind!r}")
+        if self.at_rest and self.initial is not None:
+            raise ValueError("both at_rest and initial fix the initial state")
+        if self.kind == "frequency_response" and not (self.input and self.output):
+            raise ValueError("a frequency response needs `input` and `output`, the channels it leads from and to")
+        return self
+
+
+class GaussEntry(_Strict):
+    """A Gaussian prior."""
+
+    mean: FiniteFloat
+    std: FiniteFloat = Field(gt=0)
+
+
+class PriorEntry(_Strict):
+    """`[model.parameters.NAME]`: start value, bounds, search scale and Gaussian prior of a fitted number."""
+
+    value: FiniteFloat | None = None
+    lower: FiniteFloat | None = None
+    upper: FiniteFloat | None = None
+    log: bool | None = None
+    prior: GaussEntry | None = None
+
+    @model_validator(mode="after")
+    def _ordered(self) -> PriorEntry:
+        given = [v for v in (self.lower, self.value, self.upper) if v is not None]
+        if given != sorted(given) or (self.lower is not None and self.lower == self.upper):
+            raise ValueError("lower, value and upper must rise in this order (a known value belongs in [model.constants])")
+        if self.log and self.lower is not None and self.lower <= 0:
+            raise ValueError("log = true searches the logarithm, and lower is not above 0: raise it")
+        ends = (-math.inf if self.lower is None else self.lower, math.inf if self.upper is None else self.upper)
+        if self.prior is not None and not ends[0] <= self.prior.mean <= ends[1]:
+            raise ValueError("the mean of the prior lies outside of lower and upper")
+        return self
+
+
+class LinksEntry(_Strict):
+    """`[model.dh]`: a Denavit-Hartenberg table of a `serial_arm`, one number a joint, m and rad."""
+
+    convention: Literal["modified", "standard"] = "modified"
+    a: list[FiniteFloat] = Field(min_length=1, max_length=64)
+    alpha: list[FiniteFloat]
+    d: list[FiniteFloat]
+    theta: list[FiniteFloat] | None = None
+    prismatic: list[bool] | None = None
+
+    @model_validator(mode="after")
+    def _even(self) -> LinksEntry:
+        for name in ("alpha", "d", "theta", "prismatic"):
+            column = getattr(self, name)
+            if column is not None and len(column) != len(self.a):
+                raise ValueError(f"{name} has {len(column)} entries and a has {len(self.a)}: one for each joint")
+        return self
+
+
+class BaseEntry(_Strict):
+    """`[model.base]` of a robot: how its base stands, rad."""
+
+    kind: Literal["fixed", "prescribed", "free"] = "fixed"
+    roll: FiniteFloat = 0.0
+    pitch: FiniteFloat = 0.0
+    yaw: FiniteFloat = 0.0
+
+
+class ModelEntry(_Strict):
+    """`[model]`. `urdf` (a file of the folder, with the `root` and the `tip` of the chain where it has several) or `dh` are the
+    links of a `serial_arm`; `robot` is the file of any robot, MJCF or URDF, with its `base`; `joints` says which joint a channel
+    is of (`q1` and its `tau1`, `q1_cmd` … alike)."""
+
+    name: str | None = None
+    without: list[str] = []
+    free: bool = False
+    constants: dict[str, Number] = {}
+    parameters: dict[str, PriorEntry] = {}
+    urdf: str | None = None
+    tip: str | None = None
+    root: str | None = None
+    dh: LinksEntry | None = None
+    robot: str | None = None
+    base: BaseEntry | None = None
+    joints: dict[str, str] = {}
+
+    @field_validator("joints")
+    @classmethod
+    def _joints(cls, value: dict[str, str]) -> dict[str, str]:
+        for channel, joint in value.items():
+            _plain(joint)
+            if sum(joint == other for other in value.values()) > 1:
+                raise ValueError(f"{channel!r}: two channels are of joint {joint!r}; one joint has one position")
+        return value
+
+    @model_validator(mode="after")
+    def _apart(self) -> ModelEntry:
+        if self.robot is not None and (self.name not in (None, "robot") or self.urdf is not None or self.dh is not None):
+            raise ValueError("robot names the file of a robot, beside which name, urdf and dh do not stand: keep one of them")
+        if self.name not in (None, "robot") and self.base is not None:
+            raise ValueError('base belongs to a robot: write robot = "robot.xml" (or a URDF) in place of the name')
+        both = sorted(set(self.constants) & set(self.parameters))
+        if both:
+            raise ValueError(f"{both[0]!r} is both known (constants) and to be fitted (parameters)")
+        if self.urdf is not None and self.dh is not None:
+            raise ValueError("the links stand in both urdf and dh: keep one of them")
+        if (self.urdf is not None or self.dh is not None) and self.name != "serial_arm":
+            raise ValueError('urdf and dh are the links of the model "serial_arm": write name = "serial_arm"')
+        if self.urdf is None and (self.root is not None or (self.tip is not None and self.robot is None)):
+            word, what = ("root", "beginning") if self.root is not None else ("tip", "end")
+            raise ValueError(f"{word} names the {what} of a chain in a URDF, and there is no urdf")
+        return self
+
+
+class ControllerEntry(BaseModel):
+    """`[controller]`: its kind; gains, sample time and saturation as numbers or lists of numbers; the names of channels."""
+
+    model_config = ConfigDict(extra="allow", strict=True, allow_inf_nan=False)
+    __pydantic_extra__: dict[str, FiniteFloat | list[FiniteFloat] | dict[str, FiniteFloat]]
+    kind: str
+    fit: list[str] | None = None
+    spread: dict[str, FiniteFloat] | None = None
+    velocity: str | None = None
+    reference: str | list[str] | None = None
+    reference_velocity: str | None = None
+    disturbance: str | list[str] | None = None
+
+    @property
+    def settings(self) -> dict[str, Any]:
+        """Everything that is stated besides the kind."""
+        return {name: value for name, value in self.model_dump(exclude={"kind"}).items() if value is not None}
+
+
+@dataclass
+class Document:
+    """The sound parts of a `dataset.toml`, and its faults. A part that is at fault is None or left out."""
+
+    header: Header | None = None
+    channels: dict[str, ChannelEntry] = field(default_factory=dict)
+    experiments: dict[int, ExperimentEntry] = field(default_factory=dict)
+    model: ModelEntry | None = None
+    controller: ControllerEntry | None = None
+    problems: list[Problem] = field(default_factory=list)
+    notes: list[str] = field(default_factory=list)
+    sound: set[str] = field(default_factory=set)  # the sections without a fault
+    faulty: dict[tuple[str | int, ...], set[str | int | None]] = field(default_factory=dict)  # part -> its faulty keys
+
+
+Entry = TypeVar("Entry", bound=BaseModel)
+
+
+def read_document(raw: Mapping[str, Any], places: Places) -> Document:
+    """Checks every part by itself, so that a fault in one hides none in another."""
+    document = Document()
+    tables = {"channels": dict, "experiments": list, "model": dict, "controller": dict}
+    allowed = [*Header.model_fields, *tables]
+    sections = {}
+    for name, kind in tables.items():
+        value = raw.get(name)
+        if name in raw and not isinstance(value, kind):
+            what = "a list of tables: [[experiments]]" if kind is list else f"a table: [{name}]"
+            document.problems.append(places.problem((name,), f"{name!r} is not {what}", f"Write {what}"))
+        else:
+            document.sound.add(name)
+            sections[name] = value
+    head = {k: v for k, v in raw.items() if k not in tables}
+    document.header = _entry(Header, head, (), places, document, "header", allowed)
+    for name, value in (sections.get("channels") or {}).items():
+        if not re.fullmatch(r"[A-Za-z_][A-Za-z0-9_]*(\*[A-Za-z0-9_]*)?", name) or name == "t":
+            why = "is the name of the time" if name == "t" else "is not a name of letters, digits and underscores"
+            document.problems.append(
+                places.problem(("channels", name), f"channel {name!r} {why}", "Rename it and state its `column`")
+            )
+            document.sound.discard("channels")
+            continue
+        entry = _entry(ChannelEntry, value, ("channels", name), places, document, "channels")
+        if entry is not None:
+            document.channels[name] = entry
+    for index, value in enumerate(sections.get("experiments") or []):
+        key = ("experiments", index)
+        if isinstance(value, Mapping) and not {"file", "files"} & set(value):
+            document.problems.append(
+                places.problem((*key, "file"), "'file' is missing", "State 'file', or 'files' with a pattern")
+            )
+            document.sound.discard("experiments")
+        entry = _entry(ExperimentEntry, value, key, places, document, "experiments")
+        if entry is not None and (entry.file or entry.files) and not any(_selects(k) for k in document.faulty.get(key, ())):
+            document.experiments[index] = entry
+    if sections.get("model") is not None:
+        document.model = _entry(ModelEntry, sections["model"], ("model",), places, document, "model")
+    if sections.get("controller") is not None:
+        document.controller = _entry(ControllerEntry, sections["controller"], ("controller",), places, document, "controller")
+    return document
+
+
+def _selects(key: str | int | None) -> bool:
+    """Whether a faulty key may have chosen the samples, so that checking all of them would blame the wrong ones."""
+    harmless = {"split", "name", "at_rest", "initial", "initial_window_s", "constants"}
+    if not isinstance(key, str):
+        return True
+    close = get_close_matches(key, list(ExperimentEntry.model_fields), n=1, cutoff=0.5)
+    return bool(close) and close[0] not in harmless
+
+
+def _entry(
+    cls: type[Entry],
+    raw: Any,
+    key: tuple[str | int, ...],
+    places: Places,
+    document: Document,
+    section: str,
+    allowed: list[str] | None = None,
+) -> Entry | None:
+    """One part, checked; one with a fault is tried again without the faulty keys, so that the rest can be checked."""
+    if not isinstance(raw, Mapping):
+        document.sound.discard(section)
+        document.problems.append(places.problem(key, f"{dotted(key)} is not a table", f"Write it as [{dotted(key)}]"))
+        return None
+    try:
+        return cls.model_validate(dict(raw))
+    except (ValidationError, OverflowError) as error:
+        document.sound.discard(section)
+        if isinstance(error, OverflowError):
+            document.problems.append(places.problem(key, "a number beyond 1e308", "Write a smaller number"))
+            return None
+        seen: set[tuple[str | int, ...]] = set()
+        faulty = document.faulty.setdefault(key, set())
+        for fault in error.errors(include_url=False, include_input=True):
+            where = real_path(fault["loc"], raw)
+            faulty.add(where[0] if where else None)
+            if where in seen:  # a union reports once a branch
+                continue
+            seen.add(where)
+            message, remedy = _say(cls, fault, where, allowed)
+            document.problems.append(places.problem((*key, *where), message, remedy))
+        rest = {k: v for k, v in raw.items() if k not in faulty}
+        try:
+            return cls.model_validate(rest)
+        except (ValidationError, OverflowError):
+            return None
+
+
+def _say(cls: type[BaseModel], fault: Any, where: tuple[str | int, ...], allowed: list[str] | None) -> tuple[str, str]:
+    kind, name = fault["type"], where[-1] if where else ""
+    owner = PriorEntry if cls is ModelEntry and where[:1] == ("parameters",) and len(where) > 2 else cls
+    if kind == "extra_forbidden":
+        return f"unknown key {name!r}{nearest(str(name), allowed or list(owner.model_fields))}", "Correct or remove it"
+    if kind == "missing":
+        return f"{name!r} is missing", f"State {name!r}"
+    if kind == "literal_error":
+        choices = re.findall(r"'([^']*)'", fault["ctx"]["expected"])
+        if fault["loc"][-1:] == ("[key]",):
+            return f"unknown key {name!r}{nearest(str(name), choices)}", "Correct or remove it"
+        return (
+            f"{name!r} is {fault['input']!r}{nearest(str(fault['input']), choices)}",
+            f"Write one of: {', '.join(choices)}",
+        )
+    if kind == "value_error":
+        text = str(fault["ctx"]["error"])
+        return (f"{name!r} {text}" if text.startswith(("is ", "holds ")) else text), "Correct it"
+    if kind == "greater_than":
+        return f"{name!r} is {fault['input']!r}", "Write a number above 0"
+    if kind == "finite_number":
+        return f"{name!r} is {fault['input']!r}", "Write a finite number"
+    shown = repr(fault["input"])
+    return f"{name!r} is {shown if len(shown) < 60 else shown[:57] + '...'}: {fault['msg'].lower()}", "Correct it"

@@ -1,0 +1,362 @@
+"""A data file as a table of columns, each fault with its row and column: CSV, Parquet, or arrays."""
+
+from __future__ import annotations
+
+import csv
+import io
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from jaxid.data.dataset import Problem
+from jaxid.errors import nearest
+
+
+_MISSING = {"", "nan", "na", "n/a", "null", "none", "-", "?"}
+
+
+@dataclass(frozen=True)
+class Numbers:
+    """A column as float64, NaN where a cell is no finite number; `faults`: sample index -> what stands there."""
+
+    values: np.ndarray
+    faults: dict[int, str]
+
+
+@dataclass
+class Table:
+    """Columns of equal length. `rows` is the row of each sample as an editor shows it, None for arrays in memory.
+
+    `ragged` are samples whose row has another count of fields than the header, with that count; `twice` are names that stand
+    over several, different columns, with their numbers.
+    """
+
+    file: str
+    columns: Mapping[str, Any]
+    count: int
+    rows: np.ndarray | None = None
+    problems: list[Problem] = field(default_factory=list)
+    ragged: Mapping[int, int] = field(default_factory=dict)
+    twice: Mapping[str, list[int]] = field(default_factory=dict)
+    _numbers: dict[str, Numbers] = field(default_factory=dict)
+
+    def row(self, sample: int) -> int:
+        return int(self.rows[sample]) if self.rows is not None else sample
+
+    def place(self, sample: int) -> str:
+        if self.rows is None:
+            return f"sample at index {sample}"
+        return f"sample {self.row(sample) - 1} (row {self.row(sample)})"
+
+    def find(self, column: str | int) -> str | None:
+        """The name of a column that is given by name or by number, from 1; None where there is none."""
+        if isinstance(column, int):
+            return list(self.columns)[column - 1] if 1 <= column <= len(self.columns) else None
+        return column if column in self.columns else None
+
+    def ambiguous(self, column: str | int) -> Problem | None:
+        """What to say of a name that stands over several columns."""
+        if column not in self.twice:
+            return None
+        numbers = self.twice[str(column)]
+        which = " and ".join(map(str, numbers))
+        message = f"column {column!r} stands twice (columns {which}, which differ)"
+        return Problem(self.file, 1, str(column), message, f"Name one by its number: column = {numbers[0]}")
+
+    def missing(self, column: str | int, role: str) -> Problem:
+        if isinstance(column, int):
+            message = f"there is no column {column} for {role}: the file has {len(self.columns)}"
+            return Problem(self.file, None if self.rows is None else 1, None, message, "Columns count from 1")
+        return Problem(
+            self.file,
+            None if self.rows is None else 1,
+            column,
+            f"there is no column {column!r} for {role}{nearest(column, self.columns)}",
+            "Add the column, or name the one to read with `column` (of a channel) or `time` (top level)"
+            if self.rows is not None
+            else "Name a column that exists",
+        )
+
+    def numbers(self, column: str) -> Numbers:
+        """A column as numbers; converted once."""
+        if column not in self._numbers:
+            self._numbers[column] = _as_numbers(self.columns[column])
+        return self._numbers[column]
+
+    def equal(self, column: str, value: str | bool | int | float) -> np.ndarray:
+        """Where a column holds `value`, for `where`; text compares as text, numbers as numbers."""
+        cells = self.columns[column]
+        if isinstance(value, bool):
+            words = {"true", "1", "1.0"} if value else {"false", "0", "0.0"}
+            return np.array([str(c).strip().lower() in words for c in cells], dtype=bool)
+        if isinstance(value, str):
+            return np.array([str(c).strip() == value.strip() for c in cells], dtype=bool)
+        return self.numbers(column).values == float(value)
+
+
+def _cell(text: Any) -> tuple[float, str | None]:
+    """One cell as a number, or NaN and what is wrong with it."""
+    word = "" if text is None else str(text).strip()
+    if word.lower() in _MISSING:
+        return np.nan, "missing"
+    try:
+        value = float(word) if "_" not in word else np.nan
+    except ValueError:
+        value = np.nan
+    if np.isfinite(value):
+        return value, None
+    if "inf" in word.lower():
+        return np.nan, "infinite"
+    shown = word if len(word) <= 40 else word[:37] + "..."
+    hint = ", a decimal comma" if word.count(",") == 1 and word.replace(",", "", 1).lstrip("+-").isdigit() else ""
+    return np.nan, f"not a number: {shown!r}{hint}"
+
+
+def _as_numbers(cells: Any) -> Numbers:
+    array = np.asarray(cells) if not isinstance(cells, list) else None
+    if array is not None and array.dtype.kind in "biuf":
+        values = array.astype(float)
+        bad = np.flatnonzero(~np.isfinite(values))
+        faults = {int(i): "missing" if np.isnan(values[i]) else "infinite" for i in bad}
+        values[bad] = np.nan
+        return Numbers(values, faults)
+    if array is not None and array.dtype.kind in "Mm":
+        return Numbers(np.full(len(array), np.nan), {i: "a date, not a number" for i in range(len(array))})
+    cells = list(cells)
+    try:
+        if any("_" in c for c in cells):
+            raise ValueError
+        values = np.array([float(c) for c in cells], dtype=float)
+        if np.isfinite(values).all():
+            return Numbers(values, {})
+    except (ValueError, TypeError):
+        pass
+    pairs = [_cell(c) for c in cells]
+    return Numbers(np.array([v for v, _ in pairs], dtype=float), {i: w for i, (_, w) in enumerate(pairs) if w})
+
+
+def table_of_arrays(name: str, columns: Mapping[str, Any]) -> Table:
+    """A table of arrays in memory; unequal lengths and shapes other than [time] are its problems."""
+    problems, good = [], {}
+    lengths: dict[str, int] = {}
+    for column, values in columns.items():
+        array = np.asarray(values)
+        if array.ndim != 1:
+            problems.append(
+                Problem(name, None, column, f"an array of shape {array.shape}", "Give one number a sample: shape [time]")
+            )
+        elif array.dtype.kind == "c":
+            problems.append(Problem(name, None, column, "complex numbers", "Give real numbers"))
+        else:
+            plain = array.dtype.kind in "biufMm"
+            lengths[column], good[column] = len(array), array if plain else array.tolist()
+    first = next(iter(lengths), None)
+    for column, length in lengths.items():
+        if first is not None and length != lengths[first]:
+            problems.append(
+                Problem(name, None, column, f"{length} samples, but {first!r} has {lengths[first]}", "Give equal lengths")
+            )
+    if problems:
+        return Table(name, {}, 0, problems=problems)
+    return Table(name, good, lengths[first] if first is not None else 0)
+
+
+def read_table(path: Path, file: str, content: bytes, *, numbered: bool = False) -> Table:
+    """The table of a `.csv` or `.parquet` file, whose bytes are `content`; one of `numbered` columns needs no header."""
+    if path.suffix.lower() in (".parquet", ".pq"):
+        return _read_parquet(file, content)
+    return _read_csv(file, content, numbered)
+
+
+def _broken(file: str, row: int | None, message: str, remedy: str, column: str | None = None) -> Table:
+    return Table(file, {}, 0, problems=[Problem(file, row, column, message, remedy)])
+
+
+def _read_parquet(file: str, content: bytes) -> Table:
+    import pyarrow as pa
+    import pyarrow.parquet as pq
+
+    if not content:
+        return _broken(file, None, "the file is empty", "Write a header row and samples")
+    try:
+        table = pq.ParquetFile(pa.BufferReader(content)).read()
+        named, twice = distinct(table.column_names, [_arrow_column(table.column(i)) for i in range(table.num_columns)])
+        columns = with_list_elements(named)
+    except (pa.ArrowException, OSError, ValueError, NotImplementedError) as error:
+        reason = str(error).strip().splitlines()[0][:120] if str(error).strip() else type(error).__name__
+        return _broken(file, None, f"not readable as Parquet ({reason})", "Write the file again, or give CSV")
+    if table.num_rows == 0:
+        return _broken(file, 1, "a header without samples", "Give at least 20 samples")
+    return Table(file, columns, table.num_rows, np.arange(table.num_rows) + 2, twice=twice)
+
+
+def _arrow_column(column: Any) -> Any:
+    import pyarrow as pa
+
+    kind = column.type
+    if pa.types.is_integer(kind) and not column.null_count and column.num_chunks:
+        return np.concatenate([np.from_dlpack(part) for part in column.chunks])  # exact: a clock in ns does not fit a float
+    if pa.types.is_integer(kind) or pa.types.is_floating(kind):
+        column = column.cast(pa.float64(), safe=False)
+        if column.null_count or not column.num_chunks:
+            return column.to_numpy()
+        return np.concatenate([np.from_dlpack(part) for part in column.chunks])  # `to_numpy` imports pandas, 0.2 s
+    if pa.types.is_timestamp(kind) or pa.types.is_duration(kind):
+        return np.asarray(column.cast(pa.int64()).to_pylist()).astype(
+            f"{'M' if pa.types.is_timestamp(kind) else 'm'}8[{kind.unit}]"
+        )
+    return column.to_pylist()
+
+
+def _read_csv(file: str, content: bytes, numbered: bool = False) -> Table:
+    if not content.strip():
+        return _broken(file, None, "the file is empty", "Write a header row of channel names and one row a sample")
+    if content[:2] in (b"\xff\xfe", b"\xfe\xff"):
+        return _broken(file, 1, "the text is UTF-16", "Save the file as UTF-8")
+    nul = content.find(b"\0")
+    if nul >= 0:
+        row = content.count(b"\n", 0, nul) + 1
+        return _broken(file, row, "binary data, not text", "Give CSV as text, or name a Parquet file .parquet")
+    if (numbers := _read_numbers(file, content)) is not None:
+        return numbers
+    try:
+        text = content.decode("utf-8-sig")
+    except UnicodeDecodeError as error:
+        row = content.count(b"\n", 0, error.start) + 1
+        return _broken(file, row, "a character that is not UTF-8", "Save the file as UTF-8")
+    lines: list[list[str]] = []
+    rows: list[int] = []
+    reader = csv.reader(io.StringIO(text, newline=None), skipinitialspace=True, strict=True)
+    try:
+        for fields in reader:
+            lines.append(fields)
+            rows.append(reader.line_num)
+    except csv.Error as error:
+        return _broken(file, reader.line_num, f"not readable as CSV ({error})", "Check the quotes in and before this row")
+    while lines and not any(f.strip() for f in lines[-1]):
+        lines.pop()
+        rows.pop()
+    if numbered and all(_cell(cell)[1] is None for cell in lines[0] if cell.strip()) and any(c.strip() for c in lines[0]):
+        return csv_columns(file, [str(k + 1) for k in range(len(lines[0]))], lines, rows)
+    header = [name.strip() for name in lines[0]]
+    fault = _header_fault(file, header, lines[1:])
+    if fault is not None:
+        return Table(file, {}, 0, problems=[fault])
+    return csv_columns(file, header, lines[1:], rows[1:])
+
+
+def _read_numbers(file: str, content: bytes) -> Table | None:
+    """The table of a plain file of names and numbers, fast and in little memory; None for anything else, which is read row by
+    row so that each fault has its place."""
+    import pyarrow as pa
+    from pyarrow import csv as arrow
+
+    end = content.find(b"\n")
+    head = content[: max(end, 0)]
+    if end < 0 or content.find(b'"', end) >= 0 or not head.isascii():
+        return None
+    names = [n.strip() for n in next(csv.reader([head.decode().strip()], skipinitialspace=True), [])]
+    if not all(names) or len(set(names)) < len(names) or all(_cell(n)[1] is None for n in names):
+        return None
+    try:
+        table = arrow.read_csv(
+            pa.BufferReader(content),
+            arrow.ReadOptions(skip_rows=1, column_names=names),
+            arrow.ParseOptions(ignore_empty_lines=False),
+            arrow.ConvertOptions(null_values=[""], strings_can_be_null=False),
+        )
+    except (pa.ArrowException, OSError, ValueError):
+        return None
+    kinds = [c.type for c in table.columns]
+    plain = all(pa.types.is_integer(k) or pa.types.is_floating(k) for k in kinds)
+    if not plain or any(c.null_count for c in table.columns) or table.num_rows == 0:
+        return None
+    columns = {name: _arrow_column(table.column(i)) for i, name in enumerate(names)}
+    return Table(file, columns, table.num_rows, np.arange(table.num_rows) + 2)
+
+
+def _header_fault(file: str, header: Sequence[str], lines: Sequence[Sequence[str]]) -> Problem | None:
+    for sign, word in ((";", "semicolons"), ("\t", "tabs")):
+        if len(header) == 1 and sign in header[0]:
+            comma = " and decimal commas" if any("," in c for fields in lines[:3] for c in [",".join(fields)]) else ""
+            return Problem(
+                file,
+                1,
+                None,
+                f"columns separated by {word}{comma}",
+                "`jaxid import csv` reads it as it is; or save it with commas between columns and decimal points",
+            )
+    if not any(header):
+        return Problem(file, 1, None, "the first row is empty", "Let the first row name the columns")
+    if all(_cell(name)[1] is None for name in header):
+        remedy = "Let the first row name the columns, or name them by number: time = 1, and column = 2 for a channel"
+        return Problem(file, 1, None, "the first row holds numbers, not names", remedy)
+    if not lines:
+        return Problem(file, 1, None, "a header without samples", "Give at least 20 samples")
+    return None
+
+
+def csv_columns(file: str, header: Sequence[str], lines: Sequence[list[str]], rows: Sequence[int]) -> Table:
+    """The table of rows of text; a row with another count of fields is a sample whose cells are missing."""
+    width = len(header)
+    kept, ragged = [], {}
+    for sample, fields in enumerate(lines):
+        while len(fields) > width and not fields[-1].strip():
+            fields.pop()
+        if len(fields) != width:
+            ragged[sample] = len(fields)
+            fields = [""] * width
+        kept.append(fields)
+    if len(ragged) == len(kept):
+        return Table(file, {}, 0, problems=[ragged_rows(file, list(rows), ragged, width)])
+    named, twice = distinct([name or str(k + 1) for k, name in enumerate(header)], [list(c) for c in zip(*kept, strict=True)])
+    return Table(file, with_list_elements(named), len(kept), np.array(rows), ragged=ragged, twice=twice)
+
+
+def ragged_rows(file: str, rows: Sequence[int], ragged: Mapping[int, int], width: int) -> Problem:
+    """One problem for all rows with another count of fields than the header's."""
+    sample, found = next(iter(ragged.items()))
+    more = f"; so {len(ragged)} rows" if len(ragged) > 1 else ""
+    comma = ", decimal commas perhaps" if found == 2 * width else ""
+    what = "an empty row" if found == 0 else f"{found} fields where the header has {width}{comma}"
+    remedy = "Give one field a column in every row; `jaxid import csv` reads a file that begins with other lines"
+    return Problem(file, rows[sample], None, what + more, remedy)
+
+
+def distinct(names: Sequence[str], columns: Sequence[Any]) -> tuple[dict[str, Any], dict[str, list[int]]]:
+    """Columns by name, and which names stand over several columns that differ (with their numbers); each keeps its place."""
+    out: dict[str, Any] = {}
+    places: dict[str, list[int]] = {}
+    for k, (name, column) in enumerate(zip(names, columns, strict=True)):
+        places.setdefault(name, []).append(k + 1)
+        out[name if len(places[name]) == 1 else f"{name} (column {k + 1})"] = column
+    equal = lambda a, b: list(columns[a - 1]) == list(columns[b - 1])
+    return out, {name: at for name, at in places.items() if len(at) > 1 and not all(equal(at[0], k) for k in at[1:])}
+
+
+def with_list_elements(columns: Mapping[str, Any]) -> dict[str, Any]:
+    """Columns whose cells are lists of one length (`[0.1, -0.2]`) as one column an element too: `positions[0]` …"""
+    out = dict(columns)
+    for name, cells in columns.items():
+        rows = _lists(cells)
+        if rows is not None and rows.ndim >= 2:
+            out |= {f"{name}[{']['.join(map(str, k))}]": rows[(slice(None), *k)] for k in np.ndindex(rows.shape[1:])}
+    return out
+
+
+def _lists(cells: Any) -> np.ndarray | None:
+    import json
+
+    first = next((c for c in cells if c is not None and c != ""), None) if isinstance(cells, list) else None
+    if isinstance(first, str) and first.strip()[:1] not in ("[", "("):
+        return None
+    if not isinstance(first, str | list | tuple):
+        return None
+    try:
+        parsed = [json.loads(c.strip().replace("(", "[").replace(")", "]")) if isinstance(c, str) else c for c in cells]
+        return np.array(parsed, dtype=float)
+    except (ValueError, TypeError):
+        return None

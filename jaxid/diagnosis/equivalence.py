@@ -1,0 +1,248 @@
+"""Which effects of the library a model cannot tell apart, and which its own parameters absorb.
+
+Nothing is listed by hand: the model moves under a rich command of its own, each effect is switched on at its probe strengths, and
+what re-tuning the model's parameters and its unknown start could do to first order is taken out of the change. Effects whose
+changes are parallel are then fitted to each other's recordings.
+"""
+
+from __future__ import annotations
+
+import itertools
+import warnings
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from jaxid.data.dataset import Dataset
+from jaxid.diagnosis.hypothesis import Candidate, candidates, probes_of
+from jaxid.diagnosis.screen import probe_residuals, Retuning
+from jaxid.dynamics.chain import Chain
+from jaxid.dynamics.parameter_vector import Layout
+from jaxid.errors import UsageError
+from jaxid.fitters import search
+from jaxid.fitting.effect_starts import probes
+from jaxid.fitting.problem_builder import Bench
+from jaxid.problem.binding import bind, Binding
+from jaxid.problem.problem import Problem, rows
+from jaxid.problem.residual import OutputError
+
+
+#: An effect is absorbed where re-tuning leaves less than this share of what a weak one (WEAK of a probe) changes: as much as a
+#: first-order re-tuning leaves of one that is absorbed exactly goes with its strength, what it cannot absorb does not.
+ABSORBED, WEAK = 5e-4, 5e-5
+#: Two effects whose weak changes point this much the same way (cosine) are compared in earnest: the recording of one, at its
+#: last probe, is fitted with the other, and they are alike where both fits leave less than LEFT of what re-tuning alone leaves.
+PARALLEL, LEFT = 0.999, 0.02
+RATE, SECONDS = 200, 5.0
+#: The motion that is compared on travels so far at most (rad, m).
+TRAVEL = 2.5
+
+
+@dataclass(frozen=True)
+class Place:
+    """An effect at a location, and the share of its change that re-tuning leaves."""
+
+    effect: str
+    location: str
+    left: float
+
+    def __str__(self) -> str:
+        return f"{self.effect} at {self.location}"
+
+
+@dataclass(frozen=True)
+class Equivalences:
+    """What `jaxid effects --model M` says. Effects that are in no list can be told from every other one."""
+
+    model: str
+    excitation: str
+    absorbed: tuple[Place, ...]
+    invisible: tuple[Place, ...]
+    classes: tuple[tuple[Place, ...], ...]
+
+    def to_dict(self) -> dict[str, Any]:
+        plain = lambda places: [{"effect": p.effect, "location": p.location, "left": p.left} for p in places]
+        return {
+            "schema": 1, "kind": "equivalences", "model": self.model, "excitation": self.excitation,
+            "absorbed": plain(self.absorbed), "invisible": plain(self.invisible),
+            "equivalent": [plain(c) for c in self.classes],
+        }  # fmt: skip
+
+    def __str__(self) -> str:
+        lines = [f"{self.model}: {self.excitation}", "", "cannot be told apart (each line one class):"]
+        lines += [f"  {', '.join(map(str, c))}" for c in self.classes] or ["  none"]
+        lines += ["", "absorbed by the model's own parameters or its unknown start:"]
+        lines += [f"  {p} ({100 * (1 - p.left):.1f} %)" for p in self.absorbed] or ["  none"]
+        lines += ["", "without any influence here:"] + ([f"  {p}" for p in self.invisible] or ["  none"])
+        return "\n".join([*lines, "", "Weak effects are alike more often, and a poor excitation makes more classes."])
+
+
+def equivalences(model: str, without: Sequence[str] = ()) -> Equivalences:
+    """Equivalent and absorbed effects of a model at its default parameters, without controller, every output measured; `without`
+    takes built-in ones out of the model, which are then candidates too.
+
+    Raises `UsageError` for an unknown model and for one that has no moderate motion at its defaults.
+    """
+    from jaxid import catalogue
+
+    chain = Chain(catalogue.model_class(model)()).without(*without)
+    library = [k for n in catalogue.effect_names() if n not in chain.contents and chain.offers(k := catalogue.effect_class(n))]
+    data, text = _rich_motion(chain, model)
+    binding = bind(model, data, without=without, candidates=library, splits=False)
+    bench = Bench(binding)
+    theta = _with_friction(binding)
+    p = bench.problem(OutputError(), "fit", binding.free, theta)
+    z = p.z(theta)
+    parts = list(rows([(p, z)]))
+    base = np.concatenate([part.r.ravel() for part in parts])
+    remaining = Retuning(parts, p.size).remaining
+    pool = candidates(bench, tuple(k.name for k in library))
+    shapes, thetas, owner = binding.layout.log, [], []
+    for k, c in enumerate(pool):
+        for full in probes_of(bench, c, theta):
+            weak = np.where(shapes, full, theta + WEAK * (full - theta))
+            thetas += [full, weak]
+            owner.append(k)
+    found = probe_residuals(p, z, thetas)
+    noise = 1e-7 * np.sqrt(base.size) * float(np.mean([part.w.max() for part in parts])) * float(np.max(binding.sigma)) * 1e3
+    absorbed, invisible = [], []
+    seen: dict[Place, tuple[np.ndarray, Candidate]] = {}
+    for k, c in enumerate(pool):
+        left, acts, tangents = [], False, []
+        for n in np.flatnonzero(np.array(owner) == k):
+            for full, r in ((True, found[2 * n]), (False, found[2 * n + 1])):
+                change = r - base
+                size = float(np.linalg.norm(change))
+                if not np.isfinite(size) or size < (noise if full else noise * WEAK):
+                    continue
+                rest = remaining(change)
+                acts |= full
+                if not full:
+                    tangents.append(rest / max(float(np.linalg.norm(rest)), 1e-300))
+                    left.append(float(np.linalg.norm(rest)) / size)
+        place = Place(c.effect, c.location, max(left, default=1.0))
+        if not acts:
+            invisible.append(Place(c.effect, c.location, 0.0))
+        elif left and place.left < ABSORBED:
+            absorbed.append(place)
+        else:
+            seen[place] = np.array(tangents), c
+    pairs = dict.fromkeys((*_parallel(seen), *_resembling(bench, seen)))
+    alike = {frozenset(pair) for pair in pairs if all(_explains(bench, p, z, *order) for order in _orders(seen, pair))}
+    return Equivalences(model, text, tuple(absorbed), tuple(invisible), _classes(list(seen), alike))
+
+
+def _parallel(seen: dict[Place, tuple[np.ndarray, Candidate]]) -> list[tuple[Place, Place]]:
+    """Pairs whose weak changes [probes samples] point the same ways."""
+    out = []
+    for first, second in itertools.combinations(seen, 2):
+        a, b = seen[first][0], seen[second][0]
+        if a.size and b.size and min((c := np.abs(a @ b.T)).max(1).min(), c.max(0).min()) > PARALLEL:
+            out.append((first, second))
+    return out
+
+
+def _resembling(bench: Bench, seen: dict[Place, tuple[np.ndarray, Candidate]]) -> list[tuple[Place, Place]]:
+    """Pairs that say of themselves that they may be alike when they are strong."""
+    others = {e.name: e.resembles for e in bench.binding.chain.effects}
+    pairs = itertools.combinations(seen, 2)
+    return [
+        (a, b) for a, b in pairs if a.location == b.location and (b.effect in others[a.effect] or a.effect in others[b.effect])
+    ]
+
+
+def _orders(seen: dict[Place, tuple[np.ndarray, Candidate]], pair: tuple[Place, Place]) -> list[tuple[Candidate, Candidate]]:
+    a, b = (seen[place][1] for place in pair)
+    return [(a, b), (b, a)]
+
+
+def _explains(bench: Bench, p: Problem, z: np.ndarray, truth: Candidate, other: Candidate) -> bool:
+    """Whether the model with one effect follows the recording that the other one makes."""
+    made = p.runs.engine.outputs(np.array([probes_of(bench, truth, p.theta(z))[-1]]), p.starts(z), np.array(p.records))[0]
+    (number,) = p.records
+    record = p.runs.record(number)
+    targets = p.runs.targets.copy()
+    targets[record.offset : record.offset + record.count] = made[: record.count]
+    left = []
+    for free, starts in ((list(p.free), [p.theta(z)]), ([*p.free, *other.index], probes_of(bench, other, p.theta(z)))):
+        problem = bench.problem(OutputError(), "fit", free, starts[0])
+        problem.targets = targets
+        (path,), _ = search([[(problem, problem.z(theta)) for theta in starts]], 25, 1e-10)
+        left.append(path.cost)
+    return bool(left[1] < LEFT**2 * left[0])
+
+
+def _classes(places: list[Place], alike: set[frozenset[Place]]) -> tuple[tuple[Place, ...], ...]:
+    """Groups of places that are alike, one by one or through others."""
+    out = []
+    while places:
+        group = [places.pop(0)]
+        for member in group:
+            mates = [p for p in places if frozenset((member, p)) in alike]
+            group += mates
+            places = [p for p in places if p not in mates]
+        if len(group) > 1:
+            out.append(tuple(group))
+    return tuple(out)
+
+
+def _rich_motion(chain: Chain, model: str) -> tuple[Dataset, str]:
+    """A command of sines, steps and rests as strong as keeps the motion within about a radian (or metre), and its recording."""
+    from jaxid.fitting.simulate import simulate_dataset
+
+    t = np.arange(int(RATE * SECONDS)) / RATE
+    rng = np.random.default_rng(0)
+    names = [n for n, _ in chain.signature.inputs]
+    units = dict((*chain.signature.inputs, *chain.signature.outputs))
+    shape = {}
+    for name, unit in chain.signature.inputs:
+        sines = [np.sin(2 * np.pi * f * t + rng.uniform(0, 2 * np.pi)) / np.sqrt(f) for f in rng.uniform(0.3, 8.0, 10)]
+        u = np.sum(sines, 0) / 2.5
+        for _ in range(4):
+            a = int(rng.integers(40, t.size - 120))
+            u[a : a + int(rng.integers(30, 100))] = rng.choice([-1.0, 0.0, 0.0, 1.0])
+        u[:20] = 0.0
+        shape[name] = np.ones_like(t) if unit == "1" else u
+
+    def recorded(strength: float, y: dict[str, np.ndarray] | None = None) -> Dataset:
+        inputs = {n: u * (1.0 if units[n] == "1" else strength) for n, u in shape.items()}
+        outputs = y or {n: np.sin(t) for n, _ in chain.signature.outputs}
+        noise = {n: max(1e-3 * float(np.std(v)), 1e-9) for n, v in outputs.items()}
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")  # a switch that stays on is meant
+            named = {n: units[n] for n in (*inputs, *outputs)}
+            return Dataset.from_arrays(
+                t, inputs, outputs, units=named, noise_std=noise, at_rest=True, model=model, split="fit", check_model=False
+            )
+
+    stated = {
+        e.name: {"value": float(v)} for e, v in zip(Layout(chain).entries, Layout(chain).values, strict=True) if not e.spec.fixed
+    }
+    best, limit = None, TRAVEL
+    for strength in 10.0 ** np.arange(-3, 4.1, 0.5) if names else [1.0]:
+        run = simulate_dataset({"parameters": stated, "effects": []}, recorded(strength), None).runs[0]
+        y = {n: np.asarray(run[n]) for n, _ in chain.signature.outputs}
+        spread = max(float(np.ptp(y[j])) for j in chain.signature.joints if j in y)
+        limit = max(limit, 1.2 * min(spread, 2 * np.pi)) if best is None else limit  # what falls by itself moves more
+        if not np.isfinite(spread) or spread > limit:
+            break
+        best = strength, y, spread
+    if best is None or best[2] < 1e-6:
+        raise UsageError(f"{model} has no moderate motion at its default parameters, so nothing can be compared")
+    text = f"sines of 0.3 to 8 Hz, steps and rests, {SECONDS:g} s at {RATE} Hz, travel {best[2]:.2g}, open loop, from rest"
+    moving = {n: v for n, v in best[1].items() if np.ptp(v)}  # what stands still by design has another signature without it
+    return recorded(best[0], moving), text
+
+
+def _with_friction(binding: Binding) -> np.ndarray:
+    """Default numbers, with a little of the friction that the model has."""
+    theta = binding.theta.copy()
+    for effect in binding.chain.effects:
+        for place in binding.chain.places(effect):
+            index = binding.layout.of_effect(effect.name, place)
+            friction = index and np.all(binding.lower[index] >= 0)  # an offset would start the run by itself
+            if friction and set(index) <= binding.nominal and effect.probes and not np.any(theta[index]):
+                theta = probes(binding, effect, place, theta)[0]
+    return theta

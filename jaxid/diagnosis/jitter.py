@@ -1,0 +1,55 @@
+"""Time stamps that scatter, before physics: where a recording shows it, readings count by what their stamps make of them, and the
+search runs on that. It holds if then nothing, or what the library can name, is missing."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from jaxid.data.time_stamps import Stamps
+from jaxid.diagnosis.evidence import held_out
+from jaxid.diagnosis.hypothesis import Candidate, Hypothesis
+from jaxid.fitting.problem_builder import Bench
+from jaxid.fitting.result import Ranked
+from jaxid.problem.binding import Binding, JITTER
+from jaxid.problem.residual import Residual
+from jaxid.report.text import times
+
+
+@dataclass(frozen=True)
+class Scatter:
+    """What the time stamps of some channels do, and the binding whose readings all count alike."""
+
+    stamps: dict[str, Stamps]
+    alike: Binding
+
+    def effects(self) -> tuple[Candidate, ...]:
+        index = lambda channel: tuple(self.alike.layout.of_effect(JITTER, channel))
+        return tuple(Candidate(JITTER, channel, index(channel)) for channel in self.stamps)
+
+    def verdict(self, verdict: str, text: str) -> tuple[str, str]:
+        """Of the search by readings that count as their stamps make them, with what the stamps do."""
+        found = "; ".join(s.text for s in self.stamps.values())
+        found = found[0].upper() + found[1:]
+        if verdict == "none":
+            nothing_else = "Beside that the model lacks nothing: what is left is that noise, on data that were not fitted."
+            return "named", f"{found}. {nothing_else}"
+        return verdict, f"{found}. {text}"
+
+    def bench(self, like: Bench) -> Bench:
+        """For comparison: the bench on which all readings count alike."""
+        return Bench(self.alike, like.step, like.differences)
+
+    def ranked(self, bench: Bench, residual: Residual, h: Hypothesis) -> tuple[Ranked, ...]:
+        """The scatter of all channels as one hypothesis over that of readings which count alike, at the same numbers."""
+        alike = self.bench(bench)
+        weights, before = bench.runs(residual, "validation").weights, alike.runs(residual, "validation").weights
+        seen = weights > 0
+        wider = 2 * float(np.sum(np.log(before[seen] / weights[seen])))
+        held = held_out(alike, "validation", [h.theta], residual)[0]
+        squares = lambda held: float(sum(np.sum(r**2) for r in held.residual))
+        evidence = (squares(held) - squares(h.validation) - wider) / 2
+        gap = float(np.sqrt(max(h.validation.loss, 0.0)))
+        text = f"validation gap {times(gap)} times the noise that the stamps make"
+        return tuple(Ranked(c.effect, c.location, gap, float(h.bic), evidence, f"{c}: {text}") for c in self.effects())

@@ -1,0 +1,108 @@
+"""What the fit data leave open stays where the user put it.
+
+A descent drags along what its data do not determine: two factors whose product alone is seen end anywhere on a curve, often where
+a poorer model has left them. Held-out runs that do tell them apart would then refuse a right model.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import replace
+
+import numpy as np
+
+from jaxid.fitters import descend
+from jaxid.fitters.lm import Path
+from jaxid.problem.problem import Problem
+
+
+#: A direction is left open where going all the way back costs less than this (half of the sum of squares, in noise variances).
+COST = 2.0
+#: A way back that is shorter than this, in typical changes of a parameter, is not gone.
+NEAR = 1.0
+#: A path that leaves so many times what the best of them leaves is not moved: nothing comes of it.
+FAR = 10.0
+#: So many numbers are put back at most, those that are further away than this.
+TRIED, SHORT = 3, 0.1
+
+
+def brought_back(paths: Sequence[Path], theta: np.ndarray, index: Sequence[int]) -> list[Path]:
+    """The paths; those whose data leave directions open are moved along them towards where the numbers at `index` are those of
+    `theta`, if that costs nothing."""
+    most = FAR * min((path.cost for path in paths), default=0.0)
+    moves = [_way_back(path, theta, index) if path.cost <= most else None for path in paths]
+    moved = [k for k, move in enumerate(moves) if move is not None]
+    jobs = [(paths[k].problem, np.clip(paths[k].z + moves[k], paths[k].problem.lower, paths[k].problem.upper)) for k in moved]
+    out = list(paths)
+    for k, end in zip(moved, descend(jobs, 6, 1e-6) if jobs else [], strict=True):
+        if end.cost <= paths[k].cost + COST:
+            out[k] = replace(end, linearisations=paths[k].linearisations + end.linearisations)
+    return out
+
+
+def put_back(path: Path, theta: np.ndarray, index: Sequence[int], problem: Callable[[list[int], np.ndarray], Problem]) -> Path:
+    """The path with numbers at `index` put back to those of `theta` one after the other, the least certain first, where the rest,
+    refitted, follows the data as well without; `problem(free, theta)` is the same with other numbers free (of coarser steps,
+    perhaps: what it finds is looked at again with the path's own).
+
+    What a model leaves open may have gone as far as the data let it, to where it looks determined (a drive that no longer reaches
+    its limit): no step along an open direction leads back from there.
+    """
+    p = path.problem
+    if path.hessian is None or not np.isfinite(path.cost):
+        return path
+    n = p.free.size
+    home = p.theta(path.z).copy()
+    home[list(index)] = theta[list(index)]
+    away = np.abs(p.z(home)[:n] - path.z[:n])
+    variance = np.diag(np.linalg.pinv(path.hessian, rcond=1e-14, hermitian=True))[:n]
+    price = away**2 / np.maximum(variance, 1e-300)  # of each way as far as it can be seen from here
+    free, now, starts = [int(i) for i in p.free], p.theta(path.z), p.starts(path.z)
+    rest = [int(p.free[k]) for k in np.argsort(price) if away[k] > SHORT * p.scale[k]][:TRIED]
+    as_it_is = problem(free, now)
+    most = descend([(as_it_is, as_it_is.z(now, starts))], 0, 1e-6)[0].cost + COST if rest else 0.0
+    moved = False
+    while rest:  # all that are left at once, the first that may go back goes, and those behind it are tried without it
+        jobs = []
+        for i in rest:
+            tried = now.copy()
+            tried[i] = theta[i]
+            less = problem([f for f in free if f != i], tried)
+            jobs.append((less, less.z(tried, starts)))
+        ends = descend(jobs, 12, 1e-6)
+        k = next((k for k, end in enumerate(ends) if end.cost <= most), None)
+        if k is None:
+            break
+        less, end = jobs[k][0], ends[k]
+        free, now, starts, moved = [f for f in free if f != rest[k]], less.theta(end.z), less.starts(end.z), True
+        rest = rest[k + 1 :]
+    if not moved:
+        return path
+    end = descend([(p, p.z(now, starts))], 1, 1e-6)[0]
+    return end if end.cost <= path.cost + COST else path
+
+
+def moved_to(path: Path, theta: np.ndarray) -> Path:
+    """The path with all its free numbers as in `theta`, if its data are followed as well there but for what noise may do."""
+    p = path.problem
+    lower, upper, scale = p.whole
+    still = Problem(p.runs, theta, [], lower, upper, p.records, p.loss_name, scale, p.differences).with_targets(p.targets)
+    starts = still.starts(descend([(still, still.z(theta, p.starts(path.z)))], 8, 1e-6)[0].z)
+    end = descend([(p, p.z(theta, starts))], 0, 1e-6)[0]
+    return end if end.cost <= path.cost + COST + p.free.size else path
+
+
+def _way_back(path: Path, theta: np.ndarray, index: Sequence[int]) -> np.ndarray | None:
+    """The part of the way that the data do not tell, in z; None if there is next to none."""
+    p = path.problem
+    if path.hessian is None or not np.isfinite(path.cost):
+        return None
+    home, n = p.theta(path.z).copy(), p.free.size
+    home[list(index)] = theta[list(index)]
+    way = np.zeros(p.size)
+    way[:n] = (p.z(home)[:n] - path.z[:n]) / p.scale[:n]
+    w, V = np.linalg.eigh(p.scale[:, None] * path.hessian * p.scale)
+    share = V.T @ way
+    open_ = share**2 * np.maximum(w, 0.0) / 2 < COST
+    move = V[:, open_] @ share[open_]
+    return p.scale * move if np.linalg.norm(move) > NEAR else None

@@ -1,0 +1,452 @@
+"""Which effect is missing: screen all candidates from one fit, refit, choose on held-out runs, abstain when nothing fits.
+
+The screen must rank and the refit must decide: signatures of physically different effects are often nearly parallel after
+re-tuning, and some effects have no derivative at their neutral value. Information criteria alone prefer the richer neighbour
+of the true effect; runs that were not fitted do not.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import replace
+from functools import partial
+
+import numpy as np
+
+from jaxid.diagnosis.evidence import held_out, knowledge, together
+from jaxid.diagnosis.hypothesis import Candidate, Hypothesis, key_of, read_off_of, refined_by, Search, sensible, without_each
+from jaxid.diagnosis.prior_pull import brought_back, moved_to, put_back
+from jaxid.diagnosis.proposals import (
+    as_given,
+    at_all_joints,
+    exchanged,
+    least_missed,
+    pairs,
+    plain_pairs,
+    RIVALS,
+    torque_starts,
+    with_refined,
+)
+from jaxid.diagnosis.screen import each_probe, Screened, screened
+from jaxid.diagnosis.selection import (
+    ALIKE,
+    at_floor,
+    best,
+    close_to_noise,
+    CONFLICT,
+    equals,
+    finished,
+    indistinct,
+    joint_loss,
+    not_borne_out,
+    outweighed,
+    rivals_among,
+    significant,
+    WHITE,
+)
+from jaxid.diagnosis.shortlist import shortlist
+from jaxid.fitters import descend, Path, race
+from jaxid.fitting.fitter import Progress
+from jaxid.fitting.problem_builder import Bench, estimate_starts
+from jaxid.problem.problem import Problem
+from jaxid.problem.residual import InverseDynamics, OutputError, Residual
+from jaxid.problem.step_error import finer_predictions, step_error, STEP_SHARE
+
+
+#: Starts of each refit that come from the screen: two of the best to first order, and the best of all probes as they simulate.
+STARTS = 4
+#: So many hypotheses that explain the torque of the measured motion best are refitted to the end, however they do at first.
+SURE = 3
+#: How often the step may be halved, and how often its defect is worked out anew for a chosen hypothesis.
+HALVINGS, CORRECTIONS = 3, 2
+#: What is refitted where a model is close above the noise already: candidates that explain so much of the sum of squares.
+STANDING_OUT = 25.0
+#: Iterations and tolerance of a descent to the end, and of that of a nominal model to which something better is compared.
+THOROUGH, BRIEF = (20, 1e-8), (6, 1e-5)
+#: A nominal model that leaves more (mean square over the noise) is one that something better will be compared to; it was in a
+#: local minimum if less than this share is left from where a richer one ended.
+FAR, FREED = 10.0, 0.5
+#: What leaves at most so many times what the best of a batch leaves of the fit runs, and so many times the noise (mean squares),
+#: is followed on validation runs.
+CLOSE, NEAR = 1.5, 6.0
+#: Validation runs that are so much further away than they need be with what the fit runs leave open (mean squares) settle it.
+OPEN = 0.3
+
+
+class Searcher:
+    """Forward selection with re-evaluation, on one bench and residual."""
+
+    def __init__(self, bench: Bench, residual: Residual, nominal: Path, progress: Progress | None = None):
+        self.bench, self.residual, self.progress = bench, residual, progress
+        self.by_torque = isinstance(residual, InverseDynamics)  # nothing is simulated
+        self.accurate = bench  # with steps that no longer matter
+        self.benches: list[Bench] = []  # coarser ones, left behind
+        self.base_free = list(nominal.problem.free)
+        self.nominal = self._hypotheses([((), nominal)])[0]
+        self.known: dict[frozenset[str], Hypothesis] = {frozenset(): self.nominal}
+        self._stale: dict[frozenset[str], Hypothesis] = {}  # refitted before the data were corrected for the step
+        self.tried: list[Hypothesis] = []  # on the way to what is chosen
+        self._singles: list[Hypothesis] = []  # those of the last step
+        self._passed_over: dict[Candidate, list[Hypothesis]] = {}  # what an accepted effect was not clearly better than
+
+    # ---- hypotheses
+
+    def _hypotheses(self, found: Sequence[tuple[tuple[Candidate, ...], Path]]) -> list[Hypothesis]:
+        thetas = [path.problem.theta(path.z) for _, path in found]
+        # Only what fits as well as the best, and almost down to the noise, may turn out to be right elsewhere.
+        losses = [path.loss for _, path in found]
+        follow = [p if loss <= min(CLOSE * min(losses), NEAR) else None for (_, p), loss in zip(found, losses, strict=True)]
+        told = [knowledge(path) for _, path in found]
+        validations = held_out(self.bench, "validation", thetas, self.residual, told, follow)
+        return [Hypothesis(e, t, p, v) for (e, p), t, v in zip(found, thetas, validations, strict=True)]
+
+    def problem(self, effects: Sequence[Candidate], theta: np.ndarray) -> Problem:
+        free = self.base_free + [i for c in effects for i in c.index]
+        return self.bench.problem(self.residual, "fit", free, theta)
+
+    def refit(self, sets: Sequence[tuple[tuple[Candidate, ...], Sequence[np.ndarray]]]) -> list[Hypothesis]:
+        """Refits each set of effects from its starts (full parameter vectors), all in one batch; best start of each."""
+        if not sets:
+            return []
+        starts = self.nominal.path.problem.starts(self.nominal.path.z)
+        sets = self._promising(sets)
+        groups, by_torque = [], torque_starts(self.bench, self.base_free, sets, self._torque_tells)
+        for (effects, thetas), (_, more) in zip(sets, by_torque, strict=True):
+            p = self.problem(effects, thetas[0])
+            # The race favours the first two.
+            groups.append([(p, p.z(theta, starts)) for theta in [thetas[0], *more, *thetas[1:]]])
+        order = sorted(range(len(sets)), key=lambda k: by_torque[k][0])
+        sure = [k for k in order if np.isfinite(by_torque[k][0])][:SURE]
+        final = brought_back(race(groups, 20, 1e-6, sure), self.bench.binding.theta, self.base_free)
+        found = self._led(self._hypotheses([(effects, path) for (effects, _), path in zip(sets, final, strict=True)]))
+        for k, h in enumerate(found):
+            old = self.known.get(key_of(h.effects))
+            if old is not None and old.effects == h.effects and old.fit_loss < h.fit_loss:
+                found[k] = old
+            self.known[key_of(h.effects)] = found[k]
+        return found
+
+    def _led(self, found: list[Hypothesis]) -> list[Hypothesis]:
+        """The hypotheses; one that is left far behind by another that contains it begins anew where that ended, without what that
+        has more: it may have been in a local minimum."""
+        jobs: dict[int, tuple[Problem, np.ndarray]] = {}
+        for k, h in enumerate([] if self.by_torque else found):
+            richer = [g for g in found if key_of(h.effects) < key_of(g.effects) and g.fit_loss < FREED * h.fit_loss]
+            if lead := min(richer, key=lambda g: g.fit_loss, default=None):
+                theta, more = lead.theta.copy(), [i for c in lead.effects if c not in h.effects for i in c.index]
+                theta[more] = self.bench.binding.theta[more]
+                p = self.problem(h.effects, theta)
+                jobs[k] = p, self._z(p, replace(lead, theta=theta))
+        ends = zip(jobs, descend(list(jobs.values()), *THOROUGH) if jobs else [], strict=True)
+        better = {k: end for k, end in ends if end.loss < FREED * found[k].fit_loss}
+        new = self._hypotheses([(found[k].effects, end) for k, end in better.items()]) if better else []
+        return [dict(zip(better, new, strict=True)).get(k, h) for k, h in enumerate(found)]
+
+    def _promising(
+        self, sets: Sequence[tuple[tuple[Candidate, ...], Sequence[np.ndarray]]]
+    ) -> list[tuple[tuple[Candidate, ...], list[np.ndarray]]]:
+        """The first two starts of each set, and those of the others that simulate best: first order says little where a resonance
+        or a play has to be found."""
+        nominal = self.nominal.path
+        thetas = [theta for _, starts in sets for theta in starts]
+        found = each_probe(nominal.problem, nominal.z, thetas)
+        out = []
+        for effects, starts in sets:
+            with np.errstate(over="ignore"):  # a start that diverges
+                cost = np.nan_to_num([float(r @ r) for _, r in zip(starts, found, strict=False)], nan=np.inf)
+            order = [int(k) for k in np.argsort(cost, kind="stable")]
+            out.append((effects, [starts[k] for k in dict.fromkeys([*range(min(2, len(starts))), *order])][:STARTS]))
+        return out
+
+    @property
+    def _torque_tells(self) -> bool:
+        """Whether the torque of the measured motion says something beside the residual."""
+        b = self.bench.binding
+        return bool(b.motions) and not b.chain.mechanism.hidden_states and not self.by_torque
+
+    # ---- screen
+
+    def screen(self, h: Hypothesis, pool: Sequence[Candidate]) -> list[Screened]:
+        """What each candidate explains beside `h` of the residual."""
+        return screened(self.bench, h.path.problem, h.path.z, h.theta, pool)
+
+    def torque_screen(self, h: Hypothesis, pool: Sequence[Candidate]) -> list[Screened]:
+        """The same by the torque that the measured motion lacks. It is blind to what has no place in an inverse (play, springs,
+        sensors) and biased by the noise of derivatives, but it does not depend on how far the free run has gone astray."""
+        if not self._torque_tells:
+            return []
+        p = self.bench.problem(InverseDynamics(decimate=1), "fit", h.path.problem.free, h.theta)
+        path = descend([(p, p.z(h.theta))], 12, 1e-6)[0]
+        if not np.isfinite(path.cost):
+            return []
+        found = screened(self.bench, p, path.z, p.theta(path.z), pool)
+        return [(share, c, [*read_off_of(self.bench, p, path.z, c), *starts]) for share, c, starts in found]
+
+    # ---- search
+
+    def run(self, pool: Sequence[Candidate], max_effects: int, known: Callable[[Search], None] = lambda search: None) -> Search:
+        """Forward selection up to `max_effects`, then each accepted effect is questioned again; `known` is told after each
+        round."""
+        chosen = self._refined(self.nominal)
+        while (room := max_effects - self._named(chosen)) > 0 and not finished(chosen, self.by_torque):
+            found = self._beside(chosen, pool, room)
+            step = best(self.bench, chosen, found)
+            if step is None and len(chosen.effects) + 2 <= max_effects:
+                step = best(self.bench, chosen, self._as_pairs(chosen, found, pool, room))
+                self.tried += [step] if step else []
+            if step is None:
+                break
+            if (freed := self._freed(chosen, step)) is not chosen:
+                self.nominal = self.nominal if chosen.effects else freed
+                chosen = freed
+                if not significant(chosen, step):
+                    continue  # look again from there
+            if not chosen.effects and max_effects > 1:
+                step = self._plainer(chosen, step, pool)
+            step = self._at_all_joints(chosen, step, found, pool) if self.by_torque else self._exchanged(chosen, step, found)
+            chosen = self._refined(step)
+            known(Search(self.nominal, chosen, list(self.tried)))
+        added = len(chosen.effects) > 1 and not self.by_torque
+        chosen = self._questioned(chosen)
+        if chosen.effects and not significant(self.nominal, chosen):  # a pair that came down to one
+            chosen = self.nominal
+        mates = self._alternatives(chosen, pool)
+        plainest = min(mates.values(), key=lambda h: (h.size, joint_loss(h)), default=chosen)
+        if plainest.size < chosen.size and added:
+            chosen = self._questioned(plainest)  # a rich law was chosen before the others were there
+            mates = self._alternatives(chosen, pool)
+        chosen = self._taught(self._put_back(self._settled(chosen)))
+        self.nominal = self._taught(self.nominal) if chosen.effects else chosen
+        needless = not self.by_torque and not significant(self.nominal, chosen)
+        if chosen.effects and (needless or at_floor(self.nominal)):  # freed of a local minimum on the way
+            chosen, mates = self.nominal, {}
+        several = not self.by_torque and len(chosen.effects) > 1
+        rivals, fitted = rivals_among(list(self.known.values()), chosen, list(mates.values())), self._stale | self.known
+        return Search(self.nominal, chosen, self.tried, list(mates), rivals, several, without_each(chosen, fitted))
+
+    def _beside(self, chosen: Hypothesis, pool: Sequence[Candidate], room: int) -> list[Hypothesis]:
+        """Refits of the chosen hypothesis with more in it, `room` effects at most; after the first choice also of two others,
+        which may explain more than it and one beside it."""
+        # By torque a law is tried at all joints once it is found: what it refines is there by then.
+        found = self._extend(chosen, [c for c in pool if c not in chosen.effects], 1 if self.by_torque else room)
+        if len(chosen.effects) == 1 and not close_to_noise(chosen):
+            found += self._as_pairs(chosen, self._singles, pool, room)
+        self._singles = found
+        self.tried += found
+        return found
+
+    def _as_pairs(self, h: Hypothesis, found: Sequence[Hypothesis], pool: Sequence[Candidate], room: int) -> list[Hypothesis]:
+        """Two effects at once: pairs of those found, and anything beside the one that explains far more of the fit runs than `h`
+        does, whatever it makes of validation runs without what else is missing; at most `room` more than `h` has."""
+        most = len(h.effects) + room
+        out = self.refit([(effects, starts) for effects, starts in pairs(self.bench, found) if len(effects) <= most])
+        lead = min(found, key=lambda f: f.fit_loss, default=h)
+        if lead.fit_loss < CONFLICT * h.fit_loss and len(lead.effects) < most and not self.by_torque:
+            out += self._extend(lead, [c for c in pool if c not in lead.effects])
+        return out
+
+    def _plainer(self, chosen: Hypothesis, step: Hypothesis, pool: Sequence[Candidate]) -> Hypothesis:
+        """The first effect, or two plain laws in its place that explain more."""
+        two = self.refit(plain_pairs(self.bench, step.effects[0], pool, self.nominal.theta))
+        self.tried += two
+        better = [h for h in two if significant(chosen, h) and h.validation.loss < step.validation.loss]
+        return min([step, *better], key=lambda h: h.validation.loss)
+
+    def _exchanged(self, chosen: Hypothesis, step: Hypothesis, found: Sequence[Hypothesis]) -> Hypothesis:
+        """The step from the chosen hypothesis, or one with other effects in the place of those accepted before, if better."""
+        alike = [h for h in equals(self.bench, chosen, found) if h is not step and h.effects[:-1] == step.effects[:-1]]
+        alike = sorted(alike, key=joint_loss)[:RIVALS]
+        other = self.refit(exchanged(self.bench, [step, *alike], self._passed_over))
+        self.tried += other
+        self._passed_over[step.effects[-1]] = alike
+        return best(self.bench, chosen, [step, *other]) or step
+
+    def _at_all_joints(
+        self, chosen: Hypothesis, step: Hypothesis, found: Sequence[Hypothesis], pool: Sequence[Candidate]
+    ) -> Hypothesis:
+        """The step, or an effect that was found at one joint at all others too."""
+        shown = [h for h in (step, *found) if significant(chosen, h)]
+        spread = self.refit(at_all_joints(self.bench, shown, pool))
+        self.tried += spread
+        return best(self.bench, chosen, [step, *spread]) or step
+
+    @property
+    def _quick(self) -> Bench:
+        """The bench on the steps of the search, whose defects for what was chosen are off its data."""
+        return (*self.benches, self.bench)[0]
+
+    def _put_back(self, h: Hypothesis) -> Hypothesis:
+        """The hypothesis with those of the model's own numbers where the user put them that the data leave open."""
+        if not h.effects or self.by_torque:
+            return h
+        path = put_back(h.path, self.bench.binding.theta, self.base_free, partial(self._quick.problem, self.residual, "fit"))
+        after = h if path is h.path else self._hypotheses([(h.effects, path)])[0]
+        return after if after.validation.loss < h.validation.loss * ALIKE else h
+
+    def _taught(self, h: Hypothesis) -> Hypothesis:
+        """What the fit runs leave open, as the validation runs have it, for a model that follows the fit runs."""
+        held, theta, far = h.validation, h.validation.theta, h.fit_loss > NEAR
+        if theta is None and held.gap**2 > held.loss + OPEN and isinstance(self.residual, OutputError) and not far:
+            starts = estimate_starts(self._quick, "validation", [h.theta])
+            theta = (end := together(self._quick, "validation", [h.path], starts)[0]).problem.theta(end.z)
+        if theta is None or self.by_torque or far:
+            return h
+        paths = [brought_back([h.path], theta, h.path.problem.free)[0], moved_to(h.path, theta)]
+        moved = [(h.effects, path) for path in paths if path is not h.path]
+        good = [g for g in (self._hypotheses(moved) if moved else []) if g.validation.loss < h.validation.loss * ALIKE]
+        return min([h, *good], key=lambda g: g.validation.gap)
+
+    def _named(self, h: Hypothesis) -> int:
+        """How many effects a hypothesis names; by torque one at several joints counts once."""
+        return len({c.effect for c in h.effects}) if self.by_torque else len(h.effects)
+
+    def _refined(self, chosen: Hypothesis) -> Hypothesis:
+        """The chosen hypothesis descended to the end, with steps so fine that they no longer matter against the noise: what the
+        step leaves behind would look like another effect. The search itself stays on its steps: what finer ones add to the
+        chosen hypothesis is taken off the data."""
+        chosen = self._descended(chosen, THOROUGH if chosen.effects or chosen.fit_loss < FAR else BRIEF)
+        error = np.nan
+        for _ in range(0 if self.by_torque else HALVINGS):
+            p = self.accurate.problem(self.residual, "fit", chosen.path.problem.free, chosen.theta)
+            finer, before = replace(self.accurate, step=self.accurate.step / 2, defects={}), error
+            if (error := step_error(p, self._z(p, chosen), finer.runs(self.residual, "fit"))) <= STEP_SHARE:
+                break
+            self.accurate = finer
+            if error * error <= STEP_SHARE / 2 * before:  # as it goes on falling, half of what is allowed is left
+                break
+        if self.accurate is not self.bench:
+            self.accurate.compile_ahead(self.residual, self.nominal.theta, self.base_free)  # which it is compared with
+            for _ in range(CORRECTIONS):
+                self._take_off(chosen)
+                chosen = self._descended(chosen)
+            self.nominal = self._descended(self.nominal, BRIEF) if chosen.effects else chosen
+            self._stale |= self.known
+            self.known = {frozenset(): self.nominal, key_of(chosen.effects): chosen}
+        return chosen
+
+    def _freed(self, h: Hypothesis, richer: Hypothesis) -> Hypothesis:
+        """`h` from where a richer one ended, if far less is left there or, as fit runs show no gap, nothing for the richer one to
+        add: an effect may have led out of a local minimum, or along what the fit runs leave open, and be of no other use."""
+        quiet = h.fit_inflation < WHITE
+        if self.by_torque or (joint_loss(h) < FAR and not quiet):
+            return h
+        theta = richer.theta.copy()
+        for c in richer.effects:
+            theta[list(c.index)] = (h.theta if c in h.effects else self.bench.binding.theta)[list(c.index)]
+        p, starts = self.problem(h.effects, theta), richer.path.problem.starts(richer.path.z)
+        freed = self._hypotheses([(h.effects, descend([(p, p.z(theta, starts))], *THOROUGH)[0])])[0]
+        share = joint_loss(freed) / joint_loss(h)
+        if share > FREED and not (quiet and share * ALIKE < 1 and not significant(freed, richer)):
+            return h
+        self.known[key_of(h.effects)] = freed
+        return freed
+
+    def _z(self, p: Problem, h: Hypothesis) -> np.ndarray:
+        return p.z(h.theta, h.path.problem.starts(h.path.z))
+
+    def _descended(self, h: Hypothesis, descent: tuple[int, float] = THOROUGH) -> Hypothesis:
+        """The hypothesis at its minimum on the bench as it is now."""
+        return self._all_descended([h], descent)[0]
+
+    def _all_descended(self, hypotheses: Sequence[Hypothesis], descent: tuple[int, float]) -> list[Hypothesis]:
+        problems = [self.problem(h.effects, h.theta) for h in hypotheses]
+        paths = descend([(p, self._z(p, h)) for p, h in zip(problems, hypotheses, strict=True)], *descent)
+        found = self._hypotheses([(h.effects, path) for h, path in zip(hypotheses, paths, strict=True)])
+        for h in found:
+            self.known[key_of(h.effects)] = h
+        return found
+
+    def _take_off(self, h: Hypothesis) -> None:
+        """Sets the defects of the bench's steps, as this hypothesis has them."""
+        for split in ("fit", "validation"):
+            p = self.bench.problem(self.residual, split, [], h.theta)
+            starts = h.path.problem.starts(h.path.z) if split == "fit" else None
+            if split == "validation" and isinstance(self.residual, OutputError):
+                starts = estimate_starts(self.bench, split, [h.theta])[0]
+            z = p.z(h.theta, starts)
+            fine = finer_predictions(p, z, self.accurate.runs(self.residual, split))
+            defect = np.zeros_like(p.targets)
+            for number, halved, coarse in zip(p.records, fine, p.predictions(z), strict=True):
+                defect[p.runs.record(number).samples] = halved - coarse
+            self.bench.take_off(self.residual, split, np.nan_to_num(defect))
+
+    def _settled(self, chosen: Hypothesis) -> Hypothesis:
+        """The result on the accurate bench itself."""
+        if self.accurate is not self.bench:
+            self.benches.append(self.bench)
+            self.bench = self.accurate
+            self.nominal, *rest = self._all_descended([self.nominal, chosen] if chosen.effects else [self.nominal], THOROUGH)
+            chosen = rest[0] if rest else self.nominal
+        return chosen
+
+    def _extend(self, h: Hypothesis, rest: Sequence[Candidate], room: int = 1) -> list[Hypothesis]:
+        """Refits of `h` with one more effect each, for all that the screen lets pass; one that refines another which is missing
+        comes with that one, where there is room for two."""
+        base = {str(c): [] if sensible((*h.effects, c)) else refined_by(c, rest) for c in rest}
+        rest = [c for c in rest if sensible((*h.effects, *base[str(c)], c)) and len(base[str(c)]) < room]
+        ranked = self.screen(h, rest) if rest else []
+        if h.effects and close_to_noise(h) and not self.by_torque:
+            ranked = [f for f in ranked if f[0] * h.fit_loss * h.path.count > STANDING_OUT]
+            rest = [c for _, c, _ in ranked]
+        # A free run that has gone far astray says little to first order: what the torque screen puts first is tried as well.
+        by_torque = self.torque_screen(h, [c for _, c, _ in ranked] or rest) if rest else []
+        if not (ranked or by_torque):
+            return []
+        if self.progress:
+            self.progress("screen", len(h.effects), 3, f"{len(ranked or by_torque)} candidates react to the data")
+        blind = not (by_torque or self.by_torque)  # a model with inner states
+        kept = shortlist(self.bench, ranked, by_torque, lambda c: bool(base[str(c)]), not h.effects, blind)
+        if self.progress:
+            self.progress("refit", len(h.effects), 3, f"{len(kept)} candidates")
+        best = {str(c): starts[:1] for _, c, starts in by_torque}  # second comes the torque's answer to which probe is right
+        sets = []
+        for _, c, starts in kept:
+            wider = [*starts[:1], *best.get(str(c), []), *starts[1:], *as_given(self.bench, (*h.effects, c), starts)]
+            sets.append(((*h.effects, *base[str(c)], c), with_refined(self.bench, base[str(c)], wider)))
+        return self.refit(sets)
+
+    def _questioned(self, h: Hypothesis) -> Hypothesis:
+        """Takes out effects that are no longer needed beside the others (explain too little, or nothing of the report data), what
+        one refines as well where there is none of it; the smaller set gets every chance, from where the larger one ended."""
+        while len(h.effects) > 1:
+            sets = []
+            for c in least_missed(h, self.bench.binding.theta) if self.by_torque else h.effects:
+                if self.by_torque and not sensible([e for e in h.effects if e is not c]):
+                    continue  # a torque of dry friction alone says little at the low speeds where the two differ
+                theta = h.theta.copy()
+                theta[list(c.index)] = self.bench.binding.theta[list(c.index)]
+                sets.append((tuple(e for e in h.effects if e is not c), [theta]))
+            smaller = self.refit(sets)
+            needless = [s for s in smaller if not significant(s, h) or (outweighed(self.nominal, h, s) and not self.by_torque)]
+            needless = needless or ([] if self.by_torque else not_borne_out(self.bench, self.residual, h, smaller))
+            if not needless:
+                return h
+            h = min(needless, key=lambda s: s.validation.loss)
+        return h
+
+    def _alternatives(self, chosen: Hypothesis, pool: Sequence[Candidate]) -> dict[Candidate, Hypothesis]:
+        """What the data cannot tell from the named effects: other effects in the place of each, the others kept."""
+        out: dict[Candidate, Hypothesis] = {}
+        for c in chosen.effects:
+            others = tuple(e for e in chosen.effects if e is not c)
+            done = self.known.keys() | self._stale.keys()
+            missing = [e for e in pool if e not in chosen.effects and key_of((*others, e)) not in done]
+            if missing and others and key_of(others) in self.known and not self.by_torque:
+                self._extend(self.known[key_of(others)], missing)
+            self._renew([key_of((*others, e)) for e in pool if e not in chosen.effects], key_of(chosen.effects))
+            for e in pool:
+                h = self.known.get(key_of((*others, e)))
+                if e in chosen.effects or h is None or e in out or not sensible((*others, e)):
+                    continue
+                if indistinct(chosen, h):
+                    out[e] = h
+        return out
+
+    def _renew(self, keys: Sequence[frozenset[str]], chosen: frozenset[str]) -> None:
+        """Brings hypotheses that were close to the chosen one before the data were corrected for the step up to date."""
+        if chosen not in self._stale:
+            return
+        limit = 1.5 * self._stale[chosen].fit_loss
+        old = [self._stale[k] for k in keys if k in self._stale and k not in self.known and self._stale[k].fit_loss <= limit]
+        if old:
+            self._all_descended(old, (10, 1e-7))

@@ -1,0 +1,171 @@
+"""Which of several refitted hypotheses to believe: evidence of fit and validation runs, and the choice among those alike."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from jaxid.diagnosis.evidence import held_out, inflation, memory, worth
+from jaxid.diagnosis.hypothesis import family_of, Hypothesis, key_of
+from jaxid.diagnosis.shortlist import TIMING
+from jaxid.fitting.problem_builder import Bench
+from jaxid.problem.residual import Residual
+
+
+#: A difference of held-out evidence below this many chi-square units (3 sigma) decides nothing.
+DECISIVE = 9.0
+#: A hypothesis that leaves less than this share of what the best one on validation data leaves of the fit runs, and less over
+#: both (mean logarithm), is preferred to it: validation runs may go where the fit runs tell little of any hypothesis.
+CONFLICT = 0.5
+#: A law of fewer numbers is as good if it leaves less than so much more: the noise itself is not known better.
+ALIKE = 1.02
+#: An effect must remove at least this share of what is left of the gap on validation data.
+GAIN = 0.02
+#: Residuals of fit runs at the noise, and white: their sums of squares count as they are.
+WHITE = 1.5
+#: Fit runs that show no gap at all say nothing against an effect with which validation runs, refitted together with them, leave
+#: less than this (mean square), if without it they stand so many chi-square units higher.
+EXPLAINED, OVERWHELMING = 1.1, 200.0
+#: Nothing worth another effect is left below the first (mean square); below the second something small may be.
+NEAR_FLOOR, CLOSE_ABOVE = 1.02, 1.5
+#: Two simulations of one law differ by so much of what it does (0.3 % of its size, in mean square).
+FORM = 1e-5
+#: A hypothesis that explains so much of what another one explains is as good, where both are at the noise.
+NEARLY_ALL = 0.99
+
+
+def joint_loss(h: Hypothesis) -> float:
+    """Mean square over fit and validation samples together."""
+    total = h.fit_loss * h.path.count + h.validation.loss * h.validation.count
+    return total / (h.path.count + h.validation.count)
+
+
+def significant(before: Hypothesis, after: Hypothesis) -> bool:
+    """Whether the effects that `after` has beyond `before` are there: fit and validation runs together decide, by more where
+    more is added (dozens of candidates are tried), and each of the two must agree."""
+    held = worth(after.validation, before.validation, inflation(after.validation))
+    if held <= 0:
+        return False
+    fitted = (before.fit_loss - after.fit_loss) * after.path.count / after.fit_inflation
+    left = max(before.validation.loss - 1.0, 1e-12)
+    share = (before.validation.loss - after.validation.loss) / left
+    size, more = after.size - before.size, max(1, len(after.effects) - len(before.effects))
+    silent = before.fit_inflation < WHITE and after.validation.loss < EXPLAINED and fitted > -DECISIVE
+    if silent and held > OVERWHELMING * more:
+        return True
+    # Where the fit runs are at the noise, evidence is exact, and the best of dozens of candidates reaches some by chance.
+    chance = DECISIVE if after.fit_inflation < WHITE else 0.0
+    enough = fitted > chance + 2 * size and fitted + held > 3 * more * DECISIVE + 2 * size
+    return share > GAIN and enough
+
+
+def best(bench: Bench, before: Hypothesis, found: Sequence[Hypothesis]) -> Hypothesis | None:
+    """The choice among refits: best on validation data; of those that it does not beat decisively, the one with the fewest
+    parameters, timing before physics, then the best evidence on fit and validation data together."""
+    near = equals(bench, before, found)
+    fewest = min((h.size for h in near), default=0)
+    physics = lambda h: h.effects[-1].effect not in TIMING
+    return min((h for h in near if h.size == fewest), key=lambda h: (physics(h), joint_loss(h)), default=None)
+
+
+def equals(bench: Bench, before: Hypothesis, found: Sequence[Hypothesis]) -> list[Hypothesis]:
+    """Those of the refits that say more than `before` and that the best of them does not beat decisively."""
+    found = [h for h in found if np.isfinite(h.fit_loss)]  # a run that diverges says nothing, and has no place in an order
+    good = lambda h: significant(before, h)  # dear, so that it is asked last
+    both = lambda h: h.path.count * np.log(h.fit_loss) + h.validation.count * np.log(h.validation.loss)
+    top = next(filter(good, sorted(found, key=lambda h: h.validation.loss)), None)
+    if top is None:
+        return []
+    rival = next(filter(good, sorted(found, key=both)))
+    if rival.fit_loss < CONFLICT * top.fit_loss:
+        top = rival
+        found = [h for h in found if CONFLICT * h.fit_loss < top.fit_loss]
+    factor = inflation(top.validation)
+    near = [h for h in found if worth(top.validation, h.validation, factor) < DECISIVE or simpler(bench, before, h, top)]
+    return [h for h in near if good(h)]
+
+
+def simpler(bench: Bench, before: Hypothesis, h: Hypothesis, top: Hypothesis) -> bool:
+    """Whether `h` has fewer numbers and leaves next to nothing more than `top`: a part of its effects, or others that explain all
+    but a hundredth of what it does; or a law in the same place, of the same kind or where the larger law ended at a bound (as
+    another one's limit)."""
+    if h.size >= top.size or h.validation.loss >= ALIKE * max(1.0, top.validation.loss):
+        return False
+    if joint_loss(h) < ALIKE * max(1.0, joint_loss(top)):
+        explained = lambda x: joint_loss(before) - joint_loss(x)
+        if set(h.effects) < set(top.effects) or explained(h) > NEARLY_ALL * explained(top):
+            return True
+    place = lambda h: (h.effects[-1].location, h.effects[:-1])
+    kind = lambda h: family_of(bench, h.effects[-1])
+    p = top.path.problem
+    own = np.flatnonzero(np.isin(p.free, top.effects[-1].index))
+    at_bound = np.any((top.path.z[own] <= p.lower[own]) | (top.path.z[own] >= p.upper[own]))
+    return bool(place(h) == place(top) and (kind(h) == kind(top) or at_bound))
+
+
+def indistinct(chosen: Hypothesis, h: Hypothesis) -> bool:
+    """Whether neither the validation runs nor these and the fit runs together tell `h` from the chosen hypothesis."""
+    factor = inflation(chosen.validation)
+    both = (joint_loss(h) - joint_loss(chosen)) * (chosen.path.count + chosen.validation.count) / factor
+    doubt = max(2 * DECISIVE, unexplained(chosen)) if joint_loss(h) < CLOSE_ABOVE else 2 * DECISIVE
+    return worth(chosen.validation, h.validation, factor) < DECISIVE and both < doubt
+
+
+def unexplained(h: Hypothesis) -> float:
+    """Chi-square units that a hypothesis leaves above the noise, beyond chance: the creep of a simulator's contacts, a stated
+    noise that is a little low, something that no effect here explains. Any of the effects may stand in for a part of it."""
+    count = h.path.count + h.validation.count
+    return float((joint_loss(h) - 1) * count - np.sqrt(2 * count))
+
+
+def outweighed(nominal: Hypothesis, h: Hypothesis, without: Hypothesis) -> bool:
+    """Whether an effect beside others, next to the noise, explains less than what stays unexplained with it, or so little that
+    the exact form of the others' laws is not known as well."""
+    gained = joint_loss(without) - joint_loss(h)
+    form = gained < FORM * (joint_loss(nominal) - joint_loss(h))
+    return joint_loss(without) < CLOSE_ABOVE and (form or gained * (h.path.count + h.validation.count) < unexplained(h))
+
+
+def not_borne_out(bench: Bench, residual: Residual, h: Hypothesis, smaller: Sequence[Hypothesis]) -> list[Hypothesis]:
+    """Those of smaller sets close to the noise that predict the report data as well: what these do not show is no claim."""
+    close = [s for s in smaller if joint_loss(s) < CLOSE_ABOVE]
+    if not close or not bench.binding.experiments("report"):
+        return []
+    whole, *parts = held_out(bench, "report", [x.theta for x in (h, *close)], residual)
+    return [s for s, part in zip(close, parts, strict=True) if part.gap <= whole.gap]
+
+
+def at_floor(h: Hypothesis) -> bool:
+    """Nothing is left to explain: the noise, and white."""
+    level = lambda count: 1 + 4 * np.sqrt(2 / max(1, count))
+    low = h.fit_loss <= level(h.path.count) and h.validation.loss <= level(h.validation.count)
+    return bool(low and max(memory(h.validation.settled), memory(h.path.problem.residuals(h.path.z))) <= 2)
+
+
+def finished(h: Hypothesis, by_torque: bool) -> bool:
+    """Nothing more is to be found. Something small is looked for beside other effects only, and by free runs."""
+    if not h.effects:
+        return at_floor(h)
+    low = max(h.validation.loss, h.fit_loss) < NEAR_FLOOR
+    return low or (by_torque and (at_floor(h) or close_to_noise(h)))
+
+
+def close_to_noise(h: Hypothesis) -> bool:
+    """White and close above the noise: a stated noise may be a little low, or something small is left."""
+    white = h.fit_inflation < 1.5 * max(1.0, h.fit_loss) and memory(h.validation.settled) <= 2
+    return max(h.validation.loss, h.fit_loss) < CLOSE_ABOVE and white
+
+
+def rivals_among(
+    known: Sequence[Hypothesis], chosen: Hypothesis, mates: Sequence[Hypothesis]
+) -> tuple[Hypothesis, Hypothesis] | None:
+    """The two hypotheses between which further data should decide: the chosen one (else the best) and what the data cannot
+    tell from it (else the best of those known that are not the first with more or less in it)."""
+    nested = lambda a, b: key_of(a.effects) <= key_of(b.effects) or key_of(a.effects) >= key_of(b.effects)
+    ranked = sorted((h for h in known if h.effects and np.isfinite(h.fit_loss)), key=joint_loss)
+    first = chosen if chosen.effects else next(iter(ranked), None)
+    if first is None or (not chosen.effects and at_floor(chosen)):
+        return None
+    others = [h for h in mates or ranked if not nested(h, first)]
+    return (first, min(others, key=joint_loss)) if others else None

@@ -1,0 +1,449 @@
+"""A model is a signal chain: command -> input effects -> joint -> mechanism -> output effects -> sensor.
+
+An effect sits at ONE port of the chain and is called once a step. Nominal friction is an effect like any other, so "a
+candidate unless the model has it" is a set difference, and no mechanism writes friction or sensor code. Every parameter of an
+effect is one number per location (joint, input or output channel); at its neutral value the effect is the identity, bitwise.
+"""
+
+from __future__ import annotations
+
+import abc
+from collections.abc import Callable, Iterable
+from typing import Any, ClassVar, NamedTuple, TYPE_CHECKING, TypeVar
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Bool, Float
+
+from jaxid.dynamics.dry_friction import solve_dry
+from jaxid.dynamics.mechanism import Mechanism, Signature
+from jaxid.dynamics.parameter import Quantity, specs, with_fields
+from jaxid.numerics.fast_math import dot, fence, inverse
+
+
+if TYPE_CHECKING:
+    from jaxid.dynamics.ode import ODE
+
+
+class Command(NamedTuple):
+    """What arrives from the data at one step: `u` the mean input over the step under the channel's stated hold, `other`
+    the same under the other hold (zero-order against linear), `delayed(d)` the mean input a time d earlier."""
+
+    t: Array
+    h: Array
+    u: Float[Array, " nu"]
+    other: Float[Array, " nu"]
+    delayed: Callable[[Float[Array, " nu"]], Float[Array, " nu"]]
+
+
+class Signals(NamedTuple):
+    """What an effect may look at: the predicted middle of the step."""
+
+    t: Array
+    q: Float[Array, " nq"]
+    qd: Float[Array, " nq"]
+    load: Float[Array, " nq"]  # torque that arrives at the joint
+    h: Array
+    command: Command
+    qd0: Float[Array, " nq"]  # joint speed at the step's beginning
+
+
+class Effect(eqx.Module):
+    """Abstract: one physical effect at one port.
+
+    Class attributes of a final class: `name`, `equation`, `signature` (what it looks like in a residual), `source`,
+    `excitation` (what to record to see it), `refines` (the effect without which it is not added, or ""), and `probes`:
+    finite strengths for the screen, since some effects have zero derivative at their neutral value.
+    """
+
+    name: eqx.AbstractClassVar[str]
+    equation: eqx.AbstractClassVar[str]
+    signature: eqx.AbstractClassVar[str]
+    source: eqx.AbstractClassVar[str]
+    excitation: eqx.AbstractClassVar[str]
+    probes: eqx.AbstractClassVar[tuple[dict[str, Quantity | float], ...]]
+    refines: ClassVar[str] = ""
+    contains: ClassVar[tuple[str, ...]] = ()  # other effects that it comprises
+    location: eqx.AbstractClassVar[str]  # "input" | "joint" | "output": the kind of place its parameters are counted by
+
+    def transfer(self, omega: Float[Array, " lines"]) -> tuple[Float[Array, "lines n"], Float[Array, "lines n"]] | None:
+        """Real and imaginary part of what a linear effect at an input or output does to its n channels at omega, rad/s; None:
+        nothing."""
+        return None
+
+    #: Effects of one port act in the order of their stage, then as they were given: what happens to the command before it
+    #: reaches the drive comes first, what edits a mechanism before what wraps it.
+    stage: ClassVar[int] = 1
+    #: Whether its torque at one joint depends on the speed of another.
+    couples: ClassVar[bool] = False
+    #: What it is a law of, where the name of its file does not say: laws of a family at one place stand in for each other.
+    family: ClassVar[str] = ""
+    #: Effects that it may equal at some strength on some mechanism, however different they begin: one is compared with the other.
+    resembles: ClassVar[tuple[str, ...]] = ()
+    #: At which of its places it makes sense on a mechanism; None: at all.
+    offered: ClassVar[Callable[[Mechanism, Signature], tuple[str, ...]] | None] = None
+
+
+def drives(mechanism: Mechanism, signature: Signature) -> tuple[str, ...]:
+    """The inputs that are no mere switches or shares."""
+    return tuple(name for name, unit in signature.inputs if unit != "1")
+
+
+class InputEffect(Effect):
+    """Between command and joint: (u, signals, state) -> u, state."""
+
+    location: ClassVar[str] = "input"
+    offered: ClassVar = staticmethod(drives)
+
+    @abc.abstractmethod
+    def __call__(self, u: Float[Array, " nu"], s: Signals, z: Any) -> tuple[Float[Array, " nu"], Any]: ...
+
+    @abc.abstractmethod
+    def start(self, u: Float[Array, " nu"]) -> Any:
+        """State after the input `u` has been held for long; () for an effect without state."""
+
+
+class JointEffect(Effect):
+    """At the joint: (signals, state) -> smooth opposing torque, dry levels (minus, plus) >= 0, state."""
+
+    location: ClassVar[str] = "joint"
+
+    #: Start values (field -> number) read off the force that a measured motion (q, qd, force, each [samples]) lacks at its joint;
+    #: None: the probes are start enough.
+    read_off: ClassVar[Callable[[np.ndarray, np.ndarray, np.ndarray], dict[str, float]] | None] = None
+
+    @abc.abstractmethod
+    def __call__(self, s: Signals, z: Any) -> tuple[Any, Any, Any, Any]: ...
+
+    @abc.abstractmethod
+    def start(self, q: Float[Array, " nq"]) -> Any: ...
+
+
+class BodyEffect(Effect):
+    """Wraps or edits the mechanism: mechanism -> mechanism."""
+
+    location: ClassVar[str] = "joint"
+
+    @abc.abstractmethod
+    def __call__(self, mechanism: Mechanism) -> Mechanism: ...
+
+
+class OutputEffect(Effect):
+    """Between mechanism and record: (y, signals, state) -> y, state."""
+
+    location: ClassVar[str] = "output"
+
+    @abc.abstractmethod
+    def __call__(self, y: Float[Array, " ny"], s: Signals, z: Any) -> tuple[Float[Array, " ny"], Any]: ...
+
+    @abc.abstractmethod
+    def start(self, y: Float[Array, " ny"], rate: Float[Array, " ny"]) -> Any:
+        """State where the outputs have run straight for long, up to y, with this rate of change."""
+
+
+class RecordEffect(Effect):
+    """Between sensor and file: (times [time], series [time ny], the step's length where all are equal, rate of change before the
+    series begins [ny]) -> series. The motion knows nothing of it."""
+
+    location: ClassVar[str] = "output"
+
+    @abc.abstractmethod
+    def __call__(
+        self, t: Float[Array, " time"], y: Float[Array, "time ny"], h: Float[Array, ""] | None, rate: Float[Array, " ny"]
+    ) -> Float[Array, "time ny"]: ...
+
+
+def neutral(kind: Callable[..., Effect]) -> Effect:
+    """An effect that does nothing: every parameter at its default."""
+    return kind()
+
+
+Port = TypeVar("Port", bound=Effect)
+
+
+def _first_state(e: Effect, q: Array, u: Array, y: Array, rate: Array) -> Any:
+    """State of an effect at the beginning of a run: `InputEffect.start` and the like; () for one that has none."""
+    if isinstance(e, InputEffect):
+        return e.start(u)
+    if isinstance(e, JointEffect):
+        return e.start(q)
+    return e.start(y, rate) if isinstance(e, OutputEffect) else ()
+
+
+#: Structure of a chain -> which of its effects have states: tracing takes a while.
+_REMEMBERING: dict[Any, tuple[bool, ...]] = {}
+
+
+class Carry(NamedTuple):
+    """State of a simulation between steps: mechanism, effects, and two predictors (dry torque, acceleration)."""
+
+    x: Any
+    z: tuple[Any, ...]
+    lam: Float[Array, " nq"]
+    acc: Float[Array, " nq"]
+
+
+class Chain(eqx.Module):
+    """A model: a mechanism and the effects on the way to and from it.
+
+    `smoothing_velocity` 0 is Coulomb friction with true sticking; v > 0 replaces sign(qd) by tanh(qd / v), another model.
+    """
+
+    mechanism: Mechanism
+    effects: tuple[Effect, ...] = ()
+    signature: Signature = eqx.field(static=True, default=None)  # type: ignore[assignment]
+    smoothing_velocity: float = eqx.field(static=True, default=0.0)
+
+    def __init__(
+        self,
+        mechanism: Mechanism,
+        effects: Iterable[Effect] | None = None,
+        *,
+        signature: Signature | None = None,
+        smoothing_velocity: float = 0.0,
+    ):
+        """`effects` None takes the mechanism's built-in ones at their start values."""
+        self.mechanism = mechanism
+        self.signature = signature or mechanism.signatures[0]
+        self.smoothing_velocity = float(smoothing_velocity)
+        effects = mechanism.nominal_effects() if effects is None else effects
+        self.effects = tuple(self._widened(e) for e in effects)
+
+    @property
+    def nq(self) -> int:
+        return len(self.signature.joints)
+
+    @property
+    def direct(self) -> bool:
+        """Whether each input is the drive torque or force of a joint."""
+        inputs = self.signature.inputs
+        return len(inputs) == self.nq and all(unit in ("N m", "N") for _, unit in inputs)
+
+    @property
+    def torque_channels(self) -> tuple[tuple[str, str], ...]:
+        """(name, unit) of each joint's drive torque: the input channels, or the joints where inputs are something else."""
+        if self.direct:
+            return self.signature.inputs
+        return tuple((f"torque at {joint}", self.signature.unit("{F}")) for joint in self.signature.joints)
+
+    @property
+    def joint_outputs(self) -> list[int]:
+        """Positions of the joints' own coordinates among the outputs; empty where not every joint is measured."""
+        names = [n for n, _ in self.signature.outputs]
+        return [names.index(j) for j in self.signature.joints] if set(self.signature.joints) <= set(names) else []
+
+    def places(self, effect: Effect | type[Effect]) -> tuple[str, ...]:
+        """Names of the locations that an effect's parameters are counted by in this model."""
+        if effect.location == "joint":
+            return self.signature.joints
+        return self.mechanism.places(effect, self.signature)
+
+    def offers(self, effect: Effect | type[Effect]) -> tuple[str, ...]:
+        """Those of its places where an effect makes sense in this model: its candidates in a diagnosis."""
+        anywhere = effect.offered is None or self.mechanism.behind_law(effect)
+        return self.places(effect) if anywhere else effect.offered(self.mechanism, self.signature)  # type: ignore[misc]
+
+    def _widened(self, effect: Effect) -> Effect:
+        n = len(self.places(effect))
+        wide = {name: np.broadcast_to(np.asarray(getattr(effect, name), np.float64), (n,)) for name in specs(effect)}
+        return with_fields(effect, {k: np.array(v) for k, v in wide.items()})
+
+    @property
+    def contents(self) -> set[str]:
+        """Ids of all effects that the model comprises; none of them can be a candidate."""
+        return {name for e in self.effects for name in (e.name, *e.contains)}
+
+    def without(self, *names: str) -> Chain:
+        """The same model with these effects taken out."""
+        return self._with(e for e in self.effects if e.name not in names)
+
+    def with_effects(self, *effects: Effect) -> Chain:
+        """The same model with more effects; one that it already has is replaced."""
+        return self._with([*self.without(*(e.name for e in effects)).effects, *effects])
+
+    def with_mechanism(self, mechanism: Mechanism) -> Chain:
+        """The same effects on another mechanism with the same places."""
+        return Chain(mechanism, self.effects, signature=self.signature, smoothing_velocity=self.smoothing_velocity)
+
+    def _with(self, effects: Iterable[Effect]) -> Chain:
+        return Chain(self.mechanism, effects, signature=self.signature, smoothing_velocity=self.smoothing_velocity)
+
+    def smoothed(self, smoothing_velocity: float) -> Chain:
+        """The same model with dry friction smoothed as tanh(qd / smoothing_velocity); 0 restores true sticking."""
+        return Chain(self.mechanism, self.effects, signature=self.signature, smoothing_velocity=smoothing_velocity)
+
+    # ---- one step
+
+    def at(self, port: type[Port]) -> list[tuple[int, Port]]:
+        """The effects at one port with their positions, in the order in which they act."""
+        found = [(i, e) for i, e in enumerate(self.effects) if isinstance(e, port)]
+        return sorted(found, key=lambda pair: (self.mechanism.behind_law(pair[1]), pair[1].stage))
+
+    def body(self) -> Mechanism:
+        """The mechanism with all body effects applied."""
+        mechanism = self.mechanism
+        for _, e in self.at(BodyEffect):
+            mechanism = e(mechanism)
+        return mechanism
+
+    def has_states(self) -> bool:
+        """Whether an effect, or the mechanism beside its joints, remembers the motion before a record."""
+        return self.mechanism.hidden_states or any(self.stateful())
+
+    def stateful(self) -> tuple[bool, ...]:
+        """Which effects remember the motion before a record; sensors do not, they begin anew with it."""
+        key = jax.tree.structure(self)
+        if key not in _REMEMBERING:
+            q, u = jnp.zeros(self.nq), jnp.zeros(len(self.signature.inputs))
+
+            def states(e: Effect) -> Any:
+                hidden = isinstance(e, BodyEffect) and e(self.mechanism).hidden_states
+                return q if hidden else () if isinstance(e, OutputEffect) else _first_state(e, q, u, u, u)
+
+            _REMEMBERING[key] = tuple(bool(jax.tree.leaves(jax.eval_shape(states, e))) for e in self.effects)
+        return _REMEMBERING[key]
+
+    def start(
+        self, q: Float[Array, " nq"], qd: Float[Array, " nq"], u: Float[Array, " nu"], body: Mechanism | None = None
+    ) -> Carry:
+        """State at the beginning of a run that has seen the input `u` for long; `body` the mechanism ready with its effects."""
+        body = self.body().prepare(None) if body is None else body
+        x = body.start(q, qd)
+        y, rate = self.begins(body, q, qd) if self.at(OutputEffect) else (jnp.zeros(0), jnp.zeros(0))
+        return Carry(x, tuple(_first_state(e, q, u, y, rate) for e in self.effects), jnp.zeros_like(q), jnp.zeros_like(q))
+
+    def sensed_anew(self, z: tuple, fresh: tuple, here: Array) -> tuple:
+        """States z, with those of the sensors as in `fresh` where `here`."""
+        anew = lambda a, b: jax.tree.map(lambda a, b: jnp.where(here, a, b), a, b)
+        return tuple(anew(a, b) if isinstance(e, OutputEffect) else b for e, a, b in zip(self.effects, fresh, z, strict=True))
+
+    def begins(
+        self, body: Mechanism, q: Float[Array, " nq"], qd: Float[Array, " nq"]
+    ) -> tuple[Float[Array, " ny"], Float[Array, " ny"]]:
+        """Outputs without effects of a run that begins at (q, qd) without acceleration, and their rate of change."""
+
+        def outputs(q: Float[Array, " nq"]) -> Float[Array, " ny"]:
+            return self.signature.read(body, body.start(q, qd), jnp.zeros_like(q), jnp.ones_like(q, bool))
+
+        return jax.jvp(outputs, (q,), (qd,))
+
+    def commanded(self, s: Signals, z: tuple) -> tuple[Float[Array, " nu"], tuple]:
+        """Inputs after the input effects."""
+        u, z_new = s.command.u, list(z)
+        for i, e in self.at(InputEffect):
+            u, z_new[i] = e(u, s, z[i])
+        return u, tuple(z_new)
+
+    def friction(self, s: Signals, z: tuple) -> tuple[Array, Array, Array, tuple]:
+        """Smooth opposing torque, dry levels (minus, plus), effect states at the end of the step."""
+        smooth, minus, plus, z_new = jnp.zeros_like(s.qd), jnp.zeros_like(s.qd), jnp.zeros_like(s.qd), list(z)
+        for i, e in self.at(JointEffect):
+            f, m, p, z_new[i] = e(s, z[i])
+            smooth, minus, plus = smooth + f, minus + m, plus + p
+        return smooth, jnp.maximum(minus, 0.0), jnp.maximum(plus, 0.0), tuple(z_new)
+
+    def step(self, body: Mechanism, carry: Carry, command: Command) -> tuple[Carry, Float[Array, " ny"]]:
+        """State at the end of a step, and what the sensors record at its beginning, under the torque that then begins to act."""
+        after, tau = self.advance(body, carry, command)
+        v0, v1 = body.port(carry.x)[1], body.port(after.x)[1]
+        y, z = self.sense(body, carry, tau, (v0 == 0) & (v1 == 0), command)
+        return after._replace(
+            z=tuple(b if isinstance(e, OutputEffect) else a for e, a, b in zip(self.effects, after.z, z, strict=True))
+        ), y
+
+    def sense(
+        self, body: Mechanism, carry: Carry, tau: Float[Array, " nq"], rests: Bool[Array, " nq"], command: Command
+    ) -> tuple[Float[Array, " ny"], tuple]:
+        """What the sensors record at the beginning of a step with net joint torque `tau`, and the effects' next states."""
+        q, v = body.port(carry.x)
+        s = Signals(command.t, q, v, jnp.zeros_like(q), command.h, command, v)
+        y, z = self.signature.read(body, carry.x, tau, rests), list(carry.z)
+        for i, e in self.at(OutputEffect):
+            y, z[i] = e(y, s, carry.z[i])
+        return y, tuple(z)
+
+    def advance(self, body: Mechanism, carry: Carry, command: Command) -> tuple[Carry, Float[Array, " nq"]]:
+        """One step of length command.h, and the net joint torque in it: friction law at the predicted middle, smooth friction
+        linearly implicit, dry friction solved exactly (`jaxid.dynamics.dry_friction`)."""
+        x, z, lam, acc = carry
+        h, eps = command.h, self.smoothing_velocity
+        q, v = body.port(x)
+        s = Signals(command.t + h / 2, q + h / 2 * v, v + h / 2 * acc, jnp.zeros_like(q), h, command, v)
+        u, after = self.commanded(s, z)
+        s = s._replace(load=body.drive(self.signature, u, s.q, s.qd))
+
+        def law(qd):
+            now = s._replace(qd=qd)
+            F, minus, plus, _ = self.friction(now, z)
+            return F - body.drive(self.signature, self.commanded(now, z)[0], s.q, qd), minus, plus
+
+        F, minus, plus, slope = (fence(a) for a in self._linearised(law, s.qd))
+        if eps == 0:
+            lam = jnp.where(v > 0, plus, jnp.where(v < 0, -minus, jnp.clip(lam, -minus, plus)))
+        else:
+            lam = jnp.where(s.qd > 0, plus, minus) * jnp.tanh(s.qd / eps)
+
+        free = body.free(h, x, -F - lam)
+        # Smooth law, linearised at the prediction, at the middle velocity (v + w) / 2: stable at any slope.
+        push = lambda dv: slope * dv if slope.ndim == 1 else dot(slope, dv)
+        B = inverse(jnp.eye(v.shape[0]) + (free.A * slope if slope.ndim == 1 else dot(free.A, slope)) / 2)
+        w = dot(B, free.qd + dot(free.A, push(s.qd - v / 2)))
+        A = dot(B, free.A)
+        dry, end, bend = solve_dry(v, w + dot(A, lam), A, minus, plus, lam, eps)
+        # A joint that sticks stands exactly still: rounding left here would ruin every later decision and gradient.
+        sticks = (end == 0) & (minus + plus > 0)
+        w = jnp.where(sticks, 0.0, w + dot(A, lam - dry))
+        correction, shift = lam - dry - push((v + w) / 2 - s.qd), h * bend
+        moved = body.port(body.close(h, x, free, correction, w, shift))[0] - q
+        x = body.close(h, x, free, correction, w, shift - jnp.where(sticks & (v == 0), moved, 0.0))
+        _, _, _, z = self.friction(s._replace(qd=(v + w) / 2), after)
+        return Carry(x, z, dry, (w - v) * (1 / h)), correction - F - lam
+
+    def _linearised(self, law: Callable, qd: Float[Array, " nq"]) -> tuple[Array, Array, Array, Array]:
+        """The law at qd, and its slope: [nq] where each joint's torque depends on its own speed alone, else [nq nq]."""
+        if not any(e.couples for e in self.effects):
+            (F, minus, plus), (slope, _, _) = jax.jvp(law, (qd,), (jnp.ones_like(qd),))
+            return F, minus, plus, slope
+        F, minus, plus = law(qd)
+        return F, minus, plus, jax.jacfwd(lambda qd: law(qd)[0])(qd)
+
+    def recorded(
+        self, t: Float[Array, " time"], y: Float[Array, "time ny"], h: Float[Array, ""] | None, rate: Float[Array, " ny"]
+    ) -> Float[Array, "time ny"]:
+        """The sensors' series as the file holds it; times strictly increasing, by equal steps `h` where that is given; `rate` of
+        change before the series begins."""
+        for _, e in self.at(RecordEffect):
+            y = e(t, y, h, rate)
+        return y
+
+    # ---- the same objects without integration
+
+    def inverse(
+        self,
+        command: Command,
+        z: tuple,
+        q: Float[Array, " nq"],
+        qd: Float[Array, " nq"],
+        qdd: Float[Array, " nq"],
+    ) -> tuple[Float[Array, " nq"], tuple]:
+        """Missing torque of a measured motion, drive(u) - (M qdd + bias + friction), and the effects' next states."""
+        body = self.body()
+        s = Signals(command.t, q, qd, jnp.zeros_like(q), command.h, command, qd)
+        u, z = self.commanded(s, z)
+        tau = body.drive(self.signature, u, q, qd)
+        F, minus, plus, z = self.friction(s._replace(load=tau), z)
+        eps = self.smoothing_velocity
+        direction = jnp.sign(qd) if eps == 0 else jnp.tanh(qd / eps)
+        dry = jnp.where(direction > 0, plus, minus) * direction
+        return tau - body.inverse(q, qd, qdd) - F - dry, z
+
+    def ode(self) -> ODE:
+        """The model as dy/dt = f(t, y, (parameters, u)), for diffrax and other solvers: see `jaxid.dynamics.ode.ODE`.
+
+        Raises `UsageError` for dry friction that is not smoothed (`chain.smoothed(1e-3)`): no such equation says what sticks.
+        """
+        from jaxid.dynamics.ode import ODE
+
+        return ODE(self)

@@ -1,0 +1,163 @@
+"""The joints of a recording and those of a chain, matched by their names: q1 … become the chain's first joint and so on."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+
+from jaxid.data.dataset import Channel, Dataset, Experiment
+from jaxid.errors import UsageError
+
+
+_NUMBERED = re.compile(r"([A-Za-z_]+?)(\d+)((?:_[A-Za-z]+)?)")
+
+
+def joint_names(mechanism: Any) -> tuple[str, ...]:
+    """The names that a chain's file gives its joints, in the order of the chain; none where it has no names."""
+    return tuple(getattr(mechanism, "joint_names", ()))
+
+
+def names_of_joints(mechanism: Any, dataset: Dataset, count: int) -> tuple[str, ...]:
+    """Names of the first `count` joints, by the chain's file or else by the recording; q1 … where neither names all of them."""
+    joints = {} if dataset.model is None else dataset.model.joints
+    channels = [f"q{k}" for k in range(1, count + 1)]
+    return joint_names(mechanism) or tuple(joints[c] if joints.keys() >= set(channels) else c for c in channels)
+
+
+def in_chain_order(dataset: Dataset, names: Sequence[str]) -> Dataset:
+    """The dataset with its numbered channels in the order of the chain's joints `names`, which a note says.
+
+    Joints that the chain lacks become auxiliary channels behind them. Without names on either side the numbers count, and a
+    note says so where there are more joints than the chain has. Raises `UsageError` where the chain's joints are not recorded.
+    """
+    if not names:
+        return dataset
+    joints = dict(dataset.model.joints) if dataset.model is not None else {}
+    if not joints:
+        return _bynumber_of(dataset, names)
+    numbers = renumbered(joints, names)
+    left = [joints[f"q{old}"] for old, new in numbers.items() if new > len(names)]
+    if all(old == new for old, new in numbers.items()) and not left:
+        return dataset
+    new_name = lambda name: renamed(name, numbers)
+    outside = {c.name for c in dataset.channels if number_of(new_name(c.name)) > len(names)}
+    channels = [replace(c, name=new_name(c.name), role="auxiliary" if c.name in outside else c.role) for c in dataset.channels]
+    channels = [
+        c for role in ("input", "output", "auxiliary") for c in sorted((c for c in channels if c.role == role), key=_place)
+    ]
+    order = {f"q{new}": joints[f"q{old}"] for old, new in sorted(numbers.items(), key=lambda pair: pair[1])}
+    assert dataset.model is not None
+    note = "joints by name, in the order of the chain: " + ", ".join(f"{k} = {j}" for k, j in list(order.items())[: len(names)])
+    note += f"; the recording has {', '.join(joints.values())}"
+    note += f"; left out, for the chain lacks them: {', '.join(left)}" if left else ""
+    return replace(
+        dataset,
+        channels=tuple(channels),
+        experiments=tuple(_experiment(e, dataset, channels, new_name) for e in dataset.experiments),
+        responses=tuple(replace(r, input=new_name(r.input), output=new_name(r.output)) for r in dataset.responses),
+        model=replace(dataset.model, joints=order),
+        controller=None if dataset.controller is None else replace(
+            dataset.controller, settings=_settings(dataset.controller.settings, numbers, new_name, len(names))
+        ),
+        notes=(*dataset.notes, note),
+    )  # fmt: skip
+
+
+def renumbered(joints: Mapping[str, str], names: Sequence[str]) -> dict[int, int]:
+    """Number of each recorded joint (`joints`: q1 -> its name) -> its number in the chain; those that it lacks come behind."""
+    own = {int(c[1:]): j for c, j in joints.items() if re.fullmatch(r"q\d+", c)}
+    plain = [_plain(j) for j in own.values()]
+    found: dict[int, int] = {}
+    missing = []
+    for place, name in enumerate(names, 1):
+        exact = [k for k, j in own.items() if j == name]
+        alike = exact or [k for k, j in own.items() if _plain(j) == _plain(name) and plain.count(_plain(name)) == 1]
+        if alike:
+            found[alike[0]] = place
+        else:
+            missing.append(name)
+    if missing:
+        raise UsageError(
+            f"the recording has no joint {', '.join(missing)} of the chain {', '.join(names)}; it has {', '.join(own.values())}. "
+            "Name its joints as the chain does under [model.joints] of dataset.toml, q1 = 'NAME' …, or the chain's end with --tip"
+        )
+    behind = iter(range(len(names) + 1, len(names) + len(own) + 1))
+    return found | {k: next(behind) for k in sorted(own) if k not in found}
+
+
+def _bynumber_of(dataset: Dataset, names: Sequence[str]) -> Dataset:
+    """Without names of the recording: a note where the numbers are all there is, and joints are left out."""
+    more = sorted(
+        (c.name for c in dataset.outputs if re.fullmatch(r"q\d+", c.name) and number_of(c.name) > len(names)), key=number_of
+    )
+    note = "joints by their numbers, for the recording does not name them: " + ", ".join(
+        f"q{k} = {n}" for k, n in enumerate(names, 1)
+    )
+    note += " (name them under [model.joints])"
+    note += f"; left out, for the chain has {len(names)} joints: {', '.join(more)}" if more else ""
+    return dataset if note in dataset.notes or len(names) == 1 else replace(dataset, notes=(*dataset.notes, note))
+
+
+def _plain(name: str) -> str:
+    """A name without what drivers put around it: `arm/shoulder_pan_joint`, `Shoulder-Pan`, `shoulder_pan.pos`."""
+    last = name.rpartition("/")[2].lower()
+    last = re.sub(r"(\.pos|\.position)$", "", last)
+    last = re.sub(r"[_\- ]?joint$|^joint[_\- ](?=[a-z])", "", last)
+    return re.sub(r"[^a-z0-9]", "", last)
+
+
+def number_of(name: str) -> int:
+    """The joint of a numbered channel, 0 where it has no number."""
+    match = _NUMBERED.fullmatch(name)
+    return int(match[2]) if match else 0
+
+
+def renamed(name: str, numbers: Mapping[int, int]) -> str:
+    """A numbered channel under its joint's new number."""
+    match = _NUMBERED.fullmatch(name)
+    if match is None or int(match[2]) not in numbers:
+        return name
+    return f"{match[1]}{numbers[int(match[2])]}{match[3]}"
+
+
+def _place(channel: Channel) -> tuple[str, int, str]:
+    match = _NUMBERED.fullmatch(channel.name)
+    return (match[1], int(match[2]), match[3]) if match else (channel.name, 0, "")
+
+
+def _experiment(e: Experiment, dataset: Dataset, channels: Sequence[Channel], new_name: Any) -> Experiment:
+    """One run with its columns under their new names."""
+    columns = {new_name(c.name): e.u[:, i] for i, c in enumerate(dataset.inputs)}
+    columns |= {new_name(c.name): e.y[:, i] for i, c in enumerate(dataset.outputs)}
+    columns |= {new_name(k): v for k, v in e.auxiliary.items()}
+    of = lambda role: [c.name for c in channels if c.role == role]
+    stack = lambda names: np.stack([columns[n] for n in names], 1) if names else np.zeros((len(e.t), 0))
+    old = {new_name(c.name): i for i, c in enumerate(dataset.outputs)}
+    by_output = lambda a: None if a is None else a[:, [old[n] for n in of("output")]]
+    initial = None
+    if e.initial is not None:
+        known = set(columns)
+        initial = {new_name(k): v for k, v in e.initial.items() if k not in known or new_name(k) in of("output")}
+    return replace(
+        e, u=stack(of("input")), y=stack(of("output")), auxiliary={n: columns[n] for n in of("auxiliary")}, initial=initial,
+        past=None if e.past is None else _experiment(e.past, dataset, channels, new_name),
+        scatter=by_output(e.scatter), left_out=by_output(e.left_out),
+    )  # fmt: skip
+
+
+def _settings(settings: Mapping[str, Any], numbers: Mapping[int, int], new_name: Any, count: int) -> dict[str, Any]:
+    """A law's gains in the order of the chain, its channels under their new names."""
+    olds = sorted(numbers)
+    out: dict[str, Any] = {}
+    for key, value in settings.items():
+        if isinstance(value, str):
+            value = new_name(value)
+        elif isinstance(value, list) and len(value) == len(olds):
+            moved = [new_name(v) if isinstance(v, str) else v for v in value]
+            value = [moved[olds.index(k)] for k in sorted(olds, key=lambda k: numbers[k])][:count]
+        out[key] = value
+    return out

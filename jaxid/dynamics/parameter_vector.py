@@ -1,0 +1,127 @@
+"""A model as one flat vector of numbers with names, units and bounds: what fitters see of it."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any, NamedTuple
+
+import equinox as eqx
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float
+
+from jaxid.dynamics.chain import Chain, Effect
+from jaxid.dynamics.parameter import ParameterSpec, Reference, resolve, specs
+from jaxid.errors import nearest, UsageError
+
+
+class Entry(NamedTuple):
+    """One number of a model. `owner` -1 is the mechanism, else the index of the effect; `place` its location there (0 for a
+    field of the mechanism that is not one number per joint)."""
+
+    name: str
+    owner: int
+    field: str
+    place: int
+    location: str
+    spec: ParameterSpec
+    unit: str
+
+
+class Layout:
+    """Order, names and meaning of all numbers of a model: those of the mechanism, then those of each effect by location."""
+
+    def __init__(self, chain: Chain, solver: Any = None):
+        """`solver` simulates in place of the stepping of chains: a `jaxid.simulation.diffrax_solver.Diffrax`."""
+        self.chain, self.solver = chain, solver
+        self.entries = tuple(_entries(chain))
+        self.names = [e.name for e in self.entries]
+        self.values = np.array(
+            [
+                np.ravel(getattr(chain.mechanism if e.owner < 0 else chain.effects[e.owner], e.field))[e.place]
+                for e in self.entries
+            ],
+            np.float64,
+        )
+        shape = lambda name: np.shape(getattr(chain.mechanism, name))
+        self._leaves = [(-1, name, shape(name)[0] if shape(name) else 0) for name in specs(chain.mechanism)]
+        for i, effect in enumerate(chain.effects):
+            self._leaves += [(i, name, len(chain.places(effect))) for name in specs(effect)]
+        self.log = np.array([e.spec.log for e in self.entries])
+
+    def __len__(self) -> int:
+        return len(self.entries)
+
+    def model(self, theta: Float[Array, " size"] | Float[np.ndarray, " size"] | Sequence[Any]) -> Chain:
+        """The same chain with these numbers (works on tracers, and on numbers one by one)."""
+        values: list[Any] = []
+        position = 0
+        for owner, name, width in self._leaves:
+            own = theta[position : position + (width or 1)]
+            values.append((jnp.stack(own) if isinstance(own, list) else own) if width else own[0])
+            position += width or 1
+
+        def leaves(chain: Chain) -> list[Any]:
+            owner_of = lambda i: chain.mechanism if i < 0 else chain.effects[i]
+            return [getattr(owner_of(owner), name) for owner, name, _ in self._leaves]
+
+        return eqx.tree_at(leaves, self.chain, values)
+
+    def index(self, name: str) -> int:
+        """Position of a parameter by its printed name."""
+        if name not in self.names:
+            raise UsageError(f"the model has no parameter {name!r}{nearest(name, self.names)}")
+        return self.names.index(name)
+
+    def of_effect(self, effect: str, location: str | None = None) -> list[int]:
+        """Positions of an effect's parameters, at one location or all."""
+        return [
+            i
+            for i, e in enumerate(self.entries)
+            if e.owner >= 0 and self.chain.effects[e.owner].name == effect and (location is None or e.location == location)
+        ]
+
+    def boxes(self, joints: Sequence[Reference], inputs: Sequence[Reference] = ()) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """(lower, upper, scale) of every number, effects' bounds resolved at their joint or input channel."""
+        rows = []
+        for e in self.entries:
+            effect = self.chain.effects[e.owner] if e.owner >= 0 else None
+            at_input = effect is not None and effect.location == "input" and not self.chain.mechanism.behind_law(effect)
+            own = inputs if at_input and inputs else joints
+            r = own[min(e.place, len(own) - 1)]
+            rows.append([resolve(b, r) for b in (e.spec.lower, e.spec.upper, e.spec.scale)])
+        lower, upper, scale = np.array(rows, np.float64).reshape(-1, 3).T
+        return lower, upper, scale
+
+
+def _entries(chain: Chain):
+    unit = chain.signature.unit
+    joints = chain.signature.joints
+    for name, spec in specs(chain.mechanism).items():
+        value = np.asarray(getattr(chain.mechanism, name))
+        for k in range(value.size):  # a field is one number, or one per joint: m1 m2 ...
+            own = chain.mechanism.spec_of(name, k, spec)._replace(value=float(value.flat[k]))
+            where = joints[k] if value.ndim and k < len(joints) else ""
+            yield Entry(chain.mechanism.number_name(name, k) if value.ndim else name, -1, name, k, where, own, unit(own.unit, k))
+    ids = {kind.name: names for kind, names in chain.mechanism.builtin}
+    for i, effect in enumerate(chain.effects):
+        places = chain.places(effect)
+        for field, spec in specs(effect).items():
+            short = ids.get(effect.name, {}).get(field)
+            for k, place in enumerate(places):
+                if short and "{joint}" in short:
+                    name = short.replace("{joint}", joints[k] if effect.location == "input" and k < len(joints) else place)
+                elif short:
+                    name = short if len(places) == 1 else f"{short}{k + 1}"
+                else:
+                    name = f"{effect.name}.{field}@{place}"
+                yield Entry(name, i, field, k, place, spec, unit(channel_unit(chain, effect, k, spec.unit), k))
+
+
+def channel_unit(chain: Chain, effect: Effect | type[Effect], place: int, template: str) -> str:
+    """Fills {u} and {y}, the unit of the channel that the effect acts on."""
+    if chain.mechanism.behind_law(effect):
+        return template.replace("{u}", chain.signature.unit("{F}", place))
+    ports = chain.signature.inputs if effect.location == "input" else chain.signature.outputs
+    own = ports[place][1] if place < len(ports) else ""
+    return template.replace("{u}", own).replace("{y}", own)

@@ -1,0 +1,177 @@
+"""Runs of a comparison: every fitter and every seed on one problem, one after the other so that their times are honest."""
+
+from __future__ import annotations
+
+import inspect
+import time
+from collections.abc import Iterable, Sequence
+from dataclasses import replace
+from typing import Any
+
+import jax
+import numpy as np
+
+from jaxid import catalogue
+from jaxid.data.dataset import Dataset
+from jaxid.dynamics.chain import Effect
+from jaxid.errors import nearest, UsageError
+from jaxid.fitters import descend
+from jaxid.fitting.comparison import Comparison, Known, Run
+from jaxid.fitting.covariance import covariance
+from jaxid.fitting.fitter import AbstractFitter, AbstractPopulation, Minimum, Progress, sampling_box
+from jaxid.fitting.problem_builder import Bench, default_residual, start_values
+from jaxid.fitting.settings import fitter_of, label_of, parsed
+from jaxid.problem.binding import bind, Binding
+from jaxid.problem.problem import LOSSES, Problem
+from jaxid.problem.residual import Residual
+from jaxid.runtime import Interrupted
+from jaxid.storage.interim import Interim
+
+
+#: What `jaxid compare` runs where nothing is named.
+FITTERS = ("lm", "hybrid", "de", "rde", "pso", "ga")
+BUDGET = 10_000
+STARTS = ("random", "guess")
+
+
+def run_comparison(
+    model: object,
+    dataset: Dataset,
+    fitters: Iterable[AbstractFitter | str] | None,
+    seeds: int,
+    budget: int | None,
+    seconds: float | None,
+    effects: Iterable[str | Effect | type[Effect]],
+    without: Iterable[str],
+    residual: Residual | None,
+    loss: str,
+    starts: str,
+    tolerance: float,
+    seed: int,
+    progress: Progress | None,
+) -> Comparison:
+    """The whole of `jaxid.compare`. On Ctrl-C `Interrupted` carries the comparison of the runs that were finished."""
+    began = time.perf_counter()
+    effects = tuple(catalogue.enrolled(e) for e in effects)
+    if loss not in LOSSES:
+        raise UsageError(f"there is no loss {loss!r}{nearest(loss, LOSSES)}")
+    if seeds < 1:
+        raise UsageError(f"{seeds} seeds are none; give at least 1")
+    if starts not in STARTS:
+        raise UsageError(f"starts are {' or '.join(STARTS)}, not {starts!r}")
+    if not tolerance > 0:
+        raise UsageError(f"a tolerance of {tolerance:g} cannot be met; give a share of the best loss above 0, such as 1e-3")
+    if (budget is not None and budget < 1) or (seconds is not None and seconds <= 0):
+        raise UsageError("budget and seconds are above 0")
+    budget = BUDGET if budget is None and seconds is None else budget
+    chosen = resolve(FITTERS if fitters is None else fitters, budget, seconds)
+    binding = bind(model, dataset, effects=effects, without=without)
+    residual = residual or default_residual(binding)
+    for label, fitter in chosen:
+        wanted = getattr(fitter, "residual_name", None)
+        if wanted not in (None, residual.name):
+            raise UsageError(f"{label} solves {wanted}, not {residual.name}: leave it out or give that residual")
+    bench = Bench(binding)
+    thetas = start_values(bench, binding.free, seed)
+    problem = bench.problem(residual, "fit", binding.free, thetas[0], loss=loss)
+    guess = problem.z(thetas[0])
+    runs: list[tuple[Run, Minimum]] = []
+    total = len(chosen) * seeds
+
+    def finished() -> Comparison:
+        lowest, best = best_known(binding, problem, [guess, *(problem.z(t) for t in thetas[1:])], [m for _, m in runs])
+        return Comparison(
+            binding.chain.mechanism.name, binding.dataset.name, binding.dataset.sha256, effects, residual.name, loss, budget,
+            seconds, starts, tolerance, lowest, best, tuple(r for r, _ in runs), time.perf_counter() - began,
+            (*binding.dataset.notes, f"residual: {problem.runs.statement}"),
+        )  # fmt: skip
+
+    known = Interim()
+    try:
+        for label, fitter in chosen:
+            for number in range(seed, seed + seeds):
+                if progress:
+                    progress("compare", len(runs), total, f"{label}, seed {number}")
+                start = guess if starts == "guess" else random_start(problem, guess, number)
+                runs.append(one_run(problem, fitter, label, start, number, budget, seconds))
+                known.offer(finished)
+    except KeyboardInterrupt as stop:
+        raise Interrupted(finished() if runs else None) from stop
+    if progress:
+        progress("compare", total, total, "")
+    return finished()
+
+
+def one_run(
+    problem: Problem, fitter: AbstractFitter, label: str, start: np.ndarray, seed: int, budget: int | None, seconds: float | None
+) -> tuple[Run, Minimum]:
+    """One fitter with one seed."""
+    limit: dict[str, Any] = {} if seconds is None else {"seconds": seconds}
+    began, compiled = time.perf_counter(), problem.compile_time_s
+    found = fitter.minimise(problem, [start], jax.random.key(seed), budget, None, **limit)
+    wall, compiling = time.perf_counter() - began, problem.compile_time_s - compiled
+    spent = max(wall - compiling, 0.0)
+    points = [p for p in found.history if np.isfinite(p[1])]
+    times = found.seconds
+    if len(times) != len(found.history):  # a fitter that keeps no clock: evaluations cost the same all along
+        times = [spent * n / max(found.evaluations, 1) for n, _ in found.history]
+    history = np.array([(n, t, v) for (n, v), t in zip(found.history, times, strict=True)], float).reshape(-1, 3)
+    history[:, 2] = np.minimum.accumulate(history[:, 2]) if len(points) else history[:, 2]
+    theta = problem.theta(found.z)
+    parameters = {problem.runs.layout.names[i]: float(theta[i]) for i in problem.free}
+    status = "failed" if found.failed else "converged" if found.converged else "stopped"
+    run = Run(
+        label, seed, status, found.stopped_because, found.loss, found.evaluations, spent, wall, compiling, parameters, history
+    )
+    return run, found
+
+
+def random_start(problem: Problem, guess: np.ndarray, seed: int) -> np.ndarray:
+    """Parameters anywhere in the sampling box; unknown starts of the runs as the data suggest them."""
+    lower, upper = sampling_box(problem, guess)
+    z = lower + (upper - lower) * np.random.default_rng(seed).uniform(size=problem.size)
+    z[problem.free.size :] = guess[problem.free.size :]
+    return z
+
+
+def best_known(
+    binding: Binding, problem: Problem, guesses: Sequence[np.ndarray], found: Sequence[Minimum]
+) -> tuple[float, dict[str, Known]]:
+    """The lowest loss that runs or descents from the best of them and from the guesses reach, and the parameters there."""
+    ends = sorted((m for m in found if not m.failed), key=lambda m: m.loss)[:3]
+    paths = descend([(problem, z) for z in [*(m.z for m in ends), *guesses]], 40, 1e-10)
+    candidates = np.array([*(m.z for m in ends), *(p.z for p in paths)])
+    losses = problem.losses(candidates)
+    z = candidates[int(np.argmin(losses))]
+    square = Problem(problem.runs, problem.base, problem.free, binding.lower, binding.upper, problem.records, scale=binding.scale)
+    cov, slope, theta = covariance(square, z), problem.dtheta(z), problem.theta(z)
+    best = {}
+    for k, i in enumerate(problem.free):
+        std = float(cov.std[k] * slope[k])
+        entry = binding.layout.entries[i]
+        best[entry.name] = Known(
+            float(theta[i]), std if np.isfinite(std) else None, entry.unit, float(binding.lower[i]), float(binding.upper[i])
+        )
+    return float(losses.min()), best
+
+
+def resolve(
+    fitters: Iterable[AbstractFitter | str], budget: int | None, seconds: float | None
+) -> list[tuple[str, AbstractFitter]]:
+    """(label, fitter) of each; a population given by its id goes on for as long as the budget lasts. Raises `UsageError` for a
+    name that does not exist, and for a fitter that knows no limit of time where one is given."""
+    out: list[tuple[str, AbstractFitter]] = []
+    for given in fitters:
+        fitter = fitter_of(given) if isinstance(given, str) else given
+        full = label_of(fitter)
+        if isinstance(given, str) and isinstance(fitter, AbstractPopulation) and "generations" not in parsed(given)[1]:
+            fitter = replace(fitter, generations=10**6 if budget is None else max(1, budget // fitter.offspring))
+        if seconds is not None and "seconds" not in inspect.signature(fitter.minimise).parameters:
+            raise UsageError(f"the fitter {fitter.name} has no limit of time (an argument `seconds` of minimise): give a budget")
+        label, count = full if isinstance(given, str) or fitter.name in dict(out) else fitter.name, 2
+        while label in dict(out):
+            label, count = f"{full} {count}", count + 1
+        out.append((label, fitter))
+    if not out:
+        raise UsageError("there is no fitter to compare; name some, such as lm,de")
+    return out

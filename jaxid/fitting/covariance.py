@@ -1,0 +1,192 @@
+"""How well the data determine the parameters: covariance, directions that they do not determine, parameters at a bound.
+
+White residuals: cov = s^2 (J'J)^-1. Coloured ones (any model error, any disturbance with a memory): the sandwich
+(J'J)^-1 S (J'J)^-1 with S the covariance of the scores J'r, the wider of two: that of stationary noise with a memory
+(`jaxid.fitting.noise_model`), and the long-run covariance of the scores themselves (Newey and West 1987, Bartlett weights; the
+bandwidth covers the residual's own correlation time), which also holds for a model error that follows the motion. Ordinary
+least-squares intervals are too narrow there by large factors.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from jaxid.fitting.noise_model import Autoregression, autoregressions, Part, score_covariance, student, transform_length
+from jaxid.problem.problem import Problem, rows
+from jaxid.simulation.sample_buffers import LONG
+
+
+#: A direction of the scaled Gauss-Newton matrix with an eigenvalue below this share of the largest is not determined.
+NULL = 1e-12
+
+
+@dataclass(frozen=True)
+class Covariance:
+    """`std` per entry of z (nan where not determined), correlation groups as positions in z. With few independent samples a
+    standard deviation is stated so wide that 1.96 of them still hold 95 % (Student's t)."""
+
+    matrix: np.ndarray
+    std: np.ndarray
+    identifiable: np.ndarray
+    at_bound: np.ndarray
+    groups: tuple[tuple[int, ...], ...]
+    white: bool
+    statement: str
+    noise: tuple[Autoregression, ...] = ()  # of each column, where residuals are coloured
+    widened: float = 1.0  # by Student's t
+    gradient: np.ndarray | None = None  # J'r and J'J
+    hessian: np.ndarray | None = None
+
+
+def covariance(problem: Problem, z: np.ndarray) -> Covariance:
+    """Covariance of z at a minimum (search scale)."""
+    n = problem.size
+    span = problem.upper - problem.lower
+    near = 1e-9 * np.maximum(np.abs(z), problem.scale)  # a descent ends exactly at a bound, up to rounding
+    at_bound = (z - problem.lower <= near) | (problem.upper - z <= near)
+    H, slope, S_white, count = np.zeros((n, n)), np.zeros(n), 0.0, 0
+    parts: list[Part] = []
+    scores: list[tuple[list[int], np.ndarray]] = []
+    series: list[np.ndarray] = []
+    broken = np.zeros(n, bool)
+    for part in rows([(problem.precise(), z)]):
+        finite = np.isfinite(part.J).all((0, 1))  # a derivative that a run leaves undefined tells nothing
+        broken[np.array(part.z_columns, int)[~finite]] = True
+        part = part._replace(J=np.where(finite, part.J, 0.0))
+        J = part.J.reshape(part.r.size, len(part.z_columns))
+        index = np.ix_(part.z_columns, part.z_columns)
+        H[index] += J.T @ J
+        slope[part.z_columns] += part.r.ravel() @ J
+        S_white += float(np.sum(part.r**2))
+        count += part.r.size
+        scores.append((part.z_columns, np.einsum("tc,tck->tk", part.r, part.J)))
+        series += list(part.r.T)
+        whole = np.zeros((*part.r.shape, n))
+        whole[:, :, part.z_columns] = part.J
+        parts.append(Part(part.r, whole))
+        del part, J, finite  # a long record's Jacobian is large: not more than one beside its copy
+
+    r, J = problem.known_before(z)  # knows no model error: counts as it is
+    slope, prior, H_data = slope + J.T @ r, J.T @ J, H
+    H = H + prior
+    scale = np.sqrt(np.maximum(np.diag(H), 1e-300))
+    scaled = H / scale / scale[:, None]
+    blind = (np.diag(H) <= 1e-300) | broken  # no sample reacts to it
+    inside = ~(at_bound & (np.arange(n) < problem.free.size)) & ~blind
+    identifiable, groups = _null_directions(scaled, inside)  # what stands at a bound is known there: it frees the others
+    if (at_bound & ~blind).any():
+        identifiable[at_bound] &= _null_directions(scaled, ~blind)[0][at_bound]
+    identifiable &= ~blind
+
+    matrix = np.full((n, n), np.nan)
+    white, memory = _whiteness(series)
+    dof = max(1, count - int(inside.sum()))
+    s2 = max(S_white / dof, 1e-300)
+    noise, widened = (), 1.0
+    # Those at a bound get their own figures from the full matrix.
+    for kept in (inside,) if np.array_equal(inside, ~blind) else (inside, ~blind):
+        index = np.flatnonzero(kept)
+        if not index.size:
+            continue
+        inverse = _pseudo_inverse(scaled[np.ix_(index, index)]) / scale[index] / scale[index][:, None]
+        known = prior[np.ix_(index, index)]
+        if white and not r.size:
+            cov = max(s2, 1.0) * inverse
+        elif white:
+            cov = inverse @ (max(s2, 1.0) * H_data[np.ix_(index, index)] + known) @ inverse
+        else:
+            own = [Part(p.r, p.J[:, :, index]) for p in parts]
+            noise = noise or tuple(autoregressions(own, inverse))
+            widened = student(own, noise, len(index))
+            cov = inverse @ (score_covariance(own, noise) * widened**2 + known) @ inverse
+            S = _long_run(scores, n, memory)[np.ix_(index, index)]
+            # Never narrower than white residuals of that size.
+            least = inverse @ (max(1.0, s2) * H_data[np.ix_(index, index)] + known) @ inverse
+            floor = np.maximum(np.diag(inverse @ (S * count / dof + known) @ inverse), np.diag(least))
+            stretch = np.sqrt(np.maximum(1.0, floor / np.maximum(np.diag(cov), 1e-300)))
+            cov = cov * stretch * stretch[:, None]
+        target = np.ix_(index, index)
+        matrix[target] = np.where(np.isnan(matrix[target]), cov, matrix[target])
+    std = np.sqrt(np.maximum(np.diag(matrix), 0.0))
+    identifiable &= ~(std > span)  # determined in name only: the interval is wider than the bounds
+    std[~identifiable] = np.nan
+    statement = (
+        "residuals are white: standard deviations from the Gauss-Newton matrix"
+        if white
+        else f"residuals are coloured (memory {memory} samples): standard deviations count it"
+    )
+    return Covariance(matrix, std, identifiable, at_bound, groups, white, statement, noise, widened, slope, H)
+
+
+def _null_directions(scaled: np.ndarray, kept: np.ndarray) -> tuple[np.ndarray, tuple[tuple[int, ...], ...]]:
+    """Which variables take part in no undetermined direction; and groups tied together (correlation above 0.999)."""
+    index = np.flatnonzero(kept)
+    identifiable = np.ones(len(kept), bool)
+    groups: list[tuple[int, ...]] = []
+    if not index.size:
+        return identifiable, ()
+    values, vectors = np.linalg.eigh(scaled[np.ix_(index, index)])
+    null = values <= NULL * values[-1]
+    for vector in vectors[:, null].T:
+        members = np.flatnonzero(np.abs(vector) > 1e-3)
+        identifiable[index[members]] = False
+        groups.append(tuple(int(i) for i in index[members]))
+    if not null.any():
+        inverse = np.linalg.inv(scaled[np.ix_(index, index)])
+        d = np.sqrt(np.diag(inverse))
+        tied = np.abs(inverse / d / d[:, None]) > 0.999
+        seen: set[int] = set()
+        for i in range(len(index)):
+            members = np.flatnonzero(tied[i])
+            if i not in seen and members.size > 1:
+                seen.update(int(m) for m in members)
+                groups.append(tuple(int(k) for k in index[members]))
+    return identifiable, tuple(dict.fromkeys(groups))
+
+
+def _pseudo_inverse(a: np.ndarray) -> np.ndarray:
+    values, vectors = np.linalg.eigh(a)
+    good = values > NULL * values[-1]
+    return (vectors[:, good] / values[good]) @ vectors[:, good].T
+
+
+def _whiteness(series: list[np.ndarray], lags: int = 20) -> tuple[bool, int]:
+    """Ljung-Box test at 0.1 %, and the residual's memory in samples (first lag whose correlation is lost in the noise)."""
+    from scipy.special import chdtri
+
+    statistic, total, memory = 0.0, 0, 1
+    for r in series:
+        n = len(r)
+        if n < 4 * lags:
+            continue
+        r = r - r.mean()
+        power = float(r @ r)
+        if power <= 0:
+            continue
+        f = np.fft.rfft(r, 2 * n)
+        rho = np.fft.irfft(f * np.conj(f))[: n // 2] / power
+        statistic += n * float(np.sum(rho[1 : lags + 1] ** 2))
+        total += lags
+        below = np.flatnonzero(np.abs(rho) < max(0.05, 2 / np.sqrt(n)))
+        memory = max(memory, int(below[0]) if below.size else n // 4)
+    return total == 0 or bool(statistic < chdtri(total, 0.001)), memory
+
+
+def _long_run(scores: list[tuple[list[int], np.ndarray]], n: int, memory: int) -> np.ndarray:
+    """Long-run covariance of the summed scores: Bartlett weights over four times the residual's memory."""
+    S = np.zeros((n, n))
+    for columns, s in scores:
+        bandwidth = int(min(4 * memory, len(s) // 3))
+        window = np.maximum(0.0, 1 - np.arange(bandwidth + 1) / (bandwidth + 1))
+        length, k = transform_length(len(s)), s.shape[1]
+        f = np.fft.rfft(s, length, axis=0)
+        groups = [slice(b, b + 1) for b in range(k)] if len(s) > LONG else [slice(0, k)]
+        for a, group in ((a, group) for a in range(k) for group in groups):
+            lagged = np.fft.irfft(f[:, a : a + 1] * np.conj(f[:, group]), length, axis=0)
+            both = lagged[: bandwidth + 1] * window[:, None]
+            negative = lagged[-bandwidth:][::-1] * window[1:, None] if bandwidth else np.zeros((0, lagged.shape[1]))
+            S[columns[a], columns[group]] += both.sum(0) + negative.sum(0)
+    values, vectors = np.linalg.eigh((S + S.T) / 2)
+    return (vectors * np.maximum(values, 0.0)) @ vectors.T

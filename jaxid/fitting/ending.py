@@ -1,0 +1,188 @@
+"""How a fit has ended: whether its end is a minimum, and whether a search from somewhere else ends lower."""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Sequence
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from jaxid.fitters import descend
+from jaxid.fitting.covariance import Covariance
+from jaxid.fitting.fitter import AbstractFitter, AbstractPopulation, Log, Minimum, Progress
+from jaxid.fitting.result import Trace
+from jaxid.problem.problem import Problem
+
+
+#: A loss is lower, or could be, where its sum of squares is so by more than this share of a residual's variance: the numbers then
+#: lie about a third of a standard deviation apart.
+MATERIAL = 0.1
+#: A number at a bound wants beyond it where the sum of squares would fall by more than so many variances.
+PUSHES = 4.0
+#: Looks from elsewhere without a budget, and iterations of each; with one as many as it allows.
+LOOKS, STEPS = 2, 40
+#: A look is worth its name with at least so many linearisations.
+LEAST = 4
+#: A channel that the model moves by less than this share of what was measured stands still in it.
+STILL = 0.01
+#: A loss beyond which data that determine no number have not been fitted at all.
+LOST = 1000.0
+
+
+class Ending(NamedTuple):
+    """`converged`, `stalled`, `failed` or `budget`, and why."""
+
+    state: str
+    because: str
+
+
+def gain(problem: Problem, before: float, after: float) -> float:
+    """By how many variances of a residual the sum of squares is lower; for other losses a share of a thousandth counts as one."""
+    if problem.loss_name != "sum_of_squares":
+        return 1000 * (before - after) / max(before, 1e-300)
+    return float(np.sum(problem.data.count)) * (before - after) / max(1.0, after)
+
+
+def looked_again(
+    jobs: Sequence[tuple[Problem, Any, Any]],
+    found: Sequence[Minimum],
+    fitter: AbstractFitter,
+    budget: int | None,
+    progress: Progress | None = None,
+) -> list[Minimum]:
+    """The ends after a second look at each: a descent from a point beside it, and on from there while that ends lower. Where a
+    search diverged or ran out of iterations, what the budget leaves goes into new starts. Evaluations count.
+
+    A population stays where it ended: if a descent ends lower, it has stalled.
+    """
+    out, rngs = list(found), [np.random.default_rng(k) for k in range(len(found))]
+    waiting = [k for k, m in enumerate(found) if getattr(m, "covariance", None) is None]
+    looks = LOOKS if budget is None else 10 * LOOKS
+    for number in range(looks):
+        logs = {k: _log(jobs[k][0], out[k], fitter, budget, progress) for k in waiting}
+        short = [k for k in waiting if logs[k].left < LEAST * (1 + jobs[k][0].size)]
+        for k in short if number == 0 else []:
+            out[k] = dataclasses.replace(out[k], converged=False, stopped_because=_unlooked(out[k]))
+        waiting = [k for k in waiting if k not in short]
+        if not waiting:
+            break
+        starts = [_elsewhere(jobs[k][0], out[k], rngs[k], number) for k in waiting]
+        paths = descend(
+            [(jobs[k][0], z) for k, z in zip(waiting, starts, strict=True)], STEPS, 1e-10, 1.0, [logs[k] for k in waiting]
+        )
+        again = []
+        for k, path in zip(waiting, paths, strict=True):
+            problem, old = jobs[k][0], out[k]
+            new = logs[k].minimum(path.z, path.converged, path.stopped) if np.isfinite(path.cost) else None
+            spent = {"evaluations": logs[k].evaluations, "history": logs[k].history, "seconds": logs[k].seconds}
+            lower = new is not None and not new.failed and (old.failed or gain(problem, old.loss, new.loss) > MATERIAL)
+            if lower and new is not None and isinstance(fitter, AbstractPopulation) and not old.failed:
+                said = f"a descent from beside it ends lower, at loss {new.loss:.4g}: try hybrid or lm ({old.stopped_because})"
+                out[k] = dataclasses.replace(old, converged=False, stalled=not _limited(old), stopped_because=said, **spent)
+            elif new is not None and not new.failed and (lower or new.loss < old.loss):
+                ended = new if lower else dataclasses.replace(new, converged=new.converged or old.converged)
+                out[k] = dataclasses.replace(ended, stalled=False, **spent)
+                again += [k] if lower else []
+            else:
+                out[k] = dataclasses.replace(old, **spent)
+                again += [k] if old.failed or (budget is not None and not old.converged) else []
+        waiting = again
+    for k in waiting:  # still falling, or never finite
+        out[k] = dataclasses.replace(out[k], converged=False, stalled=False)
+    return out
+
+
+def _limited(found: Minimum) -> bool:
+    return not (found.converged or found.stalled or found.failed)
+
+
+def _unlooked(found: Minimum) -> str:
+    if not found.converged:
+        return found.stopped_because
+    return f"the budget of evaluations leaves no second look ({found.stopped_because})"
+
+
+def _log(problem: Problem, found: Minimum, fitter: AbstractFitter, budget: int | None, progress: Progress | None) -> Log:
+    log = Log(problem, fitter.name, budget, None, progress)
+    log.evaluations, log.best = found.evaluations, found.loss
+    log.history, log.seconds = list(found.history), list(found.seconds)
+    return log
+
+
+def _elsewhere(problem: Problem, found: Minimum, rng: np.random.Generator, number: int) -> np.ndarray:
+    """A point beside the end, about a factor of two away in logarithms and half of itself in other numbers, at a bound inside of
+    it; the end itself where a search ran out of iterations, and any point for one that has diverged."""
+    z, lower, upper = found.z, problem.lower, problem.upper
+    if found.failed:
+        return lower + (upper - lower) * rng.uniform(size=z.size)
+    if number == 0 and _limited(found):
+        return z
+    log = np.zeros(z.size, bool)
+    log[: problem.free.size] = problem.log
+    step = np.where(log, 0.7, np.maximum(0.5 * np.abs(z), 5 * problem.scale))
+    step[problem.free.size :] = problem.scale[problem.free.size :]
+    step = np.minimum(step, 0.3 * (upper - lower)) * rng.choice([-1.0, 1.0], z.size) * rng.uniform(0.5, 1.0, z.size)
+    return np.clip(np.where((z + step < lower) | (z + step > upper), z - step, z + step), lower, upper)
+
+
+def ending(problem: Problem, found: Minimum, cov: Covariance, traces: Sequence[Trace] = ()) -> Ending:
+    """How a search has ended that gave finite numbers; `traces` are free runs on the data that were fitted."""
+    still = [t for t in traces if _stands_still(t)]
+    own = np.arange(problem.size) < problem.free.size
+    if still:
+        t = still[0]
+        return Ending("failed", f"{t.channel} moves by {np.ptp(t.measured):.3g} {t.unit} and the fitted model keeps it still")
+    if problem.free.size > 1 and cov.at_bound[own].all():
+        return Ending("failed", f"all numbers ended at their bounds ({found.stopped_because}): state wider ones")
+    if found.loss > LOST and not cov.identifiable[own].any():
+        return Ending("failed", f"the loss is {found.loss:.3g} and no number is determined ({found.stopped_because})")
+    plain = Ending(_state(found), found.stopped_because)
+    if cov.gradient is None or cov.hessian is None or problem.loss_name != "sum_of_squares":
+        return plain
+    g, H, size = cov.gradient, cov.hessian, max(1.0, found.loss)
+    out = np.where(problem.lower >= found.z - 1e-9 * problem.scale, g > 0, cov.at_bound & (g < 0)) & cov.at_bound
+    bound = [i for i in np.flatnonzero(out) if _bends(problem, found, int(i)) and g[i] ** 2 > PUSHES * size * H[i, i]]
+    left = _newton_gain(g, H, ~out) / size
+    if left > MATERIAL and found.converged:
+        which = problem.names[int(np.argmax(np.where(out, 0.0, np.abs(g) / np.sqrt(np.maximum(np.diag(H), 1e-300)))))]
+        return Ending("stalled", f"no minimum: the loss still slopes along {which} ({found.stopped_because})")
+    if bound and _state(found) == "converged":
+        names = ", ".join(problem.names[i] for i in bound)
+        return Ending("stalled", f"at the bound of {names}, beyond which the loss falls: state wider bounds")
+    if left <= MATERIAL / 10 and _state(found) == "budget" and not _unconfirmed(found):
+        return Ending("converged", f"nothing is left to gain ({found.stopped_because})")
+    return plain
+
+
+def _unconfirmed(found: Minimum) -> bool:
+    return "budget" in found.stopped_because or "time is up" in found.stopped_because
+
+
+def _state(found: Minimum) -> str:
+    return "failed" if found.failed else "converged" if found.converged else "stalled" if found.stalled else "budget"
+
+
+def _stands_still(t: Trace) -> bool:
+    moved = np.ptp(t.measured)
+    return bool(moved > 20 * t.noise and all(np.ptp(y) < STILL * moved for y in t.simulated.values()))
+
+
+def _bends(problem: Problem, found: Minimum, i: int) -> bool:
+    """Whether the bound at which a number stands is one that data were thought to reach: zero is where physics ends."""
+    if i >= problem.free.size:
+        return True
+    value = float(problem.theta(found.z)[problem.free[i]])
+    return value != 0.0
+
+
+def _newton_gain(g: np.ndarray, H: np.ndarray, inside: np.ndarray) -> float:
+    """By how much a Gauss-Newton step would lower the sum of squares, over the numbers `inside`."""
+    scale = np.sqrt(np.maximum(np.diag(H), 0.0))
+    kept = np.flatnonzero(inside & (scale > 1e-150))
+    if not kept.size:
+        return 0.0
+    values, vectors = np.linalg.eigh(H[np.ix_(kept, kept)] / scale[kept] / scale[kept][:, None])
+    good = values > 1e-12 * values[-1]
+    along = vectors.T @ (g[kept] / scale[kept])
+    return float(np.sum(along[good] ** 2 / values[good]))

@@ -1,0 +1,157 @@
+"""Fits once model and data are bound: one, or the same with many seeds."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Sequence
+from dataclasses import replace
+
+import jax
+import numpy as np
+
+from jaxid.fitters import LevenbergMarquardt
+from jaxid.fitting.effect_starts import probe_starts
+from jaxid.fitting.ending import looked_again
+from jaxid.fitting.fitter import AbstractFitter, Minimum, Progress
+from jaxid.fitting.problem_builder import assemble, Bench, default_residual, start_values
+from jaxid.fitting.result import Fit
+from jaxid.fitting.settings import label_of
+from jaxid.problem.binding import Binding
+from jaxid.problem.problem import Problem
+from jaxid.problem.residual import InverseDynamics, Residual
+from jaxid.problem.step_error import step_error, STEP_SHARE
+from jaxid.runtime import Interrupted
+from jaxid.simulation import sample_buffers as samples
+from jaxid.storage.interim import Interim
+
+
+def fit_binding(
+    binding: Binding,
+    fitter: AbstractFitter,
+    residual: Residual | None,
+    loss: str,
+    seed: int,
+    budget: int | None,
+    progress: Progress | None,
+) -> Fit:
+    """The whole of `jaxid.fit` once model and data are bound."""
+    known = Interim()
+    try:
+        fit = fit_seeds(binding, fitter, residual, loss, [seed], budget, progress, known=known)[0]
+        if residual is None and fit.failed and not fit.parameters and by_torque(binding) and loss == "sum_of_squares":
+            torque = InverseDynamics()
+            again = fit_seeds(binding, fitter, torque, loss, [seed], budget, progress, known=known)[0]
+            fit = fit if again.failed else replace(again, notes=(*again.notes, DIVERGES))
+        return fit
+    except KeyboardInterrupt as stop:
+        raise Interrupted(known.latest()) from stop
+
+
+#: Said where the torque equation stands in for a free run.
+DIVERGES = (
+    "the free run diverges at every candidate, as that of an arm does which was recorded under position control: the torque that "
+    "the measured motion needs is compared instead (inverse_dynamics)"
+)
+
+
+def by_torque(binding: Binding) -> bool:
+    """Whether a measured motion under measured torques can be compared without being simulated."""
+    chain = binding.chain
+    return bool(binding.motions) and chain.direct and not chain.mechanism.hidden_states and bool(binding.experiments("fit"))
+
+
+def fit_seeds(
+    binding: Binding,
+    fitter: AbstractFitter,
+    residual: Residual | None,
+    loss: str,
+    seeds: Sequence[int],
+    budget: int | None,
+    progress: Progress | None = None,
+    benches: Benches | None = None,
+    known: Interim | None = None,
+) -> list[Fit]:
+    """A fit of each seed, the same as each alone. What does not depend on the seed is done once, and fitters take all seeds in
+    the same batches where they can; each fit states its share of the time. `benches` keeps runs from call to call.
+    `known` is told of a fit before it is refined."""
+    began = time.perf_counter()
+    residual = residual or default_residual(binding)
+    simulated = not isinstance(residual, InverseDynamics) and bool(binding.dataset.split("fit"))
+    benches = Benches(binding) if benches is None else benches
+    compiled = benches.compile_time()
+    notes: dict[int, list[str]] = {seed: [] for seed in seeds}
+    ended: dict[int, tuple[Bench, Problem, Minimum]] = {}
+    level: dict[int, np.ndarray | None] = dict.fromkeys(seeds)  # where each seed's coarser step ended
+    step, label = samples.STEP, label_of(fitter)
+    while level:
+        bench, finer = benches.of(step), {}
+        # Cores compile side by side: what descents run while start values are found, what is asked of their end while they run.
+        engine = bench.runs(residual, "fit").engine if simulated else None
+        if engine and isinstance(fitter, LevenbergMarquardt):
+            engine.compile_ahead("tangents", binding.theta, binding.free)
+        jobs, common = [], {}
+        for seed, theta in level.items():
+            guesses = benches.starts(bench, residual, loss, seed) if theta is None else [theta]
+            if (key := guesses[0].tobytes()) not in common:
+                common[key] = bench.problem(residual, "fit", binding.free, guesses[0], loss=loss)
+            problem = common[key]
+            jobs.append((problem, [problem.z(g) for g in guesses], jax.random.key(seed)))
+        if engine:
+            engine.compile_ahead("outputs", binding.theta, binding.free)
+        found = fitter.minimise_each(jobs, budget, progress)
+        if step == samples.STEP:  # a finer one begins where the coarser one has ended
+            found = looked_again(jobs, found, fitter, budget, progress)
+        for seed, job, result in zip(level, jobs, found, strict=True):
+            problem = job[0]
+            ended[seed] = bench, problem, result
+            if result.failed or not simulated or step <= samples.STEP / 8:
+                continue
+            if benches.of(step / 2) is bench:
+                continue  # samples are closer than either step
+            moved = step_error(problem, result.z, benches.of(step / 2).runs(residual, "fit"))
+            if moved > STEP_SHARE:
+                finer[seed] = problem.theta(result.z)
+                if known:
+                    spent, note = time.perf_counter() - began, f"stopped before it was refined with steps of {step / 2:.3g} s"
+                    end = *ended[seed], residual, label, seed, 0.0, spent, [note]
+                    known.offer(lambda end=end: assemble(*end))
+                notes[seed].append(
+                    f"halving the step moved the simulation by {moved:.2g} of the noise or gap: refitted at {step / 2:.3g} s"
+                )
+        level, step = finer, step / 2
+        if isinstance(fitter, LevenbergMarquardt):
+            fitter = replace(fitter, restarts=0)
+    share = 1 / len(seeds)
+    fits = [assemble(*ended[seed], residual, label, seed, 0.0, 0.0, notes[seed]) for seed in seeds]
+    compiling, wall = share * (benches.compile_time() - compiled), share * (time.perf_counter() - began)
+    return [replace(fit, compile_time_s=compiling, wall_time_s=wall) for fit in fits]
+
+
+class Benches:
+    """Benches of a binding by step, and the start values on them, each made once."""
+
+    def __init__(self, binding: Binding):
+        self.binding = binding
+        self._benches: dict[float, Bench] = {}
+        self._starts: dict[tuple[str, str], list[np.ndarray]] = {}
+
+    def of(self, step: float) -> Bench:
+        """The bench of a step; one for all steps that make no difference."""
+        if step not in self._benches:
+            every = [e.whole for e in self.binding.dataset.experiments]
+            same = (bench for made, bench in self._benches.items() if samples.divided_alike(every, made, step))
+            self._benches[step] = next(same, None) or Bench(self.binding, step)
+        return self._benches[step]
+
+    def starts(self, bench: Bench, residual: Residual, loss: str, seed: int) -> list[np.ndarray]:
+        """Start values, best first, and those of added effects; no guess depends on the seed."""
+        key = repr(residual), loss
+        if key not in self._starts:
+            guesses = start_values(bench, self.binding.free, seed)
+            problem = bench.problem(residual, "fit", self.binding.free, guesses[0], loss=loss)
+            self._starts[key] = [*guesses, *probe_starts(bench, problem, guesses[0])]
+            bench.forget_long(residual)
+        return self._starts[key]
+
+    def compile_time(self) -> float:
+        return sum(b.compile_time() for b in {id(b): b for b in self._benches.values()}.values())

@@ -1,0 +1,101 @@
+"""Free runs of a model with given parameters on the inputs of a dataset."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
+
+import jax.numpy as jnp
+import numpy as np
+
+from jaxid.api import with_solver
+from jaxid.data.dataset import Dataset
+from jaxid.dynamics.chain import Chain
+from jaxid.dynamics.parameter_vector import Layout
+from jaxid.errors import UsageError
+from jaxid.fitting.problem_builder import Bench, estimate_starts, free_runs, scored, solver_name, solver_notes
+from jaxid.fitting.simulation import Simulation
+from jaxid.numerics.precision import float64
+from jaxid.problem.binding import bind, resolve_model
+from jaxid.simulation import sample_buffers as samples
+from jaxid.simulation.animation import Motion, motion
+
+
+def simulate_dataset(content: Mapping[str, Any] | None, dataset: Dataset, model: object, solver: Any = None) -> Simulation:
+    """See `jaxid.simulate`; without content with the numbers of the model itself. A run without a stated start estimates it from
+    its first samples, which leave the rmse."""
+    content = own_numbers(resolve_model(model, dataset)) if content is None else content
+    effects = content.get("effects", [])
+    parameters = content.get("parameters", {})
+    if not isinstance(parameters, Mapping) or not isinstance(effects, list | tuple):
+        raise UsageError('parameters must look like {"parameters": {"inertia": {"value": 0.08}}, "effects": []}')
+    binding = bind(model or content.get("model"), dataset, effects=[_label(e) for e in effects], splits=False)
+    theta = binding.theta.copy()
+    for name, value in parameters.items():
+        theta[binding.layout.index(name)] = _number(name, value)
+    for e in effects:
+        for field, value in (e.get("parameters", {}) if isinstance(e, Mapping) else {}).items():
+            indices = [
+                i for i in binding.layout.of_effect(e["effect"], e.get("location")) if binding.layout.entries[i].field == field
+            ]
+            if not indices:
+                raise UsageError(f"effect {e['effect']} has no parameter {field!r}")
+            theta[indices] = _number(f"{e['effect']}.{field}", value)
+    binding = with_solver(binding, solver, None)
+    bench = Bench(binding)
+    runs: dict[str, dict[str, np.ndarray]] = {}
+    rmse: dict[str, dict[str, float]] = {}
+    _, iy = samples.columns(binding.dataset, binding.chain)
+    starts: dict[str, np.ndarray] = {}
+    for split in dict.fromkeys(e.split for e in dataset.experiments):
+        begin = estimate_starts(bench, split, [theta])
+        predictions = free_runs(bench, split, [theta], begin)[0]
+        for e, y, x in zip(binding.experiments(split), predictions, begin[0], strict=True):
+            starts[e.name] = x
+            names = [n for n, _ in binding.chain.signature.outputs]
+            runs[e.name] = {"t": e.t, **{n: y[:, c] for c, n in enumerate(names)}}
+            keep = scored(e, "simulate")[:, None] & e.read[:, iy]
+            error = np.where(keep, y - e.y[:, iy], 0.0)
+            rmse[e.name] = dict(zip(names, np.sqrt(np.sum(error**2, 0) / np.maximum(keep.sum(0), 1)).tolist(), strict=True))
+
+    def moving(i: int) -> Motion | None:
+        e = dataset.experiments[i]
+        own = theta.copy()
+        for name, value in e.constants.items():
+            own[binding.layout.index(name)] = value
+        with float64():
+            return motion(binding.layout.model(jnp.asarray(own)), binding.dataset, e, starts[e.name], binding.sigma)
+
+    order = [e.name for e in dataset.experiments]
+    return Simulation(
+        binding.chain.mechanism.name,
+        tuple(runs[n] for n in order),
+        tuple(rmse[n] for n in order),
+        dict(binding.chain.signature.outputs),
+        (*dataset.notes, *solver_notes(binding)),
+        moving,
+        solver_name(binding),
+    )
+
+
+def own_numbers(chain: Chain) -> dict[str, Any]:
+    """The numbers that a chain holds, as the content of a fit.json; constants are left to the dataset."""
+    layout = Layout(chain)
+    numbers = zip(layout.entries, layout.values, strict=True)
+    return {"parameters": {e.name: {"value": float(v)} for e, v in numbers if not e.spec.fixed}}
+
+
+def _label(effect: Any) -> str:
+    if isinstance(effect, str):
+        return effect
+    if not isinstance(effect, Mapping) or "effect" not in effect:
+        raise UsageError('an effect must look like {"effect": "dead_zone", "location": "tau", "parameters": {...}}')
+    place = effect.get("location")
+    return effect["effect"] + (f"@{place}" if place else "")
+
+
+def _number(name: str, value: Any) -> float:
+    value = value.get("value") if isinstance(value, Mapping) else value
+    if isinstance(value, bool) or not isinstance(value, int | float) or not np.isfinite(value):
+        raise UsageError(f"parameter {name}: {value!r} is not a finite number")
+    return float(value)

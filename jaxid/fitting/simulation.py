@@ -1,0 +1,42 @@
+"""What a simulation returns: plain data that prints and saves itself as JSON."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+
+from jaxid.fitting.result import SCHEMA
+
+
+@dataclass(frozen=True)
+class Simulation:
+    """Free runs of a model on a dataset's inputs: per experiment `t` and the outputs, and the rmse per channel."""
+
+    model: str
+    runs: tuple[dict[str, np.ndarray], ...]
+    rmse: tuple[dict[str, float], ...]
+    units: dict[str, str]
+    notes: tuple[str, ...] = ()
+    motion: Callable[[int], Any] = field(default=lambda i: None, repr=False, compare=False)
+    """The mechanism in run i as a `jaxid.simulation.animation.Motion` (`strip()`, `animate()`), or None where it has no outline."""
+    solver: str = "own"
+    """What simulated: jaxid's own stepping, or a solver of diffrax."""
+
+    def to_dict(self) -> dict[str, Any]:
+        return {
+            "schema": SCHEMA,
+            "kind": "simulation",
+            "model": self.model,
+            "solver": self.solver,
+            "rmse": list(self.rmse),
+            "units": self.units,
+            "notes": list(self.notes),
+        }
+
+    def __repr__(self) -> str:
+        from jaxid.report.text import simulation_text
+
+        return simulation_text(self)

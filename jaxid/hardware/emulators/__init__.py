@@ -1,0 +1,1 @@
+"""Protocol emulators with a simulated plant, on loopback or a pty only."""

@@ -1,0 +1,291 @@
+"""Estimators of the torque equation W theta = tau, and the exponents of friction by variable projection.
+
+`ls` ordinary; `wls` each joint of each run weighted by its own residual (Gautier 1997); `tls` total least squares, columns that
+hold noise of the motion in errors, exact ones not (Van Huffel and Vandewalle 1991); `iv` instruments from the commanded motion;
+`constrained` inertial parameters of bodies that can exist, friction that brakes.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from jaxid.dynamics.base_parameters import BaseParameters
+from jaxid.dynamics.rigid_body import pseudo_inertia
+from jaxid.fitting.covariance import _long_run, _null_directions, _whiteness
+
+
+#: A column shorter than this share of the longest shows nothing but rounding.
+SEEN = 1e-6
+#: Directions of the scaled columns weaker than this share of the strongest are not determined by the data.
+WEAK = 1e-6
+EXPONENT = (0.1, 1.5)
+
+
+@dataclass(frozen=True)
+class Estimate:
+    """Parameters with covariance and what the data do not determine."""
+
+    theta: np.ndarray
+    covariance: np.ndarray
+    identifiable: np.ndarray
+    condition: float
+    condition_scaled: float
+    white: bool
+    memory: int
+
+
+Blocks = Sequence[tuple[np.ndarray, np.ndarray]]  # per run W [samples n p], tau [samples n]
+
+
+def stacked(blocks: Blocks, weights: Sequence[np.ndarray]) -> tuple[np.ndarray, np.ndarray]:
+    """All rows, each joint of each run times its weight [n]."""
+    W = np.concatenate([(W * w[:, None]).reshape(-1, W.shape[2]) for (W, _), w in zip(blocks, weights, strict=True)])
+    b = np.concatenate([(tau * w).ravel() for (_, tau), w in zip(blocks, weights, strict=True)])
+    return W, b
+
+
+def least_squares(W: np.ndarray, b: np.ndarray, prior: np.ndarray) -> np.ndarray:
+    """min |W theta - b|; a direction that the data do not determine stays where `prior` is."""
+    size = np.linalg.norm(W, axis=0)
+    size = np.where(size > SEEN * max(float(size.max()), 1e-300), size, np.inf)
+    return prior + np.linalg.lstsq(W / size, b - W @ prior, rcond=WEAK)[0] / size
+
+
+def joint_weights(blocks: Blocks, theta: np.ndarray) -> list[np.ndarray]:
+    """1 / rms residual of each joint of each run."""
+    return [1 / np.maximum(np.sqrt(np.mean((tau - W @ theta) ** 2, 0)), 1e-9) for W, tau in blocks]
+
+
+def weighted(blocks: Blocks, prior: np.ndarray, rounds: int = 8) -> tuple[np.ndarray, list[np.ndarray]]:
+    """Weighted least squares and its weights, repeated until the weights stand still."""
+    weights = [np.ones(W.shape[1]) for W, _ in blocks]
+    theta = least_squares(*stacked(blocks, weights), prior)
+    for _ in range(rounds):
+        new = joint_weights(blocks, theta)
+        still = all(np.allclose(a, b, rtol=1e-3) for a, b in zip(new, weights, strict=True))
+        weights = new
+        theta = least_squares(*stacked(blocks, weights), prior)
+        if still:
+            break
+    return theta, weights
+
+
+def total(W: np.ndarray, b: np.ndarray, noise: np.ndarray, prior: np.ndarray) -> np.ndarray:
+    """Mixed total least squares; `noise` [columns + 1] is one standard deviation of each column's error and, last, of b's.
+
+    Columns without error are eliminated exactly; the rest, each in units of its error, by the smallest singular vector. Where
+    that vector does not hold b (the columns depend on each other more than b on them) plain least squares is returned.
+    """
+    theta = least_squares(W, b, prior)
+    exact = noise[:-1] <= 1e-6 * np.linalg.norm(W, axis=0) / np.sqrt(len(W))
+    if exact.all() or noise[-1] <= 0:
+        return theta
+    A, B = W[:, exact], np.column_stack([W[:, ~exact], b])
+    Q = np.linalg.qr(A)[0] if exact.any() else np.zeros((len(W), 0))
+    scale = noise[np.append(~exact, True)]
+    rest = (B - Q @ (Q.T @ B)) / scale
+    v = np.linalg.svd(np.linalg.qr(rest)[1])[2][-1]
+    if abs(v[-1]) < 1e-9:
+        return theta
+    out = theta.copy()
+    out[~exact] = -v[:-1] / v[-1] / scale[:-1] * scale[-1]
+    out[exact] = np.linalg.lstsq(A, b - W[:, ~exact] @ out[~exact], rcond=WEAK)[0]
+    return out
+
+
+def instrumental(W: np.ndarray, b: np.ndarray, Z: np.ndarray, prior: np.ndarray) -> np.ndarray:
+    """Z'W theta = Z'b in the two-stage form: W projected onto the columns of Z."""
+    scale = np.linalg.norm(Z, axis=0)
+    Q, size, _ = np.linalg.svd(Z / np.where(scale > 0, scale, 1.0), full_matrices=False)
+    Q = Q[:, size > WEAK * size[0]]
+    return least_squares(Q.T @ W, Q.T @ b, prior)
+
+
+def estimate(
+    blocks: Blocks,
+    weights: Sequence[np.ndarray],
+    theta: np.ndarray,
+    by: Blocks | None = None,
+    slopes: Sequence[np.ndarray] | None = None,
+) -> Estimate:
+    """Covariance at theta; `by` are instruments.
+
+    Rows that follow each other hold the same noise, so each joint counts with the long-run variance of its own residual, over
+    the freedom that the parameters leave it. Where the sandwich of Newey and West (1987) is wider, its standard deviations
+    count; alone it is too narrow here, for tens of parameters take much of the slow part of a short record's residual.
+
+    `slopes` per run [samples n k]: derivatives of the torque by k nonlinear parameters, which follow theta in the covariance.
+    """
+    if slopes is not None:
+        wider = lambda W, D: np.concatenate([W, D], 2)
+        blocks = [(wider(W, D), tau) for (W, tau), D in zip(blocks, slopes, strict=True)]
+        by = None if by is None else [(wider(W, D), tau) for (W, tau), D in zip(by, slopes, strict=True)]
+        theta = np.concatenate([theta, np.zeros(slopes[0].shape[2])])
+    W, _ = stacked(blocks, weights)
+    Z, _ = stacked(by or blocks, weights)
+    size = np.linalg.norm(W, axis=0)
+    seen = size > SEEN * max(float(size.max()), 1e-300)
+    scale = np.where(seen, size, 1.0)
+    values = np.linalg.svd(W[:, seen] / scale[seen], compute_uv=False)
+    plain = np.linalg.svd(W[:, seen], compute_uv=False)
+    G = (Z / scale).T @ (W / scale)
+    identifiable, _ = _null_directions((W / scale).T @ (W / scale), seen)
+    series, scores = [], []
+    index = list(range(W.shape[1]))
+    for (A, tau), (C, _), w in zip(blocks, by or blocks, weights, strict=True):
+        r = (tau - A @ theta) * w
+        series += list(r.T)
+        scores.append((index, np.einsum("tj,tjk->tk", r, C * w[:, None]) / scale))
+    white, memory = _whiteness(series)
+    count = sum(s.size for s in series)
+    n = blocks[0][1].shape[1]
+    times = [_correlation_time(s, memory) for s in series]
+    free = sum(s.size / k for s, k in zip(series, times, strict=True))  # rows that are worth something of their own
+    freedom = max(0.1, 1 - int(seen.sum()) / free)
+    middle = np.zeros_like(G)
+    for k, (C, _) in enumerate(by or blocks):
+        for j in range(n):
+            s, w = series[n * k + j], weights[k][j]
+            A = C[:, j] * w / scale
+            middle += float(np.mean(s**2)) * times[n * k + j] / freedom * (A.T @ A)
+    inverse = np.linalg.pinv(G, rcond=WEAK**2)
+    cov = inverse @ middle @ inverse.T
+    wide = np.diag(inverse @ _long_run(scores, len(index), memory) @ inverse.T) * count / max(1, count - len(index))
+    stretch = np.sqrt(np.maximum(1.0, wide / np.maximum(np.diag(cov), 1e-300)))
+    cov = cov * stretch * stretch[:, None] / scale / scale[:, None]
+    return Estimate(
+        theta, cov, identifiable & seen, float(plain[0] / plain[-1]), float(values[0] / values[-1]), white, memory
+    )  # fmt: skip
+
+
+def _correlation_time(r: np.ndarray, memory: int) -> float:
+    """How many rows share one piece of noise: 1 + 2 sum of the autocorrelation up to the first lag where it is lost."""
+    r = r - r.mean()
+    power = float(r @ r)
+    if power <= 0:
+        return 1.0
+    rho = np.array([float(r[k:] @ r[: len(r) - k]) for k in range(1, min(memory, len(r) // 3) + 1)]) / power
+    lost = np.flatnonzero(rho < 0.05)
+    return 1.0 + 2.0 * float(np.sum(rho[: lost[0]] if lost.size else rho))
+
+
+def project_exponents(
+    fixed: np.ndarray, b: np.ndarray, moving: Callable[[np.ndarray], np.ndarray], start: np.ndarray, positive: bool = False
+) -> np.ndarray:
+    """Exponents of friction by variable projection (Golub and Pereyra 1973): for each trial all linear parameters are solved
+    for, so that only the exponents are searched. `fixed` columns do not depend on them, `moving(exponents)` do; `positive`
+    keeps the levels of the latter from being negative."""
+    from scipy.optimize import least_squares as search, nnls
+
+    size = np.linalg.norm(fixed, axis=0)
+    Q, s, _ = np.linalg.svd(fixed[:, size > 0] / size[size > 0], full_matrices=False)
+    Q = Q[:, s > WEAK * s[0]]
+    rest = b - Q @ (Q.T @ b)
+
+    def residual(exponents: np.ndarray) -> np.ndarray:
+        V = moving(exponents)
+        V = V - Q @ (Q.T @ V)
+        return rest - V @ (nnls(V, rest)[0] if positive else np.linalg.lstsq(V, rest, rcond=1e-9)[0])
+
+    return search(residual, np.clip(start, 0.15, 1.45), bounds=EXPONENT, diff_step=1e-4, xtol=1e-6, ftol=1e-9, x_scale=0.2).x
+
+
+# ---- bodies that can exist
+
+
+def _of_pseudo(P: np.ndarray) -> np.ndarray:
+    """Ten numbers of pseudo-inertia matrices [... 4 4]."""
+    t = P[..., 0, 0] + P[..., 1, 1] + P[..., 2, 2]
+    six = [t - P[..., 0, 0], -P[..., 0, 1], -P[..., 0, 2], t - P[..., 1, 1], -P[..., 1, 2], t - P[..., 2, 2]]
+    return np.stack([*six, P[..., 0, 3], P[..., 1, 3], P[..., 2, 3], P[..., 3, 3]], -1)
+
+
+def consistent_bodies(x: np.ndarray, prior: np.ndarray) -> np.ndarray:
+    """Inertial parameters [links 10] of log-Cholesky numbers [links 10], zero at the prior's bodies (Rucker, Wensing 2022).
+
+    Pseudo-inertia C U U' C' with C that of the prior and U upper triangular with an exponential diagonal: any x is a body.
+    """
+    return Bodies(prior)(x)[0]
+
+
+class Bodies:
+    """x -> (inertial parameters [links 10], their slopes [links 10 10] by x); see `consistent_bodies`."""
+
+    def __init__(self, prior: np.ndarray):
+        self.C = np.linalg.cholesky(pseudo_inertia(prior))
+        row, column = np.triu_indices(4, 1)
+        self.row, self.column = np.concatenate([np.arange(4), row]), np.concatenate([np.arange(4), column])
+
+    def __call__(self, x: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        size = x.copy()
+        size[:, :4] = np.exp(np.clip(x[:, :4], -30, 30))
+        U = np.zeros((len(x), 4, 4))
+        U[:, self.row, self.column] = size
+        A = self.C @ U
+        # dU has one entry: C dU A' is column `row` of C times column `column` of A
+        weight = np.concatenate([size[:, :4], np.ones_like(size[:, 4:])], 1)
+        half = (self.C[:, :, self.row] * weight[:, None]).swapaxes(1, 2)[..., None] * A[:, :, self.column].swapaxes(1, 2)[
+            ..., None, :
+        ]
+        slope = _of_pseudo(half + half.swapaxes(-1, -2))  # [links x ten]
+        return _of_pseudo(A @ A.swapaxes(1, 2)), slope.swapaxes(1, 2)
+
+
+def constrained(
+    W: np.ndarray,
+    b: np.ndarray,
+    base: BaseParameters,
+    prior: np.ndarray,
+    levels: np.ndarray,
+    drives: bool,
+    strength: float = 1e-3,
+) -> tuple[np.ndarray, np.ndarray]:
+    """(theta, standard parameters [links 11]): least squares over bodies that can exist.
+
+    `prior` [links 11] holds bodies that can exist, from which directions that no motion determines are taken: `strength` pulls
+    each log-Cholesky number to it with that share of one row of unit residual. `levels` marks columns behind the base ones that
+    may not be negative.
+    """
+    from scipy.optimize import least_squares as search
+
+    n, p = len(prior), len(base.kept)
+    R = np.linalg.qr(np.column_stack([W, b]))[1]
+    R, z = R[: W.shape[1] + 1, :-1], R[: W.shape[1] + 1, -1]
+    pull = np.sqrt(strength)
+    start_friction = np.maximum(np.linalg.lstsq(W, b, rcond=WEAK)[0][p:], np.where(levels, 0.0, -np.inf))
+    inverse_drive = np.sqrt(np.maximum(prior[:, 10], 1e-3))
+
+    bodies = Bodies(prior[:, :10])
+
+    def unpack(x: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        phi = np.column_stack([bodies(x[: 10 * n].reshape(n, 10))[0], drives * x[10 * n : 11 * n] ** 2])
+        return phi, np.concatenate([base.values(phi.ravel()), x[11 * n :]])
+
+    def residual(x: np.ndarray) -> np.ndarray:
+        return np.concatenate([R @ unpack(x)[1] - z, pull * x[: 10 * n]])
+
+    def jacobian(x: np.ndarray) -> np.ndarray:
+        slope = np.zeros((n, 11, 11 * n))
+        link = np.arange(n)
+        each = bodies(x[: 10 * n].reshape(n, 10))[1]
+        for k in range(10):
+            slope[link, :10, 10 * link + k] = each[:, :, k]
+        slope[link, 10, 10 * n + link] = 2 * drives * x[10 * n : 11 * n]
+        out = np.zeros((len(z) + 10 * n, x.size))
+        out[: len(z), : 11 * n] = R[:, :p] @ (base.K @ slope.reshape(11 * n, -1))
+        out[: len(z), 11 * n :] = R[:, p:]
+        out[len(z) + np.arange(10 * n), np.arange(10 * n)] = pull
+        return out
+
+    start = np.concatenate([np.zeros(10 * n), inverse_drive, start_friction])
+    lower = np.concatenate([np.full(10 * n, -12.0), np.full(n, -1e3), np.where(levels, -1e-9, -np.inf)])
+    upper = np.concatenate([np.full(10 * n, 12.0), np.full(n, 1e3), np.full(levels.size, np.inf)])
+    slopes: Any = jacobian  # SciPy's annotation knows only the names of schemes
+    found = search(residual, start, jac=slopes, bounds=(lower, upper), x_scale="jac", xtol=1e-8, ftol=1e-8, max_nfev=200)
+    phi, theta = unpack(found.x)
+    theta[p:] = np.where(levels, np.maximum(theta[p:], 0.0), theta[p:])
+    return theta, phi

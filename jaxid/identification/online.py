@@ -1,0 +1,257 @@
+"""Recursive least squares on the torque of a serial arm, sample by sample: paper 001, equations (8) to (11).
+
+With K = P Y' (X + Y P Y')^-1, theta <- theta + K (tau - Y theta), P <- P - K Y P, and X the variance of the torque noise (the
+paper's xi, which it calls a forgetting factor but never divides P by), the result is ridge regression: it minimises
+sum |tau - Y theta|^2 / X + |theta - prior|^2 / P0. A true forgetting factor is an option.
+"""
+
+from __future__ import annotations
+
+import functools
+from collections.abc import Iterable, Sequence
+from typing import Any, NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float
+
+from jaxid.dynamics.rigid_body import regressor
+from jaxid.errors import UsageError
+from jaxid.identification.payload import Payload, payload_of, published_rows
+from jaxid.identification.regression import REST
+from jaxid.numerics.precision import float64
+
+
+class Recursion(NamedTuple):
+    """State of the recursion: estimate, its matrix P, and how long the last link's parameters have stood still."""
+
+    theta: Float[Array, " p"]
+    P: Float[Array, "p p"]
+    still: Array  # samples in a row
+    seen: Array  # samples so far
+
+
+class Rule(NamedTuple):
+    """Convergence: no watched parameter moves by more than `change` a sample for more than `samples` of them."""
+
+    change: float = 0.005
+    samples: int = 300
+
+
+def ridge_rls(
+    state: Recursion,
+    Y: Float[Array, "n p"],
+    tau: Float[Array, " n"],
+    noise_var: Float[Array, " n"],
+    forgetting: Any = 1.0,
+    watched: Any = slice(None),
+    change: float = Rule().change,
+) -> Recursion:
+    """One sample (pure; jit and scan it). `noise_var` [n] (N m)^2; `forgetting` in (0, 1], 1 forgets nothing.
+
+    With X + Y P Y' = L L' and V = P Y' L'^-1, K (tau - Y theta) = V L^-1 (tau - Y theta) and K Y P = V V', so P stays symmetric.
+    """
+    P = state.P / forgetting
+    PY = P @ Y.T
+    columns, errors = _whitened(jnp.diag(noise_var) + Y @ PY, [*PY.T], [*(tau - Y @ state.theta)])
+    step = sum((e * v for e, v in zip(errors, columns, strict=True)), jnp.zeros(()))
+    P = P - sum((v[:, None] * v[None] for v in columns), jnp.zeros(()))
+    still = jnp.where(jnp.max(jnp.abs(step[watched])) < change, state.still + 1, 0)
+    return Recursion(state.theta + step, P, still, state.seen + 1)
+
+
+def _whitened(S: Float[Array, "n n"], *rows: Sequence[Array]) -> list[list[Array]]:
+    """L^-1 times lists of n rows, with S = L L', written out: in one sample's time calls of LAPACK would be dear."""
+    n, L = S.shape[0], {}
+    for i in range(n):
+        for j in range(i + 1):
+            rest = S[i, j] - sum(L[i, k] * L[j, k] for k in range(j))
+            L[i, j] = jnp.sqrt(rest) if i == j else rest / L[j, j]
+    out: list[list[Array]] = [[] for _ in rows]
+    for given, made in zip(rows, out, strict=True):
+        for i in range(n):
+            made.append((given[i] - sum(L[i, k] * made[k] for k in range(i))) / L[i, i])
+    return out
+
+
+@functools.partial(jax.jit, static_argnums=(6,))
+def _replayed(state, Y, tau, noise_var, forgetting, change, watched):
+    def step(state, sample):
+        Y, tau = sample
+        state = ridge_rls(state, Y, tau, noise_var, forgetting, np.array(watched, int), change)
+        return state, state.still
+
+    return jax.lax.scan(step, state, (Y, tau))
+
+
+def replay(Y: np.ndarray, tau: np.ndarray, prior: np.ndarray, **settings: Any) -> tuple[np.ndarray, np.ndarray, int | None]:
+    """The recursion over recorded rows Y [time n p] and torque [time n]: see `replay_stretches`."""
+    return replay_stretches([(Y, tau)], prior, **settings)
+
+
+def replay_stretches(
+    rows: Iterable[tuple[np.ndarray, np.ndarray]],
+    prior: np.ndarray,
+    *,
+    noise_var: np.ndarray | float = 100.0,
+    prior_var: np.ndarray | float = 10.0,
+    forgetting: float = 1.0,
+    watched: tuple[int, ...] = (),
+    rule: Rule = Rule(),
+) -> tuple[np.ndarray, np.ndarray, int | None]:
+    """The recursion over recorded rows, stretches of Y [time n p] and torque [time n] in their order: estimate [p], P [p p], and
+    the number of samples after which the rule was first met for the `watched` parameters (None: never, or none watched)."""
+    _refuse_forgetting(forgetting)
+    full = lambda v, k: jnp.asarray(np.broadcast_to(np.asarray(v, np.float64), k))
+    with float64():
+        zero = jnp.zeros((), jnp.int32)
+        state = Recursion(jnp.asarray(prior, float), jnp.diag(full(prior_var, prior.size)), zero, zero)
+        run: Any = _replayed
+        count, met = 0, None
+        for Y, tau in rows:
+            numbers = full(noise_var, tau.shape[1]), np.float64(forgetting), np.float64(rule.change)
+            state, still = run(state, jnp.asarray(Y), jnp.asarray(tau), *numbers, watched or (0,))
+            found = np.flatnonzero(np.asarray(still) > rule.samples)
+            met = count + int(found[0]) + 1 if met is None and watched and found.size else met
+            count += len(tau)
+        return np.asarray(state.theta), np.asarray(state.P), met
+
+
+def _refuse_forgetting(forgetting: float) -> None:
+    if not 0 < forgetting <= 1:
+        raise UsageError(f"forgetting is {forgetting:g}; it lies above 0 and at most at 1 (1 forgets nothing)")
+
+
+def watched_of(base: Any, n: int) -> tuple[int, ...]:
+    """Positions of the last link's base parameters; those that stand alone, where an arm has such (the paper's rule)."""
+    names = base.names
+    found = [i for i in range(len(names)) if names[i].endswith(str(n)) and not names[i].startswith("Ia")]
+    alone = [i for i in found if np.count_nonzero(base.K[i]) == 1] if n >= 3 else []
+    return tuple(alone or found)
+
+
+def regressor_row(arm: Any, kept: np.ndarray, q: Array, qd: Array, qdd: Array, exponent: Array) -> Float[Array, "n p"]:
+    """Columns of base parameters, then F_c, F_v, offset of each joint, at one sample."""
+    n = q.shape[0]
+    Y = regressor(arm.placements(q), arm.prismatic, arm.free_fall(), qd, qdd)
+    Y = jnp.concatenate([Y, (jnp.eye(n) * qdd[:, None])[:, :, None]], 2).reshape(n, 11 * n)[:, kept]
+    power = qd * (qd * qd + 1e-6) ** ((exponent - 1) / 2)
+    return jnp.concatenate([Y, jnp.diag(jnp.tanh(qd / REST)), jnp.diag(power), jnp.eye(n)], 1)
+
+
+@functools.cache
+def _program(structure, shapes, kept: tuple[int, ...], watched: tuple[int, ...]):
+    """The compiled update of arms of one structure: (numbers, packed state, sample) -> packed state. All numbers of the arm and
+    the settings come in one array, and so do the state and the sample: few arguments, little overhead."""
+
+    def update(numbers, packed, sample):
+        leaves, at = [], 0
+        for shape in shapes:
+            size = int(np.prod(shape))
+            leaves.append(numbers[at : at + size].reshape(shape))
+            at += size
+        n = sample.shape[1]
+        exponent, noise_var = numbers[at : at + n], numbers[at + n : at + 2 * n]
+        forgetting, change = numbers[at + 2 * n], numbers[at + 2 * n + 1]
+        q, qd, qdd, tau = sample
+        Y = regressor_row(jax.tree.unflatten(structure, leaves), np.array(kept), q, qd, qdd, exponent)
+        return _packed(ridge_rls(_unpacked(packed), Y, tau, noise_var, forgetting, np.array(watched), change))
+
+    return jax.jit(update)
+
+
+def _packed(state: Recursion) -> Array:
+    """P row by row, theta, still, seen: p^2 + p + 2 numbers."""
+    counts = jnp.stack([state.still, state.seen]).astype(state.P.dtype)
+    return jnp.concatenate([state.P.ravel(), state.theta, counts])
+
+
+def _unpacked(packed: Any) -> Recursion:
+    p = int((packed.size - 2) ** 0.5)  # p^2 + p + 2 numbers
+    return Recursion(packed[p * p : -2], packed[: p * p].reshape(p, p), packed[-2], packed[-1])
+
+
+class OnlineIdentification:
+    """Streams samples into the recursion: `update(q, qd, qdd, tau)` after each, `theta`, `std`, `converged`, `payload()`.
+
+    `prior` [p] is the estimate to begin with (base parameters, then F_c, F_v, offset by joint: `names`), usually that of the
+    unloaded arm; `prior_var` its variance (one number or [p], the paper's P0 = 10), `noise_var` the torque noise's (one number
+    or [n], the paper's xi = 100). Motion may be the commanded one, as in the paper.
+    """
+
+    def __init__(
+        self,
+        arm: Any,
+        prior: np.ndarray | None = None,
+        *,
+        exponent: np.ndarray | float = 1.0,
+        noise_var: np.ndarray | float = 100.0,
+        prior_var: np.ndarray | float = 10.0,
+        forgetting: float = 1.0,
+        rule: Rule = Rule(),
+    ):
+        _refuse_forgetting(forgetting)
+        self.arm, self.base, self.rule = arm, arm.base(), rule
+        n, p = len(arm.prismatic), len(self.base.kept) + 3 * len(arm.prismatic)
+        self.names = [*self.base.names, *(f"{k}{j + 1}" for k in ("F_c", "F_v", "offset") for j in range(n))]
+        self.prior = np.zeros(p) if prior is None else np.asarray(prior, np.float64)
+        if self.prior.shape != (p,):
+            raise UsageError(
+                f"the prior has shape {self.prior.shape}; this arm has {p} parameters ({self.names[0]} … {self.names[-1]})"
+            )
+        with float64():
+            full = lambda v, k: jnp.asarray(np.broadcast_to(np.asarray(v, np.float64), k))
+            leaves, structure = jax.tree.flatten(arm)
+            shapes = tuple(np.shape(a) for a in leaves)
+            settings = [np.broadcast_to(exponent, n), np.broadcast_to(noise_var, n), [forgetting, rule.change]]
+            numbers = np.concatenate([np.ravel(np.asarray(a, np.float64)) for a in (*leaves, *settings)])
+            self.watched = watched_of(self.base, n)
+            self._update = _program(structure, shapes, tuple(int(i) for i in self.base.kept), self.watched)
+            self._numbers = jnp.asarray(numbers)
+            zero = jnp.zeros(())
+            self._state = _packed(Recursion(jnp.asarray(self.prior), jnp.diag(full(prior_var, p)), zero, zero))
+        self.converged_at: int | None = None
+        self._sample = np.zeros((4, n))
+
+    def update(self, q: np.ndarray, qd: np.ndarray, qdd: np.ndarray, tau: np.ndarray) -> None:
+        """One sample: joint motion [n] (rad, m and their rates) and torque [n]. Nothing recompiles after the first."""
+        self._sample = np.array((q, qd, qdd, tau), np.float64)
+        with float64():
+            self._state = self._update(self._numbers, self._state, self._sample)
+
+    def rehearse(self) -> None:
+        """The last sample's update once more, its result thrown away. A computer that has slept until a sample comes takes up
+        to twice as long for its update; a loop with a deadline rehearses just before (`benchmarks/ur10_speed.py`)."""
+        with float64():
+            self._update(self._numbers, self._state, self._sample).block_until_ready()
+
+    @property
+    def state(self) -> Recursion:
+        """As NumPy arrays; waits for the last update."""
+        return _unpacked(np.asarray(self._state))
+
+    def check(self) -> bool:
+        """Whether the rule has been met; remembers at which sample it first was. Waits for the last update."""
+        if self.converged_at is None and int(self.state.still) > self.rule.samples:
+            self.converged_at = int(self.state.seen)
+        return self.converged_at is not None
+
+    @property
+    def theta(self) -> np.ndarray:
+        return np.asarray(self.state.theta)
+
+    @property
+    def covariance(self) -> np.ndarray:
+        """P: the covariance of theta if the noise is white with `noise_var` and the prior's variance is `prior_var`."""
+        return np.asarray(self.state.P)
+
+    def payload(self, gain_std: float = 0.0) -> Payload:
+        """The load that the estimate has more than its prior, by all rows and by those of the paper."""
+        p = len(self.base.kept)
+        return payload_of(self.theta[:p] - self.prior[:p], self.covariance[:p, :p], self.base, gain_std)
+
+    def published_mass(self) -> float | None:
+        """Mass by equations (12) and (13) of paper 001; None for an arm that lacks their rows."""
+        found = published_rows(self.theta[: len(self.base.kept)] - self.prior[: len(self.base.kept)], self.base)
+        return None if found is None else float(found[9])

@@ -1,0 +1,220 @@
+"""The torque equation of a serial arm as rows: measured motion in, filtered columns and filtered torque out.
+
+tau = Y_b pi + friction, with pi the base parameters. Positions are filtered without phase and differentiated; the columns are
+built from that motion and pass the same low-pass as the torque (both sides alike, so the filter does not bias the estimate).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass, replace
+from typing import Any, NamedTuple
+
+import jax.numpy as jnp
+import numpy as np
+
+from jaxid.data.dataset import Dataset, Experiment
+from jaxid.data.signals import differentiate, filter_ends, STRETCH, zero_phase, zero_phase_stretches
+from jaxid.dynamics.base_parameters import BaseParameters, torque_columns
+from jaxid.dynamics.chain import Chain
+from jaxid.errors import UsageError
+from jaxid.simulation.sample_buffers import columns
+
+
+#: sign(qd) is tanh(qd / REST) here: at rest, measured velocity is noise and friction may take any value.
+REST = 0.01
+#: So many rows of the torque equation are made at once: on the way to one there are five times its numbers.
+MADE = 1 << 11
+
+
+class Law(NamedTuple):
+    """A friction law linear in its levels: parameter ids (and how their unit goes with speed) and the columns they multiply."""
+
+    name: str
+    parameters: tuple[tuple[str, str], ...]
+    nonlinear: bool = False
+
+
+LAWS: dict[str, Law] = {
+    "linear": Law("linear", (("F_c", "{F}"), ("F_v", "{F} s/{X}"), ("offset", "{F}"))),
+    "power": Law("power", (("F_c", "{F}"), ("F_v", "{F} (s/{X})^exponent"), ("offset", "{F}")), True),
+    "stribeck": Law(
+        "stribeck", (("F_c", "{F}"), ("F_v", "{F} s/{X}"), ("offset", "{F}"), ("F_s", "{F}"), ("F_3", "{F} (s/{X})^3"))
+    ),
+}
+
+
+def power(qd: Any, exponent: np.ndarray) -> Any:
+    """|qd|^exponent sign(qd), the law of `power_law_friction`."""
+    return qd * (qd * qd + 1e-6) ** ((exponent - 1) / 2)
+
+
+def friction_columns(law: Law, qd: Any, exponent: np.ndarray) -> Any:
+    """Values [samples k n] of the k columns of a law at each joint's velocity [samples n], NumPy's or JAX."""
+    xp: Any = np if isinstance(qd, np.ndarray) else jnp
+    dry = xp.tanh(qd / REST)
+    if law.name == "power":
+        return xp.stack([dry, power(qd, exponent), xp.ones_like(qd)], 1)
+    parts = [dry, qd, xp.ones_like(qd)]
+    if law.name == "stribeck":
+        parts += [dry * xp.exp(-((qd / 0.1) ** 2)), qd**3]
+    return xp.stack(parts, 1)
+
+
+@dataclass(frozen=True)
+class Run:
+    """One experiment: its motion and its torque, filtered and not, in the samples that count.
+
+    Of the columns of inertia, hundreds of numbers a sample, only the rows that are solved (`Y`) are kept; whatever needs others
+    makes them again, a stretch of samples at a time.
+    """
+
+    name: str
+    split: str
+    t: np.ndarray
+    q: np.ndarray  # the motion of all samples [all samples n]
+    qd: np.ndarray
+    qdd: np.ndarray
+    Y: np.ndarray  # [rows n base], filtered: every `spacing`-th of the samples that count
+    tau: np.ndarray  # [samples n]
+    tau_raw: np.ndarray
+    kept: slice  # the samples whose rows count
+    cutoff_hz: float
+    times: np.ndarray  # of all samples
+    inertia: Callable[[slice], np.ndarray]  # columns of inertia, unfiltered, of some of all samples
+
+    def filtered(self, x: np.ndarray) -> np.ndarray:
+        """Columns [all samples ...] through the low-pass, at the rows that count."""
+        return zero_phase(self.times, x.reshape(len(x), -1), self.cutoff_hz).reshape(x.shape)[self.kept]
+
+    def stretches(self, rows: Callable[[slice], np.ndarray], every: int = 1) -> Iterator[tuple[slice, np.ndarray, np.ndarray]]:
+        """Rows [samples ...] stretch by stretch: (which of the samples that count, filtered, unfiltered), `every`-th of them."""
+        ends = self.kept.start
+        for samples, smooth, raw in zero_phase_stretches(self.times, rows, self.cutoff_hz):
+            first, last = max(samples.start, ends), min(samples.stop, self.kept.stop)
+            first += -(first - ends) % every
+            if first < last:
+                at = slice(first - samples.start, last - samples.start, every)
+                own = (smooth[at], raw[at]) if every == 1 else (smooth[at].copy(), raw[at].copy())  # no view of the whole
+                yield slice(first - ends, last - ends, every), *own
+
+
+def read_run(
+    dataset: Dataset, e: Experiment, chain: Chain, base: BaseParameters, cutoff_hz: float, motion_hz: float, gains: np.ndarray
+) -> Run:
+    """Rows of one experiment; `gains` [n] turns its inputs into joint torque."""
+    iu, iy = columns(dataset, chain)
+    rate = 1 / float(np.median(np.diff(e.t)))
+    if cutoff_hz >= rate / 2.5:
+        raise UsageError(
+            f"experiment {e.name!r} is sampled at {rate:.4g} Hz; a cutoff of {cutoff_hz:g} Hz is too high, give at most "
+            f"{rate / 4:.3g}"
+        )
+    q, qd, qdd, _ = differentiate(e.t, e.motion()[:, iy], min(motion_hz, rate / 2.5))
+    tau = e.u[:, iu] * gains
+    ends = filter_ends(e.t, cutoff_hz)
+    kept = slice(ends, len(e.t) - ends)
+    if len(e.t) - 2 * ends < 20:
+        raise UsageError(f"experiment {e.name!r} has {len(e.t)} samples, too few for a filter of {cutoff_hz:g} Hz")
+    smooth = zero_phase(e.t, tau, cutoff_hz)[kept]
+    run = Run(
+        e.name, e.split, e.t[kept], q, qd, qdd, np.zeros((0, 0, 0)), smooth, tau[kept], kept, cutoff_hz, e.t, lambda _: tau
+    )  # fmt: skip
+    return _with_inertia(run, chain, base, q, qd, qdd)
+
+
+def _with_inertia(run: Run, chain: Chain, base: BaseParameters, q: np.ndarray, qd: np.ndarray, qdd: np.ndarray) -> Run:
+    """The run along a motion [all samples n]."""
+    index = list(base.kept)
+
+    def made(at: slice) -> np.ndarray:
+        first, last, _ = at.indices(len(q))
+        out = np.empty((last - first, q.shape[1], len(index)))
+        for a in range(first, last, MADE):
+            some = slice(a, min(last, a + MADE))
+            out[a - first : some.stop - first] = torque_columns(chain.mechanism, q[some], qd[some], qdd[some])[:, :, index]
+        return out
+
+    if len(q) <= STRETCH:
+        every = made(slice(None))
+        run = replace(run, q=q, qd=qd, qdd=qdd, inertia=every.__getitem__)
+    else:
+        run = replace(run, q=q, qd=qd, qdd=qdd, inertia=made)
+    return replace(run, Y=np.concatenate([smooth for _, smooth, _ in run.stretches(run.inertia, spacing(run))]))
+
+
+def full_rows(run: Run, law: Law, exponent: np.ndarray) -> np.ndarray:
+    """W [rows n base + k n] of the rows of a run that are solved: inertia, then the law's columns, parameter by parameter over
+    the joints."""
+    F = lambda at: friction_columns(law, run.qd[at], exponent)
+    return _joined(run.Y, np.concatenate([smooth for _, smooth, _ in run.stretches(F, spacing(run))]))
+
+
+def every_row(run: Run, law: Law, exponent: np.ndarray) -> Iterator[tuple[slice, np.ndarray, np.ndarray]]:
+    """W of all samples that count, stretch by stretch: (which samples, filtered, unfiltered)."""
+    F = lambda at: friction_columns(law, run.qd[at], exponent)
+    pairs = zip(run.stretches(run.inertia), run.stretches(F), strict=True)
+    for (at, Y, Y_raw), (_, smooth, raw) in pairs:
+        yield at, _joined(Y, smooth), _joined(Y_raw, raw)
+
+
+def _joined(Y: np.ndarray, F: np.ndarray) -> np.ndarray:
+    count, k, n = F.shape
+    W = np.zeros((count, n, Y.shape[2] + k * n))
+    W[:, :, : Y.shape[2]] = Y
+    joint = np.arange(n)
+    for i in range(k):
+        W[:, joint, Y.shape[2] + i * n + joint] = F[:, i]
+    return W
+
+
+def torques(run: Run, laws: Sequence[tuple[Law, np.ndarray, np.ndarray]]) -> list[tuple[np.ndarray, np.ndarray]]:
+    """Torque of each (law, theta, exponent) at the samples that count, filtered and not, each [samples n].
+
+    It is linear in the columns, so it is filtered in their place.
+    """
+    count, n = run.q.shape
+    p = run.Y.shape[2]
+    whole = [np.empty((count, n)) for _ in laws]
+    for a in range(0, count, STRETCH):
+        at = slice(a, min(count, a + STRETCH))
+        Y = run.inertia(at)
+        for out, (law, theta, exponent) in zip(whole, laws, strict=True):
+            F = friction_columns(law, run.qd[at], exponent)
+            out[at] = Y @ theta[:p] + np.einsum("skn,kn->sn", F, theta[p:].reshape(-1, n))
+    return [(run.filtered(tau), tau[run.kept]) for tau in whole]
+
+
+def exponent_slopes(run: Run, law: Law, theta: np.ndarray, exponent: np.ndarray) -> np.ndarray:
+    """Derivative of the torque by each joint's exponent at the rows that are solved, [rows n n], filtered."""
+    n = run.qd.shape[1]
+    p = len(theta) - len(law.parameters) * n
+    slope = theta[p + n : p + 2 * n] * power(run.qd, exponent) * np.log(run.qd**2 + 1e-6) / 2
+    return run.filtered(slope)[:: spacing(run), :, None] * np.eye(n)
+
+
+def spacing(run: Run) -> int:
+    """Every how many samples a row says something new: four times the cutoff."""
+    rate = 1 / float(np.median(np.diff(run.t)))
+    return max(1, int(rate / (4 * run.cutoff_hz)))
+
+
+def names_of(base: BaseParameters, law: Law, n: int) -> list[str]:
+    """Names of the columns of `full_rows`."""
+    return [*base.names, *(f"{p}{j + 1}" for p, _ in law.parameters for j in range(n))]
+
+
+def instruments(dataset: Dataset, e: Experiment, chain: Chain, base: BaseParameters, run: Run) -> Run:
+    """The same run along the commanded motion `q1_cmd …`, which holds no noise of the measurement."""
+    joints = chain.signature.joints
+    commands = [f"{j}_cmd" for j in joints]
+    missing = [c for c in commands if c not in e.auxiliary]
+    if missing:
+        raise UsageError(
+            f"method iv takes its instruments from the commanded motion; experiment {e.name!r} has no channel {missing[0]} "
+            f"(auxiliary channels {commands[0]} … {commands[-1]}, rad). Record it, or use --method wls"
+        )
+    q = np.stack([e.auxiliary[c] for c in commands], 1)
+    qd = np.gradient(q, e.t, axis=0)
+    qdd = np.gradient(qd, e.t, axis=0)
+    return _with_inertia(run, chain, base, q, qd, qdd)

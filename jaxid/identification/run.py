@@ -1,0 +1,481 @@
+"""Inverse-dynamics identification of a serial arm: base parameters, friction, payload; `jaxid identify`."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from jaxid.conventions.checking import run_check
+from jaxid.conventions.finding import as_data, DataFinding
+from jaxid.data.capacity import need, refuse_too_large
+from jaxid.data.dataset import Dataset
+from jaxid.dynamics.base_parameters import BaseParameters
+from jaxid.dynamics.chain import Chain
+from jaxid.dynamics.joint_names import in_chain_order, joint_names, names_of_joints
+from jaxid.dynamics.parameter_vector import Layout
+from jaxid.errors import nearest, UsageError
+from jaxid.fitting.result import SCHEMA, versions
+from jaxid.identification import estimators as solve
+from jaxid.identification.estimators import Estimate
+from jaxid.identification.payload import Payload, payload_by_difference, read_reference
+from jaxid.identification.regression import (
+    every_row,
+    exponent_slopes,
+    friction_columns,
+    full_rows,
+    instruments,
+    Law,
+    LAWS,
+    names_of,
+    read_run,
+    Run,
+    spacing,
+    torques,
+)
+from jaxid.identification.stated import beside_the_file
+from jaxid.problem.binding import resolve_model
+from jaxid.problem.torque_filter import drive_gains
+from jaxid.robots.arms import as_arm
+
+
+METHODS = ("ls", "wls", "iv", "rls", "tls", "constrained")
+#: Variance of a parameter that nothing is known of, in units of the square of what one unit of noise in every row makes of it.
+UNKNOWN = 1e10
+#: Sampling rate for which paper 001 states its stopping rule.
+PAPER_HZ = 125.0
+#: A richer friction law is taken only if it is better by this share on every held-out run.
+BETTER = 0.01
+
+
+@dataclass(frozen=True)
+class RunScore:
+    """How well one experiment's torque is predicted, N m: over all joints and joint by joint, filtered and as recorded."""
+
+    file: str
+    split: str
+    relative_error: float
+    relative_error_per_joint: tuple[float, ...]
+    rmse_per_joint: tuple[float, ...]
+    unfiltered_relative_error: float
+    unfiltered_rmse_per_joint: tuple[float, ...]
+
+    def to_dict(self) -> dict[str, Any]:
+        return {
+            "file": self.file,
+            "split": self.split,
+            "relative_error": self.relative_error,
+            "relative_error_per_joint": list(self.relative_error_per_joint),
+            "rmse_per_joint": list(self.rmse_per_joint),
+            "unfiltered": {
+                "relative_error": self.unfiltered_relative_error,
+                "rmse_per_joint": list(self.unfiltered_rmse_per_joint),
+            },
+        }
+
+
+@dataclass(frozen=True)
+class LawTrial:
+    """A friction law that was tried: relative torque error on fit data and on each held-out run."""
+
+    law: str
+    fit: float
+    held_out: tuple[float, ...]
+    chosen: bool
+
+
+@dataclass(frozen=True)
+class Identification:
+    """Result of `jaxid.identify`. `theta` and `covariance` follow `names`: base parameters, then friction by joint."""
+
+    model: str
+    method: str
+    law: str
+    names: tuple[str, ...]
+    expressions: tuple[str, ...]
+    units: tuple[str, ...]
+    theta: np.ndarray
+    covariance: np.ndarray
+    identifiable: np.ndarray
+    base_count: int
+    exponents: np.ndarray | None
+    condition_number: float
+    condition_number_scaled: float
+    filter: str
+    weights: np.ndarray  # [joints] 1 / (N m), mean over the fit runs
+    experiments: tuple[RunScore, ...]
+    laws: tuple[LawTrial, ...]
+    standard: dict[str, float] | None
+    dataset: str
+    dataset_sha256: str
+    notes: tuple[str, ...]
+    wall_time_s: float
+    payload: Payload | None = None
+    traces: tuple[Any, ...] = field(default=(), compare=False)
+    labels: tuple[str, ...] = ()  # what tables call the joints: their names, else q1 …
+    stated: tuple[dict[str, Any], ...] = ()
+    per_joint: tuple[dict[str, Any], ...] = ()
+    data: tuple[DataFinding, ...] = ()  # what the recording says about itself
+
+    @property
+    def torque_units(self) -> tuple[str, ...]:
+        """Unit of each joint's torque: N m, or N where it slides."""
+        return self.units[self.base_count : self.base_count + self.joints]
+
+    @property
+    def joints(self) -> int:
+        return len(self.weights)
+
+    def std(self) -> np.ndarray:
+        """Standard deviations, nan where the data do not determine a number."""
+        return np.where(self.identifiable, np.sqrt(np.maximum(np.diag(self.covariance), 0.0))[: len(self.names)], np.nan)
+
+    def exponent_std(self) -> np.ndarray:
+        """Standard deviations of the exponents, which follow the other parameters in the covariance."""
+        return np.sqrt(np.maximum(np.diag(self.covariance), 0.0))[len(self.names) :]
+
+    def friction(self) -> list[dict[str, Any]]:
+        """Friction of each joint: id -> value, std, unit."""
+        std, n = self.std(), self.joints
+        out: list[dict[str, Any]] = [{"joint": name} for name in self.labels]
+        for i in range(self.base_count, len(self.names)):
+            j = (i - self.base_count) % n
+            out[j][self.names[i].rstrip("0123456789") if not self.names[i].startswith("F_3") else "F_3"] = {
+                "value": self.theta[i], "std": std[i], "unit": self.units[i],
+            }  # fmt: skip
+        if self.exponents is not None:
+            for j in range(n):
+                out[j]["exponent"] = {"value": self.exponents[j], "std": self.exponent_std()[j], "unit": "1"}
+        return out
+
+    def to_dict(self) -> dict[str, Any]:
+        std = self.std()
+        base = [
+            {"name": self.names[i], "value": self.theta[i], "std": std[i], "unit": self.units[i],
+             "identifiable": bool(self.identifiable[i]), "combination": self.expressions[i]}
+            for i in range(self.base_count)
+        ]  # fmt: skip
+        out: dict[str, Any] = {
+            "schema": SCHEMA,
+            "kind": "identification",
+            "model": self.model,
+            "method": self.method,
+            "friction_law": self.law,
+            "base_parameters": base,
+            "friction": self.friction(),
+            "condition_number": self.condition_number,
+            "condition_number_scaled": self.condition_number_scaled,
+            "filter": self.filter,
+            "weights": self.weights,
+            "experiments": [e.to_dict() for e in self.experiments],
+            "friction_laws": [vars(t) for t in self.laws],
+            "names": list(self.names),
+            "covariance": self.covariance,
+            "stated": list(self.stated),
+            "how_far": {"per_joint": list(self.per_joint)},
+        }
+        if self.standard is not None:
+            out["standard_parameters"] = self.standard
+        if self.payload is not None:
+            out["payload"] = self.payload.to_dict()
+        out |= as_data(self.data)
+        return out | {
+            "dataset": self.dataset,
+            "dataset_sha256": self.dataset_sha256,
+            "wall_time_s": self.wall_time_s,
+            "versions": versions(),
+            "notes": list(self.notes),
+        }
+
+    def report(self, path: str | Path) -> Path:
+        """Writes the report page (one self-contained HTML file) and returns its path."""
+        from jaxid.report import write_identification
+
+        return write_identification(self, Path(path))
+
+    def __repr__(self) -> str:
+        from jaxid.cli.identify import identification_text
+
+        return identification_text(self)
+
+    def _repr_html_(self) -> str:
+        from jaxid.report import identification_fragment
+
+        return identification_fragment(self)
+
+
+def identify(
+    model: object,
+    dataset: Dataset,
+    *,
+    method: str = "wls",
+    friction: str = "auto",
+    cutoff_hz: float = 5.0,
+    motion_hz: float | None = None,
+    reference: Identification | Mapping[str, Any] | str | Path | None = None,
+    gain_std: float = 0.0,
+    as_recorded: bool = False,
+) -> Identification:
+    """Base parameters and friction of a serial arm from recorded motion and torque.
+
+    `method` is ls, wls, iv, rls (wls sample by sample; with a reference it also says after which time the payload has
+    converged), tls or constrained; `friction` linear, power, stribeck, or auto: the simplest that no richer law beats on every
+    held-out run. Torque and columns are low-passed at `cutoff_hz`, positions at `motion_hz` (twice that) before they are
+    differentiated. `reference`, the identification of the unloaded arm (or its JSON), gives the payload; `gain_std` is the
+    relative standard deviation of the drive gains, which moves payload and torque alike. Decisive findings of `jaxid.check`
+    are applied unless `as_recorded`. Raises `UsageError` for a model that is no serial arm and data that lack its channels.
+    """
+    began = time.perf_counter()
+    if method not in METHODS:
+        raise UsageError(f"there is no method {method!r}{nearest(method, METHODS)}")
+    if friction not in (*LAWS, "auto"):
+        raise UsageError(f"there is no friction law {friction!r}{nearest(friction, (*LAWS, 'auto'))}")
+    dataset = (checked := run_check(model, dataset, (), as_recorded)).mended or dataset
+    model, dataset = as_arm(model, dataset)
+    held_out = any(e.split != "fit" for e in dataset.experiments)
+    data = dataset if held_out else dataset.with_splits()
+    chain = _stated(resolve_model(model, data), data)
+    arm: Any = chain.mechanism
+    data = in_chain_order(data, joint_names(arm))
+    if not hasattr(arm, "base"):
+        raise UsageError(f"identify needs a serial arm (ur10, ur10e, panda, serial_arm); {arm.name} is none. Use jaxid fit")
+    refuse_too_large(need("identify", data, chain.nq))
+    base, gains = arm.base(), drive_gains(chain)
+    motion_hz = motion_hz or 2 * cutoff_hz
+    runs = [read_run(data, e, chain, base, cutoff_hz, motion_hz, gains) for e in data.experiments]
+    by = None
+    if method == "iv":
+        by = [instruments(data, e, chain, base, r) for e, r in zip(data.experiments, runs, strict=True) if r.split == "fit"]
+
+    before = None if reference is None else read_reference(reference)
+    tried = [friction] if friction != "auto" else list(LAWS)
+    solved = {name: _solve(LAWS[name], runs, by, method, chain, base) for name in tried}
+    scores, predicted = _scored(runs, [(LAWS[name], *solved[name][:2]) for name in tried])
+    trials = [_trial(LAWS[name], own) for name, own in zip(tried, scores, strict=True)]
+    chosen = _choose(trials)
+    law = LAWS[tried[chosen]]
+    theta, exponent, weights, phi, found = solved[law.name]
+    names = names_of(base, law, len(arm.prismatic))
+    symbols = {f"{k}{j + 1}": float(v) for k in ("a", "d", "b") for j, v in enumerate(np.asarray(getattr(arm, k)))}
+    result = Identification(
+        model=arm.name, method=method, law=law.name, names=tuple(names), expressions=base.expressions(symbols),
+        units=tuple(_units(chain, base, law)), theta=theta, covariance=found.covariance,
+        identifiable=found.identifiable[: len(names)],
+        base_count=len(base.kept), exponents=exponent if law.nonlinear else None, condition_number=found.condition,
+        condition_number_scaled=found.condition_scaled,
+        filter=f"positions: zero-phase Butterworth of order 4, {motion_hz:g} Hz, central differences; torque and columns alike: "
+        f"the same at {cutoff_hz:g} Hz; sign(qd) as tanh(qd / 0.01)",
+        weights=np.mean(weights, 0), experiments=tuple(scores[chosen]),
+        laws=tuple(LawTrial(t.law, t.fit, t.held_out, t.law == law.name) for t in trials),
+        standard=None if phi is None else dict(zip(base.standard, phi.ravel().tolist(), strict=True)),
+        dataset=dataset.name, dataset_sha256=dataset.sha256,
+        notes=tuple([*data.notes, *_notes(found, names, method, law)]), wall_time_s=time.perf_counter() - began,
+        labels=names_of_joints(arm, data, len(arm.prismatic)),
+        traces=tuple((r.name, r.split, r.t, r.tau, own[chosen]) for r, own in zip(runs, predicted, strict=True)),
+        data=checked.findings,
+    )  # fmt: skip
+    result = replace(result, **beside_the_file(arm, base, law, runs, result))
+    if before is None:
+        return result
+    payload = payload_by_difference(result, before, base, np.asarray(arm.prismatic), gain_std)
+    if method == "rls":
+        after = converged_after(runs, law, exponent, result, before, base, weights)
+        payload = replace(payload, converged_after_s=after)
+    return Identification(**{**result.__dict__, "payload": payload})
+
+
+def _stated(chain: Chain, dataset: Dataset) -> Chain:
+    """The chain with the constants and start values that the dataset states."""
+    layout = Layout(chain)
+    theta, spec = layout.values.copy(), dataset.model
+    known = dict(spec.constants) if spec is not None else {}
+    known |= {k: p.value for k, p in (spec.parameters if spec is not None else {}).items() if p.value is not None}
+    for name, value in known.items():
+        if name != "smoothing_velocity":
+            theta[layout.index(name)] = value
+    return layout.model(theta)
+
+
+def _solve(law: Law, runs: Sequence[Run], by: Sequence[Run] | None, method: str, chain: Chain, base: BaseParameters):
+    """(theta, exponents, weights per run, standard parameters or None, covariance and condition) of one law."""
+    arm: Any = chain.mechanism
+    n = len(arm.prismatic)
+    fit = [r for r in runs if r.split == "fit"]
+    exponent = np.ones(n)
+    phi0 = np.array([float(np.asarray(getattr(arm, name.rstrip("0123456789")))[int(name[-1]) - 1]) for name in base.standard])
+    prior = np.concatenate([base.values(phi0), np.zeros(len(law.parameters) * n)])
+
+    def blocks_of(which: Sequence[Run], exponent: np.ndarray) -> list[tuple[np.ndarray, np.ndarray]]:
+        return [(full_rows(r, law, exponent), r.tau[:: spacing(r)]) for r in which]
+
+    blocks = blocks_of(fit, exponent)
+    theta, weights = solve.weighted(blocks, prior)
+    if law.nonlinear:
+        for _ in range(3):
+            old, exponent = exponent, _exponents(fit, law, blocks, weights, len(base.kept), n, exponent, method == "constrained")
+            blocks = blocks_of(fit, exponent)
+            theta, weights = solve.weighted(blocks, prior)
+            if np.abs(exponent - old).max() < 1e-3:
+                break
+    if method == "ls":
+        weights = [np.ones(n) for _ in fit]
+    W, b = solve.stacked(blocks, weights)
+    phi, instrument = None, None
+    if method == "ls":
+        theta = solve.least_squares(W, b, prior)
+    elif method == "tls":
+        theta = solve.total(W, b, _column_noise(fit, weights, W.shape[1]), prior)
+    elif method == "rls":
+        theta = recursive(fit, law, exponent, weights, prior)
+    elif method == "iv" and by is not None:
+        instrument = blocks_of(by, exponent)
+        theta = solve.instrumental(W, b, solve.stacked(instrument, weights)[0], prior)
+    elif method == "constrained":
+        levels = np.array([p in ("F_c", "F_v") for p, _ in law.parameters for _ in range(n)])
+        theta, phi = solve.constrained(W, b, base, phi0.reshape(n, 11), levels, arm.motor_side)
+    slopes = None
+    if law.nonlinear:
+        slopes = [exponent_slopes(r, law, theta, exponent) for r in fit]
+    return theta, exponent, weights, phi, solve.estimate(blocks, weights, theta, instrument, slopes)
+
+
+def recursive(fit: Sequence[Run], law: Law, exponent: np.ndarray, weights: Sequence[np.ndarray], prior: np.ndarray) -> np.ndarray:
+    """Weighted least squares sample by sample: the recursion over all rows of the fit runs, one run after the other, from the
+    model's own values, of which next to nothing is trusted."""
+    from jaxid.identification.online import replay_stretches
+
+    size = np.zeros(len(prior))
+    for r, w in zip(fit, weights, strict=True):
+        for _, W, _ in every_row(r, law, exponent):
+            size = np.hypot(size, np.linalg.norm((W * w[:, None]).reshape(-1, len(prior)), axis=0))
+    seen = size > solve.SEEN * size.max()
+    scale = np.where(seen, size, np.inf)  # a column that shows nothing leaves its parameter where it is
+
+    def stretches() -> Iterator[tuple[np.ndarray, np.ndarray]]:
+        for r, w in zip(fit, weights, strict=True):
+            for at, W, _ in every_row(r, law, exponent):
+                Y = W * w[:, None]
+                yield Y / scale, r.tau[at] * w - Y @ prior
+
+    found = replay_stretches(stretches(), np.zeros_like(prior), noise_var=1.0, prior_var=UNKNOWN)[0]
+    return prior + found / scale
+
+
+def converged_after(
+    runs: Sequence[Run],
+    law: Law,
+    exponent: np.ndarray,
+    loaded: Identification,
+    before: Mapping[str, Any],
+    base: BaseParameters,
+    weights: Sequence[np.ndarray],
+) -> float | None:
+    """Seconds of the first fit run after which the paper's stopping rule holds for the last link's parameters, from the unloaded
+    arm's parameters with the paper's P0 = 10; None: never within the run."""
+    from jaxid.identification.online import replay_stretches, Rule, watched_of
+
+    first = next(r for r in runs if r.split == "fit")
+    friction = {f"{k}{entry['joint'][1:]}": v["value"] for entry in before["friction"] for k, v in entry.items() if k != "joint"}
+    known = {e["name"]: e["value"] for e in before["base_parameters"]} | friction
+    prior = np.array([known.get(name, value) for name, value in zip(loaded.names, loaded.theta, strict=True)], float)
+    step = float(np.median(np.diff(first.t)))
+    # Rows between those that say something new hold the same noise: each counts with that much more variance.
+    noise = np.asarray(weights[0]) ** -2.0 * spacing(first)
+    rule = Rule(samples=round(Rule().samples / PAPER_HZ / step))
+    _, _, met = replay_stretches(
+        ((W, first.tau[at]) for at, W, _ in every_row(first, law, exponent)), prior, noise_var=noise, prior_var=10.0,
+        watched=watched_of(base, loaded.joints), rule=rule,
+    )  # fmt: skip
+    return None if met is None else met * step
+
+
+def _exponents(fit: Sequence[Run], law: Law, blocks, weights, p: int, n: int, start: np.ndarray, positive: bool) -> np.ndarray:
+    """Exponents at these weights; `positive` keeps F_c and F_v from being negative."""
+    W, b = solve.stacked(blocks, weights)
+    dry, viscous = np.arange(p, p + n), np.arange(p + n, p + 2 * n)
+
+    def columns(exponent: np.ndarray) -> np.ndarray:
+        parts = []
+        for r, w in zip(fit, weights, strict=True):
+            F = r.filtered(friction_columns(law, r.qd, exponent)[:, 1])[:: spacing(r)]
+            parts.append((F[:, :, None] * np.eye(n) * w[:, None]).reshape(-1, n))
+        V = np.concatenate(parts)
+        return np.concatenate([W[:, dry], V], 1) if positive else V
+
+    moving = np.concatenate([dry, viscous]) if positive else viscous
+    return solve.project_exponents(np.delete(W, moving, 1), b, columns, start, positive)
+
+
+def _column_noise(fit: Sequence[Run], weights: Sequence[np.ndarray], size: int) -> np.ndarray:
+    """One standard deviation of each column's error and of the torque's: what lies above the cutoff, as if it were white.
+    Friction columns count as exact: what they hold above the cutoff are reversals."""
+    p = fit[0].Y.shape[2]
+    square, count = np.zeros(size + 1), 0
+    for r, w in zip(fit, weights, strict=True):
+        for _, Y, Y_raw in r.stretches(r.inertia):
+            square[:p] += np.sum(((Y_raw - Y) * w[:, None]) ** 2, (0, 1))
+        square[-1] += np.sum(((r.tau_raw - r.tau) * w) ** 2)
+        count += r.tau.size
+    return np.sqrt(square / count)
+
+
+def _scored(runs: Sequence[Run], laws: Sequence[tuple[Law, np.ndarray, np.ndarray]]) -> tuple[list[list[RunScore]], list]:
+    """Scores of each law on each run, and of each run the filtered torque of each law [samples n]."""
+    scores: list[list[RunScore]] = [[] for _ in laws]
+    predicted = []
+    for run in runs:
+        found = torques(run, laws)
+        for own, (smooth, raw) in zip(scores, found, strict=True):
+            filtered, unfiltered = _errors(run.tau, smooth), _errors(run.tau_raw, raw)
+            own.append(RunScore(run.name, run.split, *filtered, unfiltered[0], unfiltered[2]))
+        predicted.append([smooth for smooth, _ in found])
+    return scores, predicted
+
+
+def _errors(tau: np.ndarray, modelled: np.ndarray) -> tuple[float, tuple[float, ...], tuple[float, ...]]:
+    e = tau - modelled
+    each = np.linalg.norm(e, axis=0) / np.maximum(np.linalg.norm(tau, axis=0), 1e-300)
+    return float(np.linalg.norm(e) / np.linalg.norm(tau)), tuple(each.tolist()), tuple(np.sqrt(np.mean(e**2, 0)).tolist())
+
+
+def _trial(law: Law, scores: Sequence[RunScore]) -> LawTrial:
+    fit = [s.relative_error for s in scores if s.split == "fit"]
+    return LawTrial(law.name, float(np.mean(fit)), tuple(s.relative_error for s in scores if s.split != "fit"), False)
+
+
+def _choose(trials: Sequence[LawTrial]) -> int:
+    """The simplest law, or a richer one that is better on every held-out run."""
+    best = 0
+    for k in range(1, len(trials)):
+        pairs = zip(trials[k].held_out, trials[best].held_out, strict=True)
+        if trials[k].held_out and all(new < (1 - BETTER) * old for new, old in pairs):
+            best = k
+    return best
+
+
+def _units(chain: Chain, base: BaseParameters, law: Law) -> Iterable[str]:
+    arm: Any = chain.mechanism
+    for name in base.names:
+        kind, j = name.rstrip("0123456789"), int(name[len(name.rstrip("0123456789")) :]) - 1
+        slides = kind == "Ia" and arm.prismatic[j]
+        yield "kg" if kind == "m" or slides else "kg m" if kind in ("mx", "my", "mz") else "kg m^2"
+    for _, unit in law.parameters:
+        for j in range(len(arm.prismatic)):
+            yield chain.signature.unit(unit, j)
+
+
+def _notes(found: Estimate, names: Sequence[str], method: str, law: Law) -> list[str]:
+    how = "white" if found.white else f"coloured (memory {found.memory} rows)"
+    notes = [f"residuals are {how}: standard deviations from the sandwich covariance of the estimator"]
+    lost = [n for n, seen in zip(names, found.identifiable, strict=False) if not seen]
+    if lost:
+        notes.append(f"not determined by these data, left at the model's own values: {', '.join(lost)}")
+    if law.nonlinear:
+        notes.append("exponents by variable projection")
+    if method == "constrained":
+        notes.append("inertial parameters of bodies that can exist; standard deviations are those without that constraint")
+    return notes

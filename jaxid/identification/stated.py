@@ -1,0 +1,80 @@
+"""The numbers of an arm's own file beside those that were identified: which of them are wrong, and by how much."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+
+from jaxid.dynamics.base_parameters import BaseParameters
+from jaxid.identification.regression import full_rows, Law, Run
+
+
+#: Standard deviations from which a difference is worth a sentence.
+MANY = 3.0
+
+
+def beside_the_file(arm: Any, base: BaseParameters, law: Law, runs: Sequence[Run], result: Any) -> dict[str, Any]:
+    """Fields `stated`, `per_joint` and `notes` of an identification whose arm comes from a file; none for any other arm.
+
+    A base parameter's stated value is the file's own combination. Torque errors are relative, of the filtered torque.
+    """
+    if not getattr(arm, "friction", ()):
+        return {}
+    n = len(arm.prismatic)
+    split = lambda name: (name.rstrip("0123456789"), int(name[len(name.rstrip("0123456789")) :]) - 1)
+    phi = np.array([float(np.asarray(getattr(arm, kind))[j]) for kind, j in map(split, base.standard)])
+    level, viscous = np.array(arm.friction).T
+    own = {"F_c": level, "F_v": viscous}
+    theta = np.concatenate([base.values(phi), *(own.get(p, np.zeros(n)) for p, _ in law.parameters)])
+    std, rows = result.std(), []
+    for i, name in enumerate(result.names):
+        kind = name.rstrip("0123456789")
+        if kind not in own and i >= result.base_count:
+            continue
+        deviation = float((result.theta[i] - theta[i]) / std[i]) if std[i] > 0 else None
+        joint = int(name[len(kind) :])
+        rows.append(
+            {
+                "joint": f"q{joint}", "link": f"link {joint}", "parameter": name, "stated": float(theta[i]),
+                "fitted": float(result.theta[i]), "std": float(std[i]), "deviation": deviation, "unit": result.units[i],
+                "text": f"{name}: {result.theta[i]:.4g} {result.units[i]}, the file says {theta[i]:.4g}",
+            }
+        )  # fmt: skip
+    joints = []
+    for run in runs:
+        predicted = full_rows(run, law, np.ones(n)) @ theta
+        size = np.maximum(np.linalg.norm(run.tau, axis=0), 1e-300)
+        before = np.linalg.norm(run.tau - predicted, axis=0) / size
+        after = next(e for e in result.experiments if e.file == run.name).relative_error_per_joint
+        joints += [
+            {"joint": f"q{j + 1}", "split": run.split, "experiment": run.name, "as_it_stands": float(before[j]),
+             "retuned": float(after[j]), "unit": "1", "text": "torque error over the torque, with the file as it stands"}
+            for j in range(n)
+        ]  # fmt: skip
+    worst = [max(r["as_it_stands"] for r in joints if r["joint"] == f"q{j + 1}") for j in range(n)]
+    notes = [
+        "with the file as it stands the torque of "
+        + ", ".join(f"joint {j + 1} is off by {100 * w:.1f} %" for j, w in enumerate(worst)),
+        *_first_moments(rows, n, {k: int(np.count_nonzero(r)) > 1 for k, r in zip(base.names, base.K, strict=True)}),
+    ]
+    return {"stated": tuple(rows), "per_joint": tuple(joints), "notes": (*result.notes, *notes)}
+
+
+def _first_moments(rows: Sequence[dict[str, Any]], n: int, regrouped: dict[str, bool]) -> list[str]:
+    """One sentence for each link whose first moment differs, along where the file has it."""
+    found = {r["parameter"]: r for r in rows}
+    out = []
+    for j in range(1, n + 1):
+        own = [found[k] for k in (f"mx{j}", f"my{j}", f"mz{j}") if k in found]
+        was, now, std = (np.array([r[k] for r in own], float) for k in ("stated", "fitted", "std"))
+        size = float(was @ was)
+        if size < 1e-12 or not np.isfinite(std).all():
+            continue
+        share, doubt = float((now - was) @ was / size), float(np.sqrt(np.sum((was * std) ** 2)) / size)
+        if abs(share) > MANY * doubt and abs(share) > 0.01:
+            more = f"{100 * abs(share):.0f} % {'more' if share > 0 else 'less'}"
+            who = f"link {j}" + (" with what hangs on it" if any(regrouped[r["parameter"]] for r in own) else "")
+            out.append(f"{who} carries {more} first moment than the file says (± {196 * doubt:.0f} %)")
+    return out

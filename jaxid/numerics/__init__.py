@@ -1,0 +1,1 @@
+"""What XLA needs and no mechanics: elementary functions, small matrices, batched loops, exported programs."""

@@ -1,0 +1,388 @@
+"""Many lanes of one program side by side, like `jax.vmap`, with the loop over time laid out for vector code.
+
+`jax.vmap` puts the lanes first: a state [nq] becomes an array [lanes nq], and what picks, stacks and sums its few elements
+becomes scalar code. Measured on the two-link arm with dry friction, 32 lanes: 205 ns a lane-step, against 111 as it is done here;
+its Runge-Kutta step alone 170 against 46. `over_lanes` evaluates what is marked as a loop over time element by element:
+every element of a small array is a vector [lanes] of its own, and picking, stacking and summing happen while tracing. The
+arithmetic is the same, number by number. A version of JAX that writes its programs in another form is served by `jax.vmap`.
+"""
+
+from __future__ import annotations
+
+import functools
+import itertools
+import warnings
+from collections import Counter
+from collections.abc import Callable, Sequence
+from typing import Any, NamedTuple, TYPE_CHECKING
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jax import lax
+from jaxtyping import Array
+
+from jaxid.numerics.fast_math import fence
+from jaxid.numerics.program_form import (
+    bound,
+    called,
+    is_literal,
+    is_program,
+    plain,
+    rearranged,
+    scan_counts,
+    UnknownForm,
+    while_counts,
+)
+
+
+if TYPE_CHECKING:
+    from jax.extend.core import ClosedJaxpr, Jaxpr, JaxprEqn
+
+
+#: Arrays of more elements (per lane) stay whole.
+SMALL = 36
+#: A step of more operations on elements is mapped as `jax.vmap` does it: compiling them one by one would take minutes.
+LARGEST_STEP = 6000
+
+#: So many operations may be repeated for each reader of their result before it is stored.
+DEAREST = 12
+
+_NAME = "loop_over_time"
+
+
+def loop_over_time(loop: Callable[[], Any]) -> Any:
+    """loop(), marked: `over_lanes` evaluates it element by element. The loop is a `lax.while_loop` around one `lax.scan`."""
+    named = lambda: loop()
+    named.__name__ = _NAME
+    return jax.jit(named)()
+
+
+def over_lanes(function: Callable[..., Any], in_axes: Sequence[int | None] | int = 0) -> Callable[..., Any]:
+    """`jax.vmap(function, in_axes)` for axes that are 0 or None, each of a whole argument; every output has the lanes first.
+
+    Where the program has a form that is not known here, it is `jax.vmap` itself, and a `RuntimeWarning` says so once."""
+
+    def mapped(*args: Any) -> Any:
+        try:
+            return laid_out(function, in_axes)(*args)
+        except Exception as error:  # whatever is wrong with the function itself, `jax.vmap` says better
+            out = jax.vmap(function, in_axes if isinstance(in_axes, int) else tuple(in_axes))(*args)
+            _note(f"{type(error).__name__}: {error}")
+            return out
+
+    return mapped
+
+
+def laid_out(function: Callable[..., Any], in_axes: Sequence[int | None] | int = 0) -> Callable[..., Any]:
+    """As `over_lanes`, but raises where the program has a form that is not known here."""
+
+    def mapped(*args: Any) -> Any:
+        axes = [in_axes] * len(args) if isinstance(in_axes, int) else in_axes
+        flat, tree = jax.tree.flatten(args)
+        batched = [axis is not None for a, axis in zip(args, axes, strict=True) for _ in jax.tree.leaves(a)]
+        flat = [jnp.asarray(a) for a in flat]
+        lane = [jax.ShapeDtypeStruct(a.shape[b:], a.dtype) for a, b in zip(flat, batched, strict=True)]
+        closed, shape = jax.make_jaxpr(lambda *x: function(*jax.tree.unflatten(tree, x)), return_shape=True)(*lane)
+        lanes = next(a.shape[0] for a, b in zip(flat, batched, strict=True) if b)
+        out = _Lanes(lanes).run(closed, [Value(a, b) for a, b in zip(flat, batched, strict=True)])
+        return jax.tree.unflatten(jax.tree.structure(shape), [_spread(v, lanes) for v in out])
+
+    return mapped
+
+
+_noted: list[str] = []
+
+
+def _note(reason: str) -> None:
+    """Says once in a process that lanes are mapped by `jax.vmap`."""
+    if not _noted:
+        _noted.append(reason)
+        told = f"JAX {jax.__version__} writes programs in a form that jaxid does not know ({reason.splitlines()[0][:200]})"
+        warnings.warn(f"{told}; the numbers are the same, but it takes longer", RuntimeWarning, stacklevel=4)
+
+
+class Value(NamedTuple):
+    """What a variable of one lane holds for all of them: an array, [lanes ...] if batched, or (object array) its elements, each a
+    vector [lanes] or a number that all lanes share."""
+
+    content: Any
+    batched: bool
+
+    @property
+    def parted(self) -> bool:
+        """Whether it is taken apart into elements."""
+        return self.batched and isinstance(self.content, np.ndarray) and self.content.dtype == object
+
+    def checked(self, eqn: JaxprEqn, stated: Any) -> None:
+        """Raises `UnknownForm` where a value is not of the shape and type that the program states."""
+        shape = np.shape(self.content)[self.batched and not self.parted :]
+        some = self.content.flat[0] if self.parted and self.content.size else self.content
+        if shape != stated.shape or (some.dtype not in (stated.dtype, object)):
+            raise UnknownForm(f"{eqn.primitive.name} gives {some.dtype}{shape} for {stated}")
+
+
+def _spread(v: Value, lanes: int) -> Array:
+    whole = _whole(v, lanes)
+    return whole if v.batched else jnp.broadcast_to(whole, (lanes, *whole.shape))
+
+
+def _whole(v: Value, lanes: int) -> Array:
+    """The array of a value, [lanes ...] if batched."""
+    if not v.parted:
+        return jnp.asarray(v.content)
+    elements = [jnp.broadcast_to(e, (lanes,)) for e in v.content.ravel()]
+    return jnp.stack(elements, -1).reshape(lanes, *v.content.shape)
+
+
+def _parts(v: Value) -> np.ndarray:
+    """The elements of a value as an object array of the lane's shape."""
+    if v.parted:
+        return v.content
+    whole = jnp.asarray(v.content)
+    out = np.empty(whole.shape[1:] if v.batched else whole.shape, object)
+    for place in np.ndindex(out.shape):
+        out[place] = whole[(slice(None), *place)] if v.batched else whole[place]
+    return out
+
+
+def _filled(shape: tuple[int, ...], elements: Sequence[Any]) -> np.ndarray:
+    out = np.empty(len(elements), object)
+    for k, e in enumerate(elements):
+        out[k] = e
+    return out.reshape(shape)
+
+
+ELEMENTWISE = frozenset(
+    "add sub mul div rem neg sign abs max min floor ceil round exp exp2 expm1 log log1p sqrt rsqrt cbrt square pow integer_pow "
+    "tanh sin cos tan asin acos atan atan2 sinh cosh asinh acosh atanh logistic erf erfc erf_inv is_finite nextafter not and or "
+    "xor eq ne lt le gt ge select_n clamp convert_element_type add_any copy stop_gradient".split()
+)
+#: What XLA does not work out once more for each reader.
+EXPENSIVE = frozenset("div rem sqrt rsqrt cbrt pow exp exp2 expm1 log log1p tanh sin cos tan atan2 logistic erf erfc".split())
+REDUCTIONS: dict[str, Callable[[Any, Any], Any]] = {
+    "reduce_sum": lax.add, "reduce_prod": lax.mul, "reduce_max": lax.max, "reduce_min": lax.min,
+    "reduce_and": lax.bitwise_and, "reduce_or": lax.bitwise_or,
+}  # fmt: skip
+
+
+def _work(jaxpr: Jaxpr) -> int:
+    """Operations on elements, were all small arrays taken apart."""
+    sizes = [_size(v) for eqn in jaxpr.eqns for v in eqn.outvars]
+    inner = [p for eqn in jaxpr.eqns for p in eqn.params.values() if is_program(p)]
+    return sum(s for s in sizes if s <= SMALL) + sum(_work(p.jaxpr) for p in inner)
+
+
+def _size(v: Any) -> int:
+    return int(np.prod(v.aval.shape))
+
+
+def _dependent(jaxpr: Jaxpr, batched: Sequence[bool]) -> list[bool]:
+    """Which results depend on the lane, given which arguments do."""
+    env = dict(zip(jaxpr.invars, batched, strict=True))
+    read = lambda v: not is_literal(v) and env.get(v, False)
+    for eqn in jaxpr.eqns:
+        inner, flags = called(eqn), [read(v) for v in eqn.invars]
+        out = _dependent(inner.jaxpr, flags) if inner is not None else [any(flags)] * len(eqn.outvars)
+        env.update(zip(eqn.outvars, out, strict=True))
+    return [read(v) for v in jaxpr.outvars]
+
+
+def _settled(jaxpr: Jaxpr, consts: list[bool], carry: list[bool], rest: Sequence[bool] = ()) -> list[bool]:
+    """Which parts of a loop's state depend on the lane: what does at the beginning, and what is made of it. `rest` are a step's
+    other arguments; what a step gives besides the state comes last."""
+    while True:
+        after = [a or b for a, b in zip(carry, _dependent(jaxpr, [*consts, *carry, *rest]), strict=False)]
+        if after == carry:
+            return carry
+        carry = after
+
+
+class _State(NamedTuple):
+    """How the values of a loop's state lie as arrays, one after the other."""
+
+    shapes: list[tuple[tuple[int, ...], bool, bool]]  # of a lane, batched, taken apart
+
+    @classmethod
+    def of(cls, avals: Sequence[Any], batched: Sequence[bool]) -> _State:
+        return cls([(a.shape, b, b and int(np.prod(a.shape)) <= SMALL) for a, b in zip(avals, batched, strict=True)])
+
+    def arrays(self, values: Sequence[Value], lanes: int) -> list[Array]:
+        out: list[Array] = []
+        for (_, batched, parted), v in zip(self.shapes, values, strict=True):
+            if parted:
+                out += [jnp.broadcast_to(e, (lanes,)) for e in _parts(v).ravel()]
+            else:
+                out.append(_spread(v, lanes) if batched else v.content)
+        return out
+
+    def values(self, arrays: Sequence[Array]) -> list[Value]:
+        left, out = iter(arrays), []
+        for shape, batched, parted in self.shapes:
+            if parted:
+                out.append(Value(_filled(shape, list(itertools.islice(left, int(np.prod(shape))))), True))
+            else:
+                out.append(Value(next(left), batched))
+        return out
+
+
+class _Lanes:
+    """Evaluates programs of one lane for many: as `jax.vmap` does it at level 0; taken apart at level 1, in a loop over time, and
+    at level 2, in its steps."""
+
+    def __init__(self, lanes: int, level: int = 0):
+        self.lanes, self.level = lanes, level
+        #: An element's id -> itself, and how many operations lead to it from what is stored.
+        self._costs: dict[int, tuple[Any, int]] = {}
+
+    def run(self, closed: ClosedJaxpr, args: Sequence[Value]) -> list[Value]:
+        env: dict[Any, Value] = dict(zip(closed.jaxpr.constvars, (Value(c, False) for c in closed.consts), strict=True))
+        env.update(zip(closed.jaxpr.invars, args, strict=True))
+        constant: Any = lambda v: Value(jnp.asarray(v.val, v.aval.dtype), False)
+        read = lambda v: constant(v) if is_literal(v) else env[v]
+        readers = Counter(v for eqn in closed.jaxpr.eqns for v in eqn.invars if not is_literal(v))
+        for eqn in closed.jaxpr.eqns:
+            for v, value in zip(eqn.outvars, self._equation(eqn, [read(v) for v in eqn.invars]), strict=True):
+                value.checked(eqn, v.aval)
+                env[v] = self._stored(value) if readers[v] > 1 and value.parted else value
+        return [read(v) for v in closed.jaxpr.outvars]
+
+    def _stored(self, v: Value) -> Value:
+        """XLA works a cheap value out once for each of its readers: what took many operations is stored."""
+        stored = {id(e): fence(e) for e in v.content.ravel() if self._cost(e) > DEAREST and e.dtype == jnp.float64}
+        if not stored:
+            return v
+        return Value(_filled(v.content.shape, [stored.get(id(e), e) for e in v.content.ravel()]), True)
+
+    def _cost(self, element: Any) -> int:
+        return self._costs.get(id(element), (None, 0))[1]
+
+    def _equation(self, eqn: JaxprEqn, args: list[Value]) -> list[Value]:
+        name, inner = eqn.primitive.name, called(eqn)
+        if not any(a.batched for a in args):
+            return [Value(x, False) for x in bound(eqn, [a.content for a in args])]
+        if inner is not None:
+            if self.level == 0 and eqn.params.get("name") == _NAME and _work(inner.jaxpr) <= LARGEST_STEP:
+                inside = _Lanes(self.lanes, 1)
+                return [Value(_whole(v, self.lanes), v.batched) for v in inside.run(inner, [inside._apart(a) for a in args])]
+            return self.run(inner, args)
+        if name == "dynamic_update_slice" and not any(a.batched for a in args[2:]):
+            whole, part = (_spread(a, self.lanes) for a in args[:2])
+            at = [a.content for a in args[2:]]
+            return [self._apart(Value(lax.dynamic_update_slice(whole, part, [jnp.zeros_like(at[0]), *at]), True))]
+        if self.level == 0:
+            return self._mapped(eqn, args)
+        if name == "while":
+            return self._while(eqn, args)
+        if name == "scan" and self.level == 1:
+            return self._scan(eqn, args)
+        small = all(_size(v) <= SMALL for v in (*eqn.invars, *eqn.outvars))
+        found = self._by_elements(eqn, args) if small else None
+        return [self._apart(v) for v in self._mapped(eqn, args)] if found is None else [Value(x, True) for x in found]
+
+    def _apart(self, v: Value) -> Value:
+        small = v.batched and not v.parted and int(np.prod(v.content.shape[1:])) <= SMALL
+        return Value(_parts(v), True) if small and self.level else v
+
+    def _mapped(self, eqn: JaxprEqn, args: list[Value]) -> list[Value]:
+        """As `jax.vmap` does it."""
+        run = jax.vmap(lambda *x: bound(eqn, x), tuple(0 if a.batched else None for a in args))
+        return [Value(x, True) for x in run(*(_whole(a, self.lanes) for a in args))]
+
+    def _together(self, operation: Callable[..., Any], *elements: Any) -> Any:
+        """An operation on elements, of which some may be the same for all lanes."""
+        cost = 1 + sum(self._cost(e) for e in elements)
+        if not any(e.ndim for e in elements):
+            return operation(*elements)
+        result = operation(*(jnp.broadcast_to(e, (self.lanes,)) for e in elements))
+        self._costs[id(result)] = result, cost
+        return result
+
+    def _by_elements(self, eqn: JaxprEqn, args: list[Value]) -> list[np.ndarray] | None:
+        """Results taken apart; None where this primitive is not done that way."""
+        name, params = eqn.primitive.name, eqn.params
+        if name not in ELEMENTWISE and not plain(eqn):
+            return None
+        arrays = [_parts(a) for a in args]
+        if name in ELEMENTWISE:
+            done: dict[tuple[int, ...], Any] = {}
+            operation = lambda *x: eqn.primitive.bind(*x, **params)
+            out = np.empty(np.broadcast_shapes(*(a.shape for a in arrays)), object)
+            wide = [np.broadcast_to(a, out.shape) for a in arrays]
+            for place in np.ndindex(out.shape):
+                elements = tuple(a[place] for a in wide)
+                key = tuple(id(e) for e in elements)  # what was broadcast is worked out once
+                if key not in done:
+                    done[key] = self._together(operation, *elements)
+                    if name in EXPENSIVE:
+                        self._costs.pop(id(done[key]), None)
+                out[place] = done[key]
+            return [out]
+        if name in REDUCTIONS:
+            fold = functools.partial(self._together, REDUCTIONS[name])
+            axes = tuple(int(a) for a in params["axes"])
+            kept = tuple(k for k in range(arrays[0].ndim) if k not in axes)
+            rows = arrays[0].transpose(*kept, *axes).reshape(*(arrays[0].shape[k] for k in kept), -1)
+            return [_filled(rows.shape[:-1], [functools.reduce(fold, row) for row in rows.reshape(-1, rows.shape[-1])])]
+        if name == "dot_general":
+            (left, right), batch = params["dimension_numbers"]
+            if len(left) != 1 or batch != ((), ()):
+                return None
+            a, b = np.moveaxis(arrays[0], left[0], -1), np.moveaxis(arrays[1], right[0], -1)
+            add, mul = (functools.partial(self._together, op) for op in (lax.add, lax.mul))
+            rows = itertools.product(a.reshape(-1, a.shape[-1]), b.reshape(-1, b.shape[-1]))
+            sums = [functools.reduce(add, [mul(p, q) for p, q in zip(x, y, strict=True)]) for x, y in rows]
+            return [_filled((*a.shape[:-1], *b.shape[:-1]), sums)]
+        return rearranged(name, params, arrays)
+
+    def _while(self, eqn: JaxprEqn, args: list[Value]) -> list[Value]:
+        p, (nc, nb) = eqn.params, while_counts(eqn)
+        asked, done, init = args[:nc], args[nc : nc + nb], args[nc + nb :]
+        flags = _settled(p["body_jaxpr"].jaxpr, [a.batched for a in done], [a.batched for a in init])
+        each = _dependent(p["cond_jaxpr"].jaxpr, [*(a.batched for a in asked), *flags])[0]  # lanes end one by one
+        state = _State.of(p["body_jaxpr"].in_avals[nb:], [True] * len(init) if each else flags)
+
+        def goes_on(values: list[Value]) -> Array:
+            (v,) = self.run(p["cond_jaxpr"], [*asked, *values])
+            return jnp.broadcast_to(_whole(v, self.lanes), (self.lanes,)) if each else v.content
+
+        def body(carry: tuple[Array, list[Array]]) -> tuple[Array, list[Array]]:
+            on, old = carry
+            new = state.arrays(self.run(p["body_jaxpr"], [*done, *state.values(old)]), self.lanes)
+            if each:
+                new = [jnp.where(on.reshape(-1, *[1] * (a.ndim - 1)), a, b) for a, b in zip(new, old, strict=True)]
+            going = goes_on(state.values(new))
+            return on & going if each else going, new
+
+        first = state.arrays(init, self.lanes)
+        return state.values(lax.while_loop(lambda c: jnp.any(c[0]), body, (goes_on(state.values(first)), first))[1])
+
+    def _scan(self, eqn: JaxprEqn, args: list[Value]) -> list[Value]:
+        p, (nc, n) = eqn.params, scan_counts(eqn)
+        consts, init, xs = args[:nc], args[nc : nc + n], args[nc + n :]
+        inside = _Lanes(self.lanes, 2)
+        flags = [[a.batched for a in part] for part in (consts, init, xs)]
+        state = _State.of(p["jaxpr"].in_avals[nc : nc + n], _settled(p["jaxpr"].jaxpr, *flags))
+        series: list[tuple[tuple[int, ...], bool]] = []  # of what each step gives: shape if it is taken apart, batched
+
+        def step(carry: list[Array], x: list[Array]) -> tuple[list[Array], list[list[Array]]]:
+            now = [inside._apart(Value(a, v.batched)) for a, v in zip(x, xs, strict=True)]
+            out = inside.run(p["jaxpr"], [*consts, *state.values(carry), *now])
+            given = []
+            series.clear()
+            for v in out[n:]:
+                series.append((v.content.shape if v.parted else (), v.batched))
+                given.append([jnp.broadcast_to(e, (self.lanes,)) for e in v.content.ravel()] if v.parted else [v.content])
+            return state.arrays(out[:n], self.lanes), given
+
+        along = [jnp.moveaxis(_whole(v, self.lanes), 1, 0) if v.batched else v.content for v in xs]
+        first = state.arrays(init, self.lanes)
+        last, ys = lax.scan(step, first, along, p["length"], p["reverse"], p["unroll"])
+        found = []
+        for (shape, batched), y in zip(series, ys, strict=True):
+            if batched and (len(y) > 1 or shape):
+                whole = jnp.stack(y, 2)  # [time lanes elements]
+                found.append(Value(jnp.moveaxis(whole, 1, 0).reshape(self.lanes, p["length"], *shape), True))
+            else:
+                found.append(Value(jnp.moveaxis(y[0], 1, 0) if batched else y[0], batched))
+        return [*state.values(last), *found]

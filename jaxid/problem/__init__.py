@@ -1,0 +1,22 @@
+"""A model and data as numbers: residuals, losses, problems."""
+
+from typing import TYPE_CHECKING as _TYPE_CHECKING
+
+from jaxid.lazy import attach as _attach
+
+
+if _TYPE_CHECKING:
+    from jaxid.problem.objective import FunctionProblem as FunctionProblem
+    from jaxid.problem.pure_problem import make_problem as make_problem, Problem as Problem
+    from jaxid.problem.residual import Residual as Residual
+
+
+__getattr__, __dir__, __all__ = _attach(
+    __name__,
+    {
+        "FunctionProblem": "jaxid.problem.objective",
+        "Problem": "jaxid.problem.pure_problem",
+        "make_problem": "jaxid.problem.pure_problem",
+        "Residual": "jaxid.problem.residual",
+    },
+)

@@ -1,0 +1,336 @@
+"""A model bound to a dataset: which channels it uses, what its numbers start from, between which bounds, and the noise."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass, field, replace
+from typing import Any, cast
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float
+
+from jaxid import catalogue
+from jaxid.data.dataset import Dataset, Experiment, ParameterPrior
+from jaxid.data.noise import Noise, noise_floor
+from jaxid.data.time_stamps import scattered_stamps, Stamps, with_scatter
+from jaxid.dynamics.chain import Chain, Effect, neutral
+from jaxid.dynamics.joint_names import in_chain_order, joint_names
+from jaxid.dynamics.joint_readings import all_read, with_speeds
+from jaxid.dynamics.mechanism import Mechanism, Signature
+from jaxid.dynamics.parameter import Reference, settings, with_settings
+from jaxid.dynamics.parameter_vector import Layout
+from jaxid.dynamics.urdf_table import arm_table
+from jaxid.errors import nearest, UsageError
+from jaxid.numerics.export_cache import key_of, Traced
+from jaxid.numerics.precision import float64
+from jaxid.problem.torque_filter import drive_torque
+from jaxid.robots import match as robots
+from jaxid.simulation import sample_buffers as samples
+from jaxid.simulation.sample_buffers import Motion
+
+
+#: The effect whose strength is read off the recording: it is noise, which no residual shows the size of.
+JITTER = "timestamp_jitter"
+
+
+@dataclass
+class Binding:
+    """Everything about a model on a dataset that does not depend on a residual or fitter."""
+
+    dataset: Dataset
+    chain: Chain
+    layout: Layout
+    noise: dict[str, Noise]
+    sigma: np.ndarray  # [ny]
+    motions: dict[str, Motion]  # experiment name -> smoothed motion; empty where the model does not measure its joints
+    references: list[Reference]  # of each joint
+    inputs: list[Reference]  # of each input channel, its own magnitude in place of the torque
+    theta: np.ndarray  # start values of every number
+    lower: np.ndarray
+    upper: np.ndarray
+    scale: np.ndarray
+    free: list[int]  # what a fit of this model determines
+    stated: set[int]  # values that the dataset states itself
+    nominal: set[int]  # numbers of the model as the user has it, without added effects and candidates
+    read: dict[int, float] = field(default_factory=dict)  # numbers that the recording itself tells: their standard deviation
+    priors: dict[int, tuple[float, float]] = field(default_factory=dict)  # mean and standard deviation of numbers known before
+    said: tuple[str, ...] = ()  # what the dataset asks for that changes a result
+
+    def experiments(self, split: str) -> tuple[Experiment, ...]:
+        return self.dataset.split(split)
+
+    def reference(self, effect: type[Effect] | Effect, place: int) -> Reference:
+        """Typical magnitudes where an effect acts."""
+        at_input = effect.location == "input" and not self.chain.mechanism.behind_law(effect)
+        own = self.inputs if at_input and self.inputs else self.references
+        return own[min(place, len(own) - 1)]
+
+    def motions_of(self, experiments: Iterable[Experiment]) -> list[Motion] | None:
+        """Motions of these runs, or None where the model does not measure its joints."""
+        names = [e.name for e in experiments]
+        return [self.motions[n] for n in names] if self.motions and set(names) <= set(self.motions) else None
+
+    def with_stamps(self, stamps: Mapping[str, Stamps]) -> Binding:
+        """The spreads of time stamps as numbers of the model that no fit determines; output channel -> its stamps."""
+        theta, read = self.theta.copy(), dict(self.read)
+        for channel, found in stamps.items():
+            (i,) = self.layout.of_effect(JITTER, channel)
+            theta[i], read[i] = found.spread, found.std
+        return replace(self, theta=theta, read=read, free=[i for i in self.free if i not in read])
+
+
+def resolve_model(model: object, dataset: Dataset, without: Iterable[str] = ()) -> Chain:
+    """The chain that a dataset and a user mean: by id, by the path of a URDF, as a mechanism, or as a
+    chain; None takes the dataset's."""
+    spec = dataset.model
+    model, dataset = robots.prepared(model, dataset)
+    if model is None:
+        if spec is None or spec.name is None:
+            raise UsageError(f"the dataset names no model: give one (there is: {', '.join(catalogue.model_names())})")
+        model = spec.name
+    smoothing = spec.constants.get("smoothing_velocity", 0.0) if spec is not None else 0.0
+    if isinstance(model, str) and model.endswith(".urdf"):
+        model = catalogue.model_class("serial_arm").from_urdf(model)
+    elif isinstance(model, str) and spec is not None and spec.geometry is not None and model == spec.name:
+        model = catalogue.model_class(model)(arm_table(spec.geometry))
+    elif isinstance(model, str):
+        model = catalogue.model_class(model)()
+    constants = spec.constants if spec is not None else {}
+    if robots.is_robot(model):
+        model = cast(Any, model).matched(dataset)
+    if isinstance(model, Mechanism):
+        model = with_settings(model, constants)
+        if not robots.is_robot(model):  # its joints are matched already
+            dataset = in_chain_order(dataset, joint_names(model))
+        model = Chain(model, signature=_signature(model, dataset), smoothing_velocity=smoothing)
+    if not isinstance(model, Chain):
+        raise UsageError(f"a model is an id, a mechanism or a chain, not {type(model).__name__}")
+    _check_drive(model)
+    if set(constants) & set(settings(model.mechanism)):
+        model = model.with_mechanism(with_settings(model.mechanism, constants))
+    out = [*(spec.without if spec is not None else ()), *without]
+    has = [e.name for e in model.effects]
+    for name in out:
+        catalogue.effect_class(name)
+        builtin = [kind.name for kind, _ in model.mechanism.builtin]
+        if name not in has and name not in builtin:
+            raise UsageError(f"{model.mechanism.name} has no {name} to leave out{nearest(name, has)}")
+    return model.without(*out)
+
+
+def _check_drive(chain: Chain) -> None:
+    """Without a law of its own each input is the torque of the joint of its number, and there is one for each."""
+    nu, nq = len(chain.signature.inputs), chain.nq
+    if nu not in (0, nq) and type(chain.mechanism).drive is Mechanism.drive:
+        counted = f"{nu} input{'s' * (nu > 1)}, {nq} joint{'s' * (nq > 1)}"
+        raise UsageError(
+            f"{counted}: write `drive` in {type(chain.mechanism).__name__}, the law that makes joint torques of inputs, as in "
+            "`def drive(self, signature, u, q, qd): return jnp.stack([...])`, one entry for each joint"
+        )
+
+
+def _signature(mechanism: Mechanism, dataset: Dataset) -> Signature:
+    inputs, outputs = {c.name for c in dataset.inputs}, {c.name for c in dataset.outputs}
+    free = dataset.model is not None and dataset.model.free
+    for s in mechanism.signatures:
+        s = with_speeds(s, {c.name: c.unit for c in dataset.outputs})
+        if outputs >= {n for n, _ in s.outputs} and (free or inputs >= {n for n, _ in s.inputs}):
+            return s
+    wanted = "; or ".join(
+        f"inputs {', '.join(n for n, _ in s.inputs)} and outputs {', '.join(n for n, _ in s.outputs)}"
+        for s in mechanism.signatures
+    )
+    raise UsageError(
+        f"model {mechanism.name} needs {wanted}; the dataset has inputs {', '.join(sorted(inputs)) or 'none'} and outputs "
+        f"{', '.join(sorted(outputs)) or 'none'}. Rename channels with `column`, or choose another model"
+    )
+
+
+def parse_effect(text: str | Effect | type[Effect], chain: Chain) -> tuple[type[Effect], str | None]:
+    """`dead_zone@tau`, or `dead_zone` where it has one place."""
+    name, _, place = catalogue.enrolled(text).partition("@")
+    kind = catalogue.effect_class(name)
+    places = chain.offers(kind)
+    if not places:
+        kinds = [catalogue.effect_class(n) for n in catalogue.effect_names()]
+        able = [k.name for k in kinds if k.name not in chain.contents and chain.offers(k)]
+        raise UsageError(f"{name} has no place in {chain.mechanism.name}, which can take: {', '.join(able) or 'none'}")
+    if name in chain.contents:
+        raise UsageError(f"{name} is part of {chain.mechanism.name} already: it is fitted without being asked for")
+    if place and place not in places:
+        raise UsageError(f"{name} cannot act at {place!r}{nearest(place, places)}")
+    if not place and len(places) > 1:
+        raise UsageError(f"{name} can act at {', '.join(places)}: say where, as in {name}@{places[0]}")
+    return kind, place or None
+
+
+def bind(
+    model: object,
+    dataset: Dataset,
+    *,
+    effects: Iterable[str | Effect | type[Effect]] = (),
+    without: Iterable[str] = (),
+    candidates: Iterable[type[Effect]] = (),
+    splits: bool = True,
+) -> Binding:
+    """Binds a model to a dataset.
+
+    `effects` are added and fitted, `candidates` are put into the chain at their neutral value and stay there. The spread of
+    time stamps is read off the recording where that shows it (`time_stamps`), and readings count by it.
+    """
+    model, dataset = robots.prepared(model, dataset)
+    dataset = dataset.with_splits() if splits else dataset
+    if not dataset.experiments and not dataset.responses:
+        raise UsageError("the dataset holds no experiment")
+    nominal = resolve_model(model, dataset, without)
+    dataset = in_chain_order(dataset, joint_names(nominal.mechanism))
+    added = [parse_effect(e, nominal) for e in effects]
+    present = {e.name for e in nominal.effects}
+    contents = nominal.contents
+    extra = [k for k, _ in added if k.name not in present]
+    extra += [k for k in candidates if k.name not in contents and k not in extra]
+    chain = nominal.with_effects(*(neutral(k) for k in dict.fromkeys(extra)))
+    layout = Layout(chain)
+    noise = noise_floor(dataset)
+    stamps: dict[str, Stamps] = {}
+    if scattered := [p for k, place in added if k.name == JITTER for p in ([place] if place else nominal.offers(k))]:
+        stamps = {c: s for c, s in scattered_stamps(dataset, noise).items() if c in scattered}
+        dataset = with_scatter(dataset, stamps, noise) if stamps else dataset
+        noise = noise_floor(dataset)
+    names = [n for n, _ in chain.signature.outputs]
+    sigma = np.array([noise[n].std for n in names])
+
+    theta, stated = layout.values.copy(), set()
+    fixed = {i for i, e in enumerate(layout.entries) if e.spec.fixed}
+    spec = dataset.model
+    priors = dict(spec.parameters) if spec is not None else {}
+    for name, value in (spec.constants if spec is not None else {}).items():
+        if name != "smoothing_velocity" and name not in settings(chain.mechanism) and not name.startswith(robots.POSE):
+            i = layout.index(name)
+            theta[i] = value
+            fixed.add(i)
+            stated.add(i)
+    priors = {name: ParameterPrior(None, *known) for name, known in chain.mechanism.known().items()} | priors
+    for name, prior in priors.items():
+        value = prior.value if prior.value is not None or prior.prior is None else prior.prior["mean"]
+        if value is not None:
+            theta[layout.index(name)] = value
+            stated.add(layout.index(name))
+
+    chain = layout.model(theta)  # with what the dataset states
+    layout = Layout(chain)
+    fixed |= {layout.index(name) for name in chain.mechanism.held() if name in layout.names and name not in priors}
+    own = {i for i, e in enumerate(layout.entries) if e.owner < 0 or chain.effects[e.owner].name in present}
+    free = sorted(i for i in own if i not in fixed)
+    for kind, place in added:
+        places = [place] if place else chain.offers(kind)
+        free += [i for p in places for i in layout.of_effect(kind.name, p) if i not in free]
+
+    motions: dict[str, Motion] = {}
+    if all_read(chain):
+        motions = {e.name: samples.motion(dataset, e, chain, sigma) for e in dataset.experiments}
+    references, inputs = _references(dataset, layout, theta, motions)
+    lower, upper, scale = layout.boxes(references, inputs)
+    for name, prior in priors.items():
+        i = layout.index(name)
+        lower[i] = prior.lower if prior.lower is not None else min(lower[i], theta[i])
+        upper[i] = prior.upper if prior.upper is not None else max(upper[i], theta[i])
+        if not lower[i] <= theta[i] <= upper[i]:
+            if prior.value is not None:
+                raise UsageError(f"{name} = {theta[i]:g} lies outside its bounds [{lower[i]:g}, {upper[i]:g}]")
+            theta[i] = np.sqrt(lower[i] * upper[i]) if lower[i] > 0 else (lower[i] + upper[i]) / 2
+    known, said = _stated_scales(layout, priors, lower, upper)
+    theta[free] = np.clip(theta[free], lower[free], upper[free])
+    return Binding(
+        dataset, chain, layout, noise, sigma, motions, references, inputs, theta, lower, upper, scale, free, stated, own,
+        priors=known, said=said,
+    ).with_stamps(stamps)  # fmt: skip
+
+
+def _stated_scales(
+    layout: Layout, priors: Mapping[str, ParameterPrior], lower: np.ndarray, upper: np.ndarray
+) -> tuple[dict[int, tuple[float, float]], tuple[str, ...]]:
+    """Search scales as stated, set in the layout; the Gaussian priors, and sentences about both. Bounds that nobody states make
+    room for a prior."""
+    known, said = {}, []
+    layout.log = layout.log.copy()
+    for name, prior in priors.items():
+        i = layout.index(name)
+        if prior.prior is not None:
+            known[i] = mean, std = prior.prior["mean"], prior.prior["std"]
+            reach = (mean - 5 * std, mean + 5 * std)
+            upper[i] = upper[i] if prior.upper is not None else max(upper[i], reach[1])
+            least = 0.0 if lower[i] >= 0 else -np.inf
+            if prior.lower is None and not (lower[i] > 0 and reach[0] <= 0):
+                lower[i] = max(least, min(lower[i], reach[0]))
+            said.append(f"prior of {name}: {mean:.4g} ± {std:.4g} {layout.entries[i].unit} (stated)")
+        if prior.log is not None:
+            if prior.log and not lower[i] > 0:
+                raise UsageError(
+                    f"{name}: log = true searches its logarithm, and its lower bound is {lower[i]:g}: state `lower` above 0 "
+                    f"under [model.parameters.{name}]"
+                )
+            layout.log[i] = prior.log
+            said.append(f"{name} is searched {'by its logarithm' if prior.log else 'linearly'} (stated)")
+    return known, tuple(said)
+
+
+def inertia_torque(chain: Chain, q: Float[Array, "n nq"], qdd: Float[Array, "n nq"]) -> Float[Array, "n nq"]:
+    """Torque that accelerations take at rest, at each of n positions."""
+    body, still = chain.body(), jnp.zeros(chain.nq)
+    return jax.vmap(lambda q, a: body.inverse(q, still, a) - body.inverse(q, still, still))(q, qdd)
+
+
+_INERTIA: dict[Any, Traced] = {}
+
+
+def _inertia_program(layout: Layout) -> Traced:
+    """`inertia_torque` by all numbers of a layout, one program for all chains of its structure."""
+    structure = jax.tree.structure(layout.chain)
+    if structure not in _INERTIA:
+        key = key_of(inertia_torque, layout.model(np.zeros(len(layout))), layout.names)
+        _INERTIA[structure] = Traced(lambda theta, q, qdd: inertia_torque(layout.model(theta), q, qdd), key)
+    return _INERTIA[structure]
+
+
+def _references(
+    dataset: Dataset, layout: Layout, theta: np.ndarray, motions: dict[str, Motion]
+) -> tuple[list[Reference], list[Reference]]:
+    """Typical magnitudes of each joint and of each input channel, in the recordings to fit, or in all where none is."""
+    fit = dataset.split("fit") or dataset.experiments
+    chain, nq = layout.chain, layout.chain.nq
+    iu, iy = samples.columns(dataset, chain)
+    size = [float(np.percentile(np.abs(np.concatenate([e.u[:, i] for e in fit])), 99)) for i in iu] if fit else []
+    direct = chain.direct
+    law = bool(iu) and not direct
+    if not fit:
+        omega = np.concatenate([r.omega for r in dataset.responses])
+        joints = [Reference(1.0, 1.0, 1.0, 2 * np.pi / float(omega.min()), np.pi / float(omega.max()))] * nq
+        size = [1.0] * len(iu)
+    elif not motions:
+        step = float(np.median(np.diff(fit[0].t)))
+        duration = max(float(e.t[-1] - e.t[0]) for e in fit)
+        torque = size if direct and size else [1.0] * nq
+        if law:
+            u = np.concatenate([e.u[:, iu] for e in fit])
+            driven = drive_torque(layout, theta, u, np.zeros((len(u), 2 * nq)))
+            torque = [s or 1.0 for s in np.percentile(np.abs(driven), 99, axis=0)]
+        joints = [Reference(torque[min(j, len(torque) - 1)], 1.0, 1.0, duration, step) for j in range(nq)]
+    else:
+        used = [motions[e.name] for e in fit]
+        q, qdd = (np.concatenate([getattr(m, k) for m in used]) for k in ("q", "qdd"))
+        pick = np.linspace(0, len(q) - 1, 2000).astype(int)
+        with float64():
+            torque = _inertia_program(layout)(theta, q[pick], qdd[pick])
+            inertia = np.percentile(np.abs(np.asarray(torque)), 99, axis=0)
+        if (asks := getattr(chain.mechanism, "drive_law", None)) is not None:  # what the law asks for says more
+            asked = asks.size(np.concatenate([e.u[:, iu[:nq]] for e in fit]) - np.concatenate([e.y for e in fit])[:, iy])
+            inertia = np.maximum(inertia, asked)
+        elif law:
+            parts = zip(fit, used, strict=True)
+            driven = [drive_torque(layout, theta, e.u[:, iu], np.concatenate([m.q, m.qd], 1)) for e, m in parts]
+            inertia = np.maximum(inertia, np.percentile(np.abs(np.concatenate(driven)), 99, axis=0))
+        joints = samples.references(fit, used, iu if direct else [], inertia)
+    return joints, [joints[min(k, nq - 1)]._replace(torque=max(s, 1e-9)) for k, s in enumerate(size)]

@@ -1,0 +1,406 @@
+"""Frequency responses: of a model, and as a residual.
+
+A response is compared in one of two ways. `linear`: that of the model linearised at rest (smooth friction counts, dry friction
+and dead zones do not exist in it). `simulated`: the model is run on the record's own input and its output goes through the
+estimator that the data went through, so that dry friction bends both alike; with short or weak pulses a linear response is
+wrong by half (paper 002's pulse: the elastic modulus 38 % off).
+"""
+
+from __future__ import annotations
+
+import functools
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import ClassVar
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jax.flatten_util import ravel_pytree
+from jaxtyping import Array, Float
+
+from jaxid.data.dataset import Dataset, Experiment, FrequencyResponse as Measured
+from jaxid.dynamics.chain import Chain, Command, Signals
+from jaxid.dynamics.mechanism import Mechanism
+from jaxid.dynamics.parameter_vector import Layout
+from jaxid.errors import nearest, UsageError
+from jaxid.numerics.linalg import solve
+from jaxid.problem.residual import _record, overrides, Residual, RESIDUALS, Runs
+from jaxid.simulation import sample_buffers as recorded
+from jaxid.simulation.batch import Engine
+from jaxid.simulation.rollout import EVEN, Lane, simulate_lane
+from jaxid.simulation.sample_buffers import Record, Samples
+
+
+Complex = tuple[Array, Array]
+
+
+def transfer(
+    chain: Chain, omega: Float[Array, " lines"], q0: Float[Array, " nq"] | None = None, body: Mechanism | None = None
+) -> tuple[Float[Array, "lines ny nu"], Float[Array, "lines ny nu"]]:
+    """Real and imaginary part of outputs / inputs at omega (rad/s), linearised at rest in q0 (default 0). Traceable. `body` is
+    the chain's mechanism with its effects, prepared, where that has been done."""
+    body = chain.body().prepare(None) if body is None else body
+    q0 = jnp.zeros(chain.nq) if q0 is None else q0
+    still = jnp.zeros_like(q0)
+    u0 = jnp.zeros(len(chain.signature.inputs))
+    command = Command(jnp.zeros(()), jnp.ones(()), u0, u0, lambda d: u0)
+    z0 = chain.start(q0, still, u0).z
+
+    def opposing(q, qd, load):
+        return chain.friction(Signals(command.t, q, qd, load, command.h, command, qd), z0)[0]
+
+    ny, ones = len(chain.signature.outputs), jnp.ones_like(still)
+    stiffness, slope = (
+        jax.jvp(lambda q, qd: opposing(q, qd, still), (q0, still), along)[1] for along in ((ones, still), (still, ones))
+    )
+    own = None if chain.signature.speeds else body.transfer(omega, slope, stiffness)
+    if own is not None:
+        re, im = (a[:, :ny] for a in own)
+    else:
+        x0, unravel = ravel_pytree(body.start(q0, still))
+
+        def torque(x, u):
+            q, qd = body.port(unravel(x))
+            tau = body.drive(chain.signature, u, q, qd)
+            return tau - opposing(q, qd, tau)
+
+        field = lambda x, u: ravel_pytree(body.vector_field(0.0, unravel(x), torque(x, u)))[0]
+        moving = jnp.zeros(chain.nq, bool)
+        sensors = lambda x, u: chain.signature.read(body, unravel(x), torque(x, u), moving)
+        A, B = jax.jacfwd(field, (0, 1))(x0, u0)
+        C, D = jax.jacfwd(sensors, (0, 1))(x0, u0)
+        X = jax.vmap(lambda w: solve(1j * w * jnp.eye(x0.size) - A, B))(omega)
+        response = C @ X + D
+        re, im = response.real, response.imag
+    for e in chain.effects:
+        if (factor := e.transfer(omega)) is not None:
+            re, im = _times((re, im), factor, -2 if e.location == "input" else -1)
+    return re, im
+
+
+def _times(response: Complex, factor: Complex, axis: int) -> Complex:
+    """Response times a factor per channel [lines channels]."""
+    a, b = (jnp.expand_dims(f, axis) for f in factor)
+    re, im = response
+    return re * a - im * b, re * b + im * a
+
+
+# ---- measured responses
+
+
+@dataclass(frozen=True)
+class Lines:
+    """One measured response, repeats merged: rising omega, response, and the standard deviation of its parts, [lines]."""
+
+    omega: np.ndarray
+    response: np.ndarray
+    std: np.ndarray
+    statement: str
+
+
+def merged(measured: Measured) -> Lines:
+    """Median over repeats, weights from their scatter (both robust to outliers); without repeats 2 % of the gain, in the
+    zeros of the response of a tenth of its median."""
+    order = np.argsort(measured.omega, kind="stable")
+    omega, response = measured.omega[order], np.asarray(measured.response, complex)[order]
+    first = np.append(True, np.diff(omega) > 1e-9 * omega[1:])
+    groups = np.split(response, np.flatnonzero(first)[1:])
+    middle = np.array([np.median(np.real(g)) + 1j * np.median(np.imag(g)) for g in groups])
+    counts = np.array([g.size for g in groups])
+    if np.median(counts) >= 3:
+        parts = [np.concatenate([np.real(g - m), np.imag(g - m)]) for g, m in zip(groups, middle, strict=True)]
+        share = np.array([np.median(np.abs(p)) for p in parts]) / np.maximum(np.abs(middle), 1e-300)
+        # A line's own scatter is known from few repeats: pooled with its neighbours', in shares of the gain.
+        pooled = np.array([np.median(share[max(0, k - 5) : k + 6]) for k in range(share.size)])
+        few = counts / np.maximum(counts - 0.8, 0.2)  # the median leaves less scatter about it
+        std = 1.4826 * few * np.maximum(pooled, 1e-3) * np.abs(middle) * 1.2533 / np.sqrt(counts)
+        statement = f"median of {np.median(counts):.0f} repeats, weights from their scatter"
+        return Lines(omega[first], middle, std, statement)
+    gain = np.abs(middle)
+    return Lines(
+        omega[first], middle, 0.02 * np.maximum(gain, 0.1 * np.median(gain)), "no repeats: noise taken as 2 % of the gain"
+    )
+
+
+def estimate(
+    t: np.ndarray, u: np.ndarray, y: np.ndarray, band_hz: tuple[float, float], least_input: float
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """(bins, U, Y) of a record [time] in a band: discrete Fourier transforms without window, and only bins in which the input
+    has `least_input` of its largest amplitude. Y / U is the response."""
+    U, Y = np.fft.rfft(u), np.fft.rfft(y)
+    f = np.fft.rfftfreq(t.size, float(np.median(np.diff(t))))
+    size = np.abs(U)
+    least = max(least_input * size[1:].max(), 1e-9 * size.max())  # a constant input has but rounding beside f = 0
+    bins = np.flatnonzero((f >= band_hz[0]) & (f <= band_hz[1]) & (f > 0) & (size >= least) & (size > 0))
+    return bins, U[bins], Y[bins]
+
+
+# ---- lanes: rows 2k and 2k + 1 of a response column are real and imaginary part of line k
+
+
+def _interleaved(re: Array, im: Array, length: int) -> Array:
+    return jnp.stack([re, im], 1).reshape(length, -1)
+
+
+def _of_lines(
+    chain: Chain, samples: Samples, begin: Array, last: Array, length: int, magnitude: bool, body: Mechanism | None = None
+) -> Array:
+    """Linear response at the lines of a record, [length 1]; `samples.x` holds omega, output and input of each line."""
+    x = samples.x[jnp.minimum(begin + 2 * jnp.arange(length // 2), last)]
+    re, im = transfer(chain, jnp.where(x[:, 0] > 0, x[:, 0], 1.0), body=body)  # rows without a line
+    pick = lambda a: a[jnp.arange(length // 2), x[:, 1].astype(int), x[:, 2].astype(int)]
+    re, im = pick(re), pick(im)
+    if magnitude:
+        re, im = jnp.sqrt(re * re + im * im), jnp.zeros_like(im)
+    return _interleaved(re, im, length)
+
+
+@functools.cache
+def line_lane(magnitude: bool) -> Lane:
+    """Linear response at measured lines."""
+
+    def lane(chain, samples, where, start, steps, length, reach, burn):
+        return _of_lines(chain, samples, where[0], where[2], length, magnitude)
+
+    return lane
+
+
+@functools.cache
+def record_lane(magnitude: bool, linear: bool, output: int, timed: tuple[int, ...], count: int, pieces: int, room: int) -> Lane:
+    """Columns: the response to `output`, then the simulated outputs `timed`; records of `count` samples, `pieces` steps each, and
+    at most `room` / 2 lines in any of them.
+
+    `samples.x` holds, per line, omega, output, input, the bin, and 1 / U.
+    """
+
+    def lane(chain, samples, where, start, steps, length, reach, burn):
+        begin, _, last, _ = where
+        body = chain.body().prepare(samples.h[begin] if reach == EVEN else None)
+        y = simulate_lane(chain, samples, where, start, steps, length, reach, burn, body, timed if linear else None)
+        size = min(room, length)
+        if linear:
+            response = _of_lines(chain, samples, begin, last, size, magnitude, body)
+        else:
+            x = samples.x[jnp.minimum(begin + 2 * jnp.arange(size // 2), last)]
+            Y = jnp.fft.rfft(y[: count * pieces : pieces, output])
+            Y = Y[jnp.clip(x[:, 3].astype(int), 0, Y.size - 1)]
+            a, b = Y.real, Y.imag
+            re, im = a * x[:, 4] - b * x[:, 5], a * x[:, 5] + b * x[:, 4]
+            if magnitude:
+                power = re * re + im * im
+                re, im = jnp.sqrt(jnp.where(power > 0, power, 1e-300)), jnp.zeros_like(im)
+            response = _interleaved(re, im, size)
+        response = jnp.concatenate([response, jnp.zeros((length - size, 1))])
+        return jnp.concatenate([response, y[:, jnp.array(timed, int)]], 1)
+
+    return lane
+
+
+# ---- the residual
+
+
+@dataclass(frozen=True)
+class FrequencyResponseError(Residual):
+    """Measured against modelled frequency response.
+
+    Experiments of kind "frequency_response" are compared with the linear response. From records the response is estimated:
+    `output` (default: the last output) over the model's only input, in `band_hz`, from records of equal length and sampling;
+    `linear` compares it with the linear response, else with that of the simulated record. `timed` outputs are compared in time
+    besides; with measured responses in the dataset those are the lines, and the records are compared in time. `magnitude` takes
+    gains alone (paper 002's loss); else real and imaginary part, which a wrong sign cannot pass.
+    """
+
+    name: ClassVar[str] = "frequency_response"
+    magnitude: bool = False
+    linear: bool = False
+    output: str | None = None
+    timed: tuple[str, ...] = ()
+    band_hz: tuple[float, float] = (0.0, 50.0)
+    least_input: float = 0.1
+
+    def _alone(self, dataset: Dataset) -> bool:
+        """Whether measured responses are all there is to compare."""
+        return bool(dataset.responses) and not (self.timed and dataset.experiments)
+
+    def select(self, dataset, split):
+        if self._alone(dataset):
+            return tuple(as_experiment(r, dataset) for r in dataset.responses if r.split == split)
+        return dataset.split(split)
+
+    def runs(self, dataset, experiments, layout, noise, motions, step=recorded.STEP, shape=(0, 0)):
+        if self._alone(dataset):
+            return self._lines(dataset, experiments, layout)
+        return self._records(dataset, experiments, layout, noise, step, shape)
+
+    def _lines(self, dataset: Dataset, experiments: Sequence[Experiment], layout: Layout) -> Runs:
+        chain = layout.chain
+        outputs, inputs = ([n for n, _ in c] for c in (chain.signature.outputs, chain.signature.inputs))
+        table = {r.name: r for r in dataset.responses}
+        x, y, w, records, first, statements = [], [], [], [], 0, []
+        for number, e in enumerate(experiments):
+            measured = table[e.name]
+            lines = merged(measured)
+            where = _position(measured.output, outputs, "output"), _position(measured.input, inputs, "input")
+            x.append(np.repeat(np.column_stack([lines.omega, np.tile(where, (lines.omega.size, 1))]), 2, 0))
+            target, weight = _parts(lines.response, lines.std, self.magnitude)
+            y.append(target)
+            w.append(weight)
+            rows = np.arange(first, first + len(target))
+            still = np.zeros(chain.nq)
+            kept = rows[weight > 0]
+            records.append(
+                Record(number, first, len(rows), first, int(rows[-1]), 0, still, still, np.zeros(2 * chain.nq, bool), kept)
+            )
+            first += len(rows)
+            statements.append(lines.statement)
+        size = recorded.bucket(first)
+        pad = lambda a: np.concatenate([a, np.zeros((size - len(a), *a.shape[1:]))])
+        nu = len(inputs)
+        zeros = np.zeros((size, nu))
+        samples = Samples(
+            np.arange(size) * 1.0, np.ones(size), zeros, zeros, zeros,
+            pad(np.concatenate(y))[:, None], pad(np.concatenate(w))[:, None], pad(np.concatenate(x)),
+        )  # fmt: skip
+        engine = Engine(layout, samples, records, overrides(layout, experiments, records), line_lane(self.magnitude))
+        pairs = {(table[e.name].output, table[e.name].input) for e in experiments}
+        channel = _ratio(chain, *pairs.pop()) if len(pairs) == 1 else ("response", "SI")
+        part = "gain of the" if self.magnitude else "complex"
+        return Runs(
+            tuple(experiments), layout, (channel,), np.array([float(np.median(1 / np.concatenate(w)[np.concatenate(w) > 0]))]),
+            engine, tuple(range(len(records))), (),
+            f"{part} linear frequency response ({'; '.join(dict.fromkeys(statements))})",
+        )  # fmt: skip
+
+    def _records(self, dataset, experiments, layout, noise, step, shape) -> Runs:
+        chain = layout.chain
+        if len(chain.signature.inputs) != 1:
+            raise UsageError("a frequency response from records needs a model with one input; measure responses, or output_error")
+        outputs = [n for n, _ in chain.signature.outputs]
+        output = len(outputs) - 1 if self.output is None else _position(self.output, outputs, "output")
+        timed = tuple(_position(n, outputs, "output") for n in self.timed)
+        if dataset.responses:
+            return self._mixed(dataset, experiments, layout, noise, step, shape, timed)
+        counts = {len(e.t) for e in experiments}
+        spacing = np.concatenate([np.diff(e.t) for e in experiments])
+        if len(counts) > 1 or np.ptp(spacing) > 1e-3 * np.median(spacing):
+            raise UsageError(
+                "a frequency response from records needs runs of equal length at one sampling rate; cut them with `rows` or "
+                "`window_s`, or use output_error"
+            )
+        (count,) = counts
+        (iu,), iy = recorded.columns(dataset, chain)
+        samples, positions = recorded.build(dataset, experiments, chain, noise, step, size=shape[0])
+        pieces = int(recorded.pieces(experiments[0], step)[0])
+        n = len(samples.t)
+        y, w, x = np.zeros((n, 1 + len(timed))), np.zeros((n, 1 + len(timed))), np.zeros((n, 6))
+        records, lines = [], 0
+        for number, e in enumerate(experiments):
+            p = positions[number]
+            bins, U, Y = estimate(e.t, e.u[:, iu], e.motion()[:, iy[output]], self.band_hz, self.least_input)
+            if not bins.size and e.split == "fit":
+                raise UsageError(f"{e.name}: the input excites no line between {self.band_hz[0]:g} and {self.band_hz[1]:g} Hz")
+            omega = 2 * np.pi * bins / (count * np.median(np.diff(e.t)))
+            std = noise[output] * np.sqrt(count / 2) / np.abs(U)
+            target, weight = _parts(Y / U, std, self.magnitude)
+            rows = p[0] + np.arange(target.size)
+            y[rows, 0], w[rows, 0] = target, weight
+            inverse = 1 / U
+            each = np.column_stack([omega, np.full(omega.size, output), np.zeros(omega.size), bins, inverse.real, inverse.imag])
+            x[rows] = np.repeat(each, 2, 0)
+            for c, k in enumerate(timed):
+                y[p, 1 + c], w[p, 1 + c] = e.y[:, iy[k]], e.read[:, iy[k]] / noise[k]
+            record = _record(number, e, p, 0, len(e.t), dataset, chain, False)
+            kept = np.flatnonzero((w[p[0] : p[-1] + 1] > 0).any(1)) + p[0]
+            records.append(Record(**{**record.__dict__, "samples": kept}))
+            lines += bins.size
+        samples = samples._replace(y=y, w=w, x=x)
+        inside = (self.band_hz[1] - self.band_hz[0]) * count * np.median(spacing) + 1  # lines of a record in the band, at most
+        room = recorded.bucket(2 * min(int(inside), count // 2 + 1), 64)
+        lane = record_lane(self.magnitude, self.linear, output, timed, count, pieces, room)
+        engine = Engine(layout, samples, records, overrides(layout, experiments, records), lane, shape[1])
+        ratio = _ratio(chain, outputs[output], chain.signature.inputs[0][0])
+        own = [float(np.median(1 / w[w[:, 0] > 0, 0])) if lines else 1.0, *(noise[k] for k in timed)]
+        part, kind = "gain of the" if self.magnitude else "complex", "linear" if self.linear else "simulated"
+        return Runs(
+            tuple(experiments), layout, (ratio, *(chain.signature.outputs[k] for k in timed)), np.array(own), engine,
+            tuple(range(len(records))), (),
+            f"{part} response of the records against the {kind} one, {lines} lines where the input has at least "
+            f"{self.least_input:.0%} of its largest amplitude, no window{'; ' * bool(timed)}{', '.join(self.timed)}"
+            f"{' in time' * bool(timed)}",
+        )  # fmt: skip
+
+    def _mixed(self, dataset, experiments, layout, noise, step, shape, timed) -> Runs:
+        """Measured lines (in the first record's rows) beside records that are compared in time."""
+        if not self.linear:
+            raise UsageError("measured responses are compared with the linear one: say linear=True, or leave `timed` empty")
+        chain, split = layout.chain, experiments[0].split
+        outputs, inputs = ([n for n, _ in c] for c in (chain.signature.outputs, chain.signature.inputs))
+        samples, positions = recorded.build(dataset, experiments, chain, noise, step, size=shape[0])
+        _, iy = recorded.columns(dataset, chain)
+        n = len(samples.t)
+        y, w, x = np.zeros((n, 1 + len(timed))), np.zeros((n, 1 + len(timed))), np.zeros((n, 3))
+        row, records, statements = int(positions[0][0]), [], []
+        measured = [r for r in dataset.responses if r.split == split]
+        for one in measured:
+            lines = merged(one)
+            inside = (lines.omega >= 2 * np.pi * self.band_hz[0]) & (lines.omega <= 2 * np.pi * self.band_hz[1])
+            where = _position(one.output, outputs, "output"), _position(one.input, inputs, "input")
+            target, weight = _parts(lines.response[inside], lines.std[inside], self.magnitude)
+            rows = slice(row, row + target.size)
+            if rows.stop > positions[0][-1] + 1:
+                raise UsageError("there are more lines than steps in the first run: narrow band_hz")
+            y[rows, 0], w[rows, 0] = target, weight
+            x[rows] = np.repeat(np.column_stack([lines.omega[inside], np.tile(where, (inside.sum(), 1))]), 2, 0)
+            row += target.size
+            statements.append(lines.statement)
+        for number, e in enumerate(experiments):
+            p = positions[number]
+            for c, k in enumerate(timed):
+                y[p, 1 + c], w[p, 1 + c] = e.y[:, iy[k]], e.read[:, iy[k]] / noise[k]
+            record = _record(number, e, p, 0, len(e.t), dataset, chain, False)
+            kept = np.flatnonzero((w[p[0] : p[-1] + 1] > 0).any(1)) + p[0]
+            records.append(Record(**{**record.__dict__, "samples": kept}))
+        most = max(sum(r.omega.size for r in dataset.responses if r.split == s) for s in {r.split for r in dataset.responses})
+        lane = record_lane(self.magnitude, True, 0, timed, 0, 1, recorded.bucket(2 * most, 64))
+        stated = overrides(layout, experiments, records)
+        engine = Engine(layout, samples._replace(y=y, w=w, x=x), records, stated, lane, shape[1])
+        pairs = {(r.output, r.input) for r in measured}
+        ratio = _ratio(chain, *pairs.pop()) if len(pairs) == 1 else ("response", "SI")
+        own = [float(np.median(1 / w[w[:, 0] > 0, 0])) if measured else 1.0, *(noise[k] for k in timed)]
+        return Runs(
+            tuple(experiments), layout, (ratio, *(chain.signature.outputs[k] for k in timed)), np.array(own), engine,
+            tuple(range(len(records))), (),
+            f"{'gain of the' if self.magnitude else 'complex'} linear frequency response "
+            f"({'; '.join(dict.fromkeys(statements))}), {', '.join(self.timed)} in time",
+        )  # fmt: skip
+
+
+def as_experiment(measured: Measured, dataset: Dataset) -> Experiment:
+    """A response as a run of a split, for bookkeeping: its lines in place of time."""
+    omega = np.unique(measured.omega)
+    blank = lambda n: np.zeros((omega.size, n))
+    return Experiment(measured.name, measured.split, omega, blank(len(dataset.inputs)), blank(len(dataset.outputs)))
+
+
+def _parts(response: np.ndarray, std: np.ndarray, magnitude: bool) -> tuple[np.ndarray, np.ndarray]:
+    """Target and weight rows [2 lines]."""
+    if magnitude:
+        target, weight = np.column_stack([np.abs(response), 0 * std]), np.column_stack([1 / std, 0 * std])
+    else:
+        target, weight = np.column_stack([np.real(response), np.imag(response)]), np.column_stack([1 / std, 1 / std])
+    return target.ravel(), weight.ravel()
+
+
+def _ratio(chain: Chain, output: str, input: str) -> tuple[str, str]:
+    units = dict((*chain.signature.outputs, *chain.signature.inputs))
+    return f"{output} / {input}", f"({units[output]})/({units[input]})"
+
+
+def _position(name: str, names: Sequence[str], kind: str) -> int:
+    if name not in names:
+        raise UsageError(f"the model has no {kind} {name!r}{nearest(name, names)}")
+    return list(names).index(name)
+
+
+RESIDUALS[FrequencyResponseError.name] = FrequencyResponseError

@@ -1,0 +1,254 @@
+"""A model on a dataset as pure functions of a search vector: what optimistix, pyPESTO, blackjax or a user's own loop works on."""
+
+from __future__ import annotations
+
+import types
+from collections.abc import Callable, Iterable, Mapping
+from dataclasses import dataclass
+from typing import Any
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float
+
+from jaxid.data.dataset import Dataset
+from jaxid.dynamics.chain import Effect
+from jaxid.dynamics.parameter_vector import Layout
+from jaxid.errors import nearest, UsageError
+from jaxid.fitting.problem_builder import Bench, default_residual, start_values
+from jaxid.numerics.reverse import in_reverse
+from jaxid.problem.binding import bind
+from jaxid.problem.objective import LOSSES, penalised
+from jaxid.problem.problem import Data, Problem as Runnable
+from jaxid.problem.residual import Residual
+from jaxid.simulation.rollout import Lane
+from jaxid.simulation.sample_buffers import BLOCK
+
+
+Vector = Float[Array, " size"]
+
+
+class Problem(eqx.Module):
+    """Free numbers of a model and what they make of the recorded runs. Made by `jaxid.problem.make`; frozen, and a pytree: every
+    number and every array of the data is a leaf.
+
+    z [size] holds the free parameters, those that may span decades by their logarithm, then the starts of runs that are not
+    known; `lower`, `upper`, `z0` [size] are its bounds and start. `residual`, `loss` and `log_density` pass `jax.jit`,
+    `jax.vmap`, `jax.jacfwd` and `jax.grad`. They compute in float64: where JAX is not allowed to
+    (`jax.config.update("jax_enable_x64", True)`) they raise `UsageError`, which says so.
+    """
+
+    lower: np.ndarray
+    upper: np.ndarray
+    z0: np.ndarray
+    _data: Data
+    _rows: np.ndarray  # [n 3]: record, step of it and column of each residual
+    _weights: np.ndarray  # [n] 1 / noise
+    _targets: np.ndarray  # [n]
+    _prior: np.ndarray  # [free 2] mean and standard deviation of each free parameter; nan: none
+    names: tuple[str, ...] = eqx.field(static=True)
+    loss_name: str = eqx.field(static=True)
+    statement: str = eqx.field(static=True)
+    _predict: Callable[..., Array] = eqx.field(static=True, repr=False)
+
+    @property
+    def size(self) -> int:
+        """Length of z."""
+        return len(self.names)
+
+    def __eq__(self, other: object) -> bool:
+        return self is other
+
+    def __hash__(self) -> int:
+        return id(self)
+
+    # Plain bound methods, hashed by this problem: those of equinox hash arrays, which `jax.jit(problem.loss)` cannot.
+
+    @property
+    def residual(self) -> Callable[..., Float[Array, " n"]]:
+        """residual(z, args=None) -> [n]: (simulated - measured) / noise, sample by sample; a mean square of 1 is the noise."""
+        return types.MethodType(_residual, self)
+
+    @property
+    def loss(self) -> Callable[..., Float[Array, ""]]:
+        """loss(z, args=None) -> []: by default the mean square of the residual; huge where the simulation diverges."""
+        return types.MethodType(_loss, self)
+
+    @property
+    def log_density(self) -> Callable[..., Float[Array, ""]]:
+        """log_density(z, args=None) -> []: log-likelihood under Gaussian noise, and Gaussian priors of parameters where the
+        dataset states them (with |d parameter / d z|, so that a sampler of z meets them in the parameter's unit); -inf beyond
+        the bounds, between which z is flat otherwise."""
+        return types.MethodType(_log_density, self)
+
+    def to_physical(self, z: Vector) -> dict[str, Array]:
+        """Name -> number in its unit."""
+        values = _physical(self, jnp.asarray(z))
+        return {name: values[i] for i, name in enumerate(self.names)}
+
+    def from_physical(self, values: Mapping[str, Any] | None = None, **more: Any) -> Array:
+        """The z of these numbers; those that are left out are at z0. Raises `UsageError` for a name that is no free number."""
+        given = {**(values or {}), **more}
+        for name in given:
+            if name not in self.names:
+                raise UsageError(f"the problem has no free number {name!r}{nearest(name, self.names)}")
+        z = [self.z0[i] for i in range(self.size)]
+        for name, value in given.items():
+            value = value["value"] if isinstance(value, Mapping) else getattr(value, "value", value)
+            i = self.names.index(name)
+            z[i] = jnp.log(value) if i < len(self._data.log) and self._data.log[i] else value
+        return jnp.stack([jnp.asarray(v) for v in z])
+
+
+def make_problem(
+    model: object,
+    dataset: Dataset,
+    *,
+    residual: Residual | str | None = None,
+    effects: Iterable[str | Effect | type[Effect]] = (),
+    without: Iterable[str] = (),
+    split: str = "fit",
+    loss: str = "sum_of_squares",
+    solver: Any = None,
+) -> Problem:
+    """The problem that `jaxid.fit` would solve, as pure functions for any optimiser or sampler.
+
+    `split` says which runs it looks at, `solver` (a solver of diffrax, or `Diffrax`) simulates in place of jaxid's own
+    stepping. Raises `UsageError` for arguments that do not fit.
+    """
+    from jaxid.api import resolve_residual, with_solver
+
+    if loss not in LOSSES:
+        raise UsageError(f"there is no loss {loss!r}{nearest(loss, LOSSES)}")
+    if split not in ("fit", "validation", "report"):
+        raise UsageError(f"there is no split {split!r}{nearest(split, ('fit', 'validation', 'report'))}")
+    binding = bind(model, dataset, effects=effects, without=without)
+    chosen = resolve_residual(residual) or default_residual(binding)
+    bench = Bench(with_solver(binding, solver, chosen))
+    if not chosen.select(binding.dataset, split):
+        raise UsageError(f"the dataset has no run in the split {split!r}")
+    theta = start_values(Bench(binding), binding.free, 0)[0]
+    problem = bench.problem(chosen, split, binding.free, theta, loss=loss)
+    stated = binding.dataset.model.parameters if binding.dataset.model is not None else {}
+    priors = [prior_of(stated.get(binding.layout.names[i])) for i in problem.free]
+    return pure(problem, problem.z(theta), np.array(priors, float).reshape(-1, 2))
+
+
+def pure(problem: Runnable, z0: np.ndarray, priors: np.ndarray | None = None) -> Problem:
+    """A problem of compiled lanes as one of pure functions; `priors` [free 2]: mean and standard deviation, nan where none."""
+    runs, engine = problem.runs, problem.runs.engine
+    rows, weights, targets = [], [], []
+    for row, number in enumerate(problem.records):
+        record = runs.record(number)
+        sample, column = np.nonzero(problem.weights[record.samples] > 0)
+        at = record.samples[sample]
+        rows.append(np.stack([np.full(at.size, row), at - record.offset, column], 1))
+        weights.append(problem.weights[at, column])
+        targets.append(problem.targets[at, column])
+    layout, index = engine.free_layout(problem.base, problem.free)
+    length = -(-int(problem.data.steps.max()) // BLOCK) * BLOCK
+    free = tuple(problem.free.tolist())
+    predict = _Predict(layout, tuple(index.tolist()), free, engine.lane, length, engine.reach, engine.burns(layout))
+    priors = np.full((problem.free.size, 2), np.nan) if priors is None else priors
+    data = jax.tree.map(np.asarray, problem.data)
+    return Problem(
+        problem.lower, problem.upper, z0, data, np.concatenate(rows), np.concatenate(weights),
+        np.concatenate(targets), priors, tuple(problem.names), problem.loss_name, runs.statement, predict,
+    )  # fmt: skip
+
+
+def residual_of(z: Vector, problem: Problem) -> Float[Array, " n"]:
+    """`problem.residual(z)` as a function of both."""
+    return _residual(problem, z)
+
+
+def prior_of(stated: Any) -> tuple[float, float]:
+    """(mean, standard deviation) of the Gaussian prior that a dataset states of a parameter; nan without one."""
+    prior = getattr(stated, "prior", None)
+    if prior is None:
+        return np.nan, np.nan
+    mean, std = (prior[n] if isinstance(prior, Mapping) else getattr(prior, n) for n in ("mean", "std"))
+    return float(mean), float(std)
+
+
+@dataclass(frozen=True, eq=False)
+class _Predict:
+    """Prediction of one record, [length columns], as a pure function."""
+
+    layout: Layout
+    index: tuple[int, ...]  # positions of its numbers among all of the model's
+    free: tuple[int, ...]
+    lane: Lane
+    length: int
+    reach: int
+    burn: bool
+
+    @property
+    def _all(self) -> Any:
+        chain = jax.tree.structure(self.layout.chain)
+        return chain, self.index, self.free, self.lane, self.length, self.reach, self.burn
+
+    def __eq__(self, other: object) -> bool:
+        return isinstance(other, _Predict) and self._all == other._all
+
+    def __hash__(self) -> int:
+        return hash(self._all)
+
+    def __call__(self, values: Array, still_open: Array, fixed: Array, start: Array, where: Array, samples: Any, steps: Array):
+        place = {i: k for k, i in enumerate(self.free)}
+        own = lambda i: jnp.where(still_open[place[i]], values[place[i]], fixed[i]) if i in place else fixed[i]
+        chain = self.layout.model([own(i) for i in self.index])
+        return self.lane(chain, samples, where, start, steps, self.length, self.reach, self.burn)
+
+
+def _physical(problem: Problem, z: Vector) -> Vector:
+    """The numbers that z stands for, each in its unit."""
+    log = jnp.concatenate([jnp.asarray(problem._data.log), jnp.zeros(problem.size - len(problem._data.log), bool)])
+    return jnp.where(log, jnp.exp(jnp.where(log, z, 0.0)), z)
+
+
+def _checked(problem: Problem, z: Any) -> Vector:
+    z = jnp.asarray(z)
+    if z.dtype != jnp.float64:
+        raise UsageError(
+            f"z is {z.dtype}, and a simulation needs float64: before anything else of JAX is used, type "
+            'jax.config.update("jax_enable_x64", True), or set JAX_ENABLE_X64=1 in the environment'
+        )
+    if z.shape != (problem.size,):
+        raise UsageError(f"z has the shape {z.shape}; there are {problem.size} free numbers: {', '.join(problem.names)}")
+    return z
+
+
+def _residual(problem: Problem, z: Vector, args: Any = None) -> Float[Array, " n"]:
+    z, d = _checked(problem, z), problem._data
+    values = _physical(problem, z)[: len(d.log)]
+    starts = jnp.asarray(d.start0).at[d.start_rows, d.start_columns].set(z[len(d.log) :])
+    samples = jax.tree.map(jnp.asarray, d.samples)
+    one = lambda still_open, fixed, start, where, steps: problem._predict(values, still_open, fixed, start, where, samples, steps)
+    with in_reverse():
+        y = jax.vmap(one)(*(jnp.asarray(a) for a in (d.open, d.fixed, starts, d.where, d.steps)))
+    record, k, column = problem._rows.T
+    return jnp.asarray(problem._weights) * (y[record, k, column] - problem._targets)
+
+
+def _loss(problem: Problem, z: Vector, args: Any = None) -> Float[Array, ""]:
+    loss, d = LOSSES[problem.loss_name], problem._data
+    r = _residual(problem, z)
+    sums = jnp.zeros(d.count.shape).at[problem._rows[:, 2]].add(loss.summed(r / problem._weights, r))
+    return penalised(loss.total(sums, d.count, d.norm))
+
+
+def _log_density(problem: Problem, z: Vector, args: Any = None) -> Float[Array, ""]:
+    r, z = _residual(problem, z), jnp.asarray(z)
+    likelihood = jnp.sum(jnp.log(problem._weights) - r * r / 2) - r.shape[0] / 2 * np.log(2 * np.pi)
+    mean, std = problem._prior.T
+    part = z[: mean.shape[0]]
+    there = ~jnp.isnan(mean)
+    error = jnp.where(there, _physical(problem, z)[: mean.shape[0]] - mean, 0.0) / jnp.where(there, std, 1.0)
+    slope = jnp.where(problem._data.log, part, 0.0)  # log |d parameter / d z|
+    prior = jnp.where(there, slope - error**2 / 2 - jnp.log(jnp.where(there, std, 1.0)) - np.log(2 * np.pi) / 2, 0.0)
+    density = likelihood + jnp.sum(prior)
+    inside = jnp.all((z >= problem.lower) & (z <= problem.upper)) & jnp.isfinite(density)
+    return jnp.where(inside, density, -jnp.inf)

@@ -1,0 +1,268 @@
+"""Residuals: what a fit makes small. Each turns runs into records of one lane program, divided by the noise, so that a mean
+square of 1.0 means "down to the noise".
+
+- `OutputError`: the free run over the whole experiment against the measured outputs.
+- `MultipleShooting`: the same over short windows, each with its own unknown start (an integrating joint drifts; after a
+  minute a gap of metres says nothing).
+- `InverseDynamics`: the torque that the measured motion lacks, drive(u) - (M qdd + bias + friction).
+"""
+
+from __future__ import annotations
+
+import abc
+from collections.abc import Sequence
+from dataclasses import dataclass, field, replace
+from typing import ClassVar
+
+import numpy as np
+
+from jaxid.data.dataset import Dataset, Experiment
+from jaxid.dynamics.chain import Chain
+from jaxid.dynamics.joint_readings import joint_readings, position_matters, start_of, stated_start
+from jaxid.dynamics.parameter_vector import Layout
+from jaxid.errors import UsageError
+from jaxid.problem.torque_filter import decimated_torque_lane, torque_setting, TorqueSetting
+from jaxid.simulation import sample_buffers as recorded
+from jaxid.simulation.batch import Engine
+from jaxid.simulation.rollout import Lane, simulate_lane, torque_lane
+from jaxid.simulation.sample_buffers import Motion, Record
+
+
+#: A part of a longer run starts so long before it, and by so many samples at most.
+RUN_UP_S, RUN_UP_SAMPLES = 1.0, 500
+#: Up to so many samples before a window tell the states of effects.
+WINDOW_PAST = 1000
+
+
+@dataclass
+class Runs:
+    """Some experiments made ready for one residual: records on a compiled engine.
+
+    `heads` are, per experiment, records of its first moments, longest first, from which a run that is not fitted estimates its
+    start.
+    """
+
+    experiments: tuple[Experiment, ...]
+    layout: Layout
+    channels: tuple[tuple[str, str], ...]  # (name, unit) of the residual's columns
+    noise: np.ndarray  # [columns]
+    engine: Engine
+    records: tuple[int, ...]
+    heads: tuple[tuple[int, ...], ...]
+    statement: str
+    dataset: Dataset | None = None  # where the residual was made from, and with which filter: for instruments
+    setting: TorqueSetting | None = None
+    weights: np.ndarray = field(init=False)
+    targets: np.ndarray = field(init=False)
+
+    def __post_init__(self):
+        self.weights = np.asarray(self.engine.samples.w)
+        self.targets = np.asarray(self.engine.samples.y)
+
+    def record(self, number: int) -> Record:
+        return self.engine.records[number]
+
+    def residual(self, number: int, prediction: np.ndarray) -> np.ndarray:
+        """Weighted residual [samples columns] of one record from a lane's prediction [length columns]."""
+        at = self.record(number).samples
+        return self.weights[at] * (self.sample_prediction(number, prediction) - self.targets[at])
+
+    def sample_prediction(self, number: int, prediction: np.ndarray) -> np.ndarray:
+        """Predictions at the samples of a record [samples columns]."""
+        r = self.record(number)
+        return prediction[r.samples - r.offset]
+
+
+class Residual(abc.ABC):
+    """Abstract: how experiments become records."""
+
+    name: ClassVar[str]
+
+    def select(self, dataset: Dataset, split: str) -> tuple[Experiment, ...]:
+        """The runs of a split, or of several ("fit+validation"), that it looks at."""
+        return tuple(e for name in split.split("+") for e in dataset.split(name))
+
+    @abc.abstractmethod
+    def runs(
+        self,
+        dataset: Dataset,
+        experiments: Sequence[Experiment],
+        layout: Layout,
+        noise: np.ndarray,
+        motions: Sequence[Motion] | None,
+        step: float = recorded.STEP,
+        shape: tuple[int, int] = (0, 0),
+    ) -> Runs:
+        """`noise` [ny] per output; `motions` the smoothed measured motion per experiment, where the model has one; `shape` the
+        least size of the buffers and of a lane's output."""
+
+
+@dataclass(frozen=True)
+class OutputError(Residual):
+    """Free run of the whole experiment.
+
+    Where it was cut from a longer one, effects follow the measured motion in what is known before it; the run starts a little
+    before the cut, and its samples up to there tell how: a start from the first ones after the cut alone would drift away.
+    """
+
+    name: ClassVar[str] = "output_error"
+
+    def runs(self, dataset, experiments, layout, noise, motions, step=recorded.STEP, shape=(0, 0)):
+        chain = layout.chain
+        every = [e.whole for e in experiments]
+        remembers = motions is not None and any(e.past for e in dataset.experiments) and chain.has_states()
+        known = zip(every, experiments, motions, strict=True) if remembers and motions else ()
+        smooth = [recorded.motion(dataset, e, chain, noise) if own.past else m for e, own, m in known]
+        samples, positions = recorded.build(dataset, every, chain, noise, step, _states(smooth), shape[0])
+        records, heads = [], []
+        for number, (e, own) in enumerate(zip(every, experiments, strict=True)):
+            p, cut = positions[number], len(e) - len(own)
+            a = max(cut // 2, cut - RUN_UP_SAMPLES, int(np.searchsorted(e.t, e.t[cut] - RUN_UP_S)))
+            settled = a + (cut - a) // 4  # by then sensors and springs have forgotten how they began
+            n = cut + head_samples(own) - settled
+            until = lambda b, c, number=number, e=e, p=p, a=a: replace(
+                _record(number, e, p, a, b, dataset, chain, len(e) if remembers else 0), samples=p[c:b]
+            )
+            records.append(until(len(e), cut))
+            heads.append([until(settled + k, settled) for k in dict.fromkeys(max(6, n // k) for k in (1, 2, 4, 8, 16))])
+        lanes = [*records, *(h for nested in heads for h in nested)]
+        engine = Engine(layout, samples, lanes, overrides(layout, every, lanes), lane_of(layout), shape[1], burn=remembers)
+        n = len(records)
+        ends = np.cumsum([n, *(len(nested) for nested in heads)])
+        return Runs(
+            tuple(experiments), layout, layout.chain.signature.outputs, noise, engine,
+            tuple(range(n)), tuple(tuple(range(a, b)) for a, b in zip(ends[:-1], ends[1:], strict=True)),
+            "free run over the whole experiment",
+        )  # fmt: skip
+
+
+@dataclass(frozen=True)
+class MultipleShooting(Residual):
+    """Free runs over windows of `window_s` seconds, each start estimated; windows are not forced to meet."""
+
+    name: ClassVar[str] = "multiple_shooting"
+    window_s: float | None = None
+
+    def runs(self, dataset, experiments, layout, noise, motions, step=recorded.STEP, shape=(0, 0)):
+        states = layout.chain.has_states()
+        memory = WINDOW_PAST if states else 0
+        if layout.chain.mechanism.hidden_states:
+            raise UsageError(
+                f"windows cannot start inside a run of {layout.chain.mechanism.name}: its inner state is not measured; "
+                "use the residual output_error"
+            )
+        if states and motions is None:
+            raise UsageError("windows need measured joint positions when an effect has states; use the residual output_error")
+        measured = _states(motions if states else None)
+        samples, positions = recorded.build(dataset, experiments, layout.chain, noise, step, measured, shape[0])
+        records, length = [], 0.0
+        for number, e in enumerate(experiments):
+            length = self.window_s or default_window(e)
+            edges = np.searchsorted(e.t, np.arange(e.t[0], e.t[-1] - 0.5 * length, length))
+            for a, b in zip(edges, [*edges[1:], len(e.t)], strict=True):
+                records.append(_record(number, e, positions[number], int(a), int(b), dataset, layout.chain, memory))
+        engine = Engine(layout, samples, records, overrides(layout, experiments, records), lane_of(layout))
+        every = tuple(range(len(records)))
+        return Runs(
+            tuple(experiments), layout, layout.chain.signature.outputs, noise, engine, every, (),
+            f"windows of {length:.3g} s, each with its own start",
+        )  # fmt: skip
+
+
+@dataclass(frozen=True)
+class InverseDynamics(Residual):
+    """Torque residual of the measured motion.
+
+    Positions are filtered without phase at `cutoff_hz` and differentiated; the residual is low-passed and taken at every
+    `decimate`-th sample (both sides of the equation pass the same filter, which keeps the estimate unbiased by it).
+    """
+
+    name: ClassVar[str] = "inverse_dynamics"
+    cutoff_hz: float | None = None
+    decimate: int | None = None
+
+    def runs(self, dataset, experiments, layout, noise, motions, step=recorded.STEP, shape=(0, 0)):
+        chain = layout.chain
+        setting = torque_setting(dataset, experiments, chain, noise, self.cutoff_hz, self.decimate)
+        samples, positions = recorded.build(
+            dataset, experiments, chain, np.ones(len(setting.noise)), 1e9, setting.motion, shape[0]
+        )
+        w = np.zeros_like(samples.w)
+        records = []
+        for number, e in enumerate(experiments):
+            p = positions[number]
+            kept = p[setting.ends[number] : len(p) - setting.ends[number] : setting.decimate]
+            w[kept] = 1 / setting.noise
+            record = _record(number, e, p, 0, len(e.t), dataset, chain, 0)
+            records.append(Record(**{**record.__dict__, "samples": kept, "free": np.zeros_like(record.free)}))
+        samples = samples._replace(y=np.zeros_like(samples.y), w=w)
+        lane: Lane = decimated_torque_lane(setting.taps) if setting.decimate > 1 else torque_lane
+        engine = Engine(layout, samples, records, overrides(layout, experiments, records), lane, shape[1])
+        every = tuple(range(len(records)))
+        return Runs(
+            tuple(experiments), layout, chain.torque_channels, setting.noise, engine, every, (), setting.statement,
+            dataset, setting,
+        )  # fmt: skip
+
+
+def lane_of(layout: Layout) -> Lane:
+    """What simulates: the stepping of chains, or the solver of the layout."""
+    if layout.solver is None:
+        return simulate_lane
+    from jaxid.simulation.diffrax_solver import diffrax_lane
+
+    return diffrax_lane(layout.solver)
+
+
+def _states(motions: Sequence[Motion] | None) -> list[np.ndarray] | None:
+    """Positions and velocities of smoothed motions, each [time 2 nq]."""
+    return [np.concatenate([m.q, m.qd], 1) for m in motions] if motions else None
+
+
+def default_window(e: Experiment) -> float:
+    """Window length, s: an eighth of the run, at least 50 samples: long against the joint's time constant (a short window
+    cannot see a wrong friction law), short against the drift of a free run."""
+    step = float(np.median(np.diff(e.t)))
+    return max(float(e.t[-1] - e.t[0]) / 8, 50 * step)
+
+
+def head_samples(e: Experiment) -> int:
+    """How many samples a run that is not fitted may use to estimate its start: 20, and at least 0.1 s, or as stated; of a short
+    run a third at most, so that the rest can be judged."""
+    if e.initial_window_s is not None:
+        return max(4, int(np.searchsorted(e.t, e.t[0] + e.initial_window_s, side="right")))
+    return min(max(4, len(e.t) // 3), max(20, int(np.searchsorted(e.t, e.t[0] + 0.1 - 1e-9, side="left"))))
+
+
+def overrides(layout: Layout, experiments: Sequence[Experiment], records: Sequence[Record]) -> np.ndarray:
+    """Constants that experiments state themselves, [records size], nan elsewhere."""
+    out = np.full((len(records), len(layout)), np.nan)
+    for row, record in zip(out, records, strict=True):
+        for name, value in experiments[record.experiment].constants.items():
+            row[layout.index(name)] = value
+    return out
+
+
+def _record(number: int, e: Experiment, p: np.ndarray, a: int, b: int, dataset: Dataset, chain: Chain, burn: int) -> Record:
+    """Samples a ... b of an experiment as a record; its start from the statement of the experiment or its first samples. Up to
+    `burn` samples before it effects follow the measured motion."""
+    nq = chain.nq
+    free = np.ones(2 * nq, bool)
+    _, iy = recorded.columns(dataset, chain)
+    q0, qd0 = start_of(chain, e, e.motion()[:, iy], a, min(len(e.t), a + head_samples(e)))
+    if any(r.q is None and r.qd is not None for r in joint_readings(chain)) and not position_matters(chain):
+        free[:nq] = [r.q is not None for r in joint_readings(chain)]  # counted from where the run starts
+    if a == 0 and e.at_rest:
+        qd0[:], free[nq:] = 0.0, False
+    if a == 0 and e.initial is not None:
+        for j in range(nq):
+            for target, known, value in zip((q0, qd0), (free[:nq], free[nq:]), stated_start(e, chain.signature, j), strict=True):
+                if value is not None:
+                    target[j], known[j] = value, False
+    lead = 0
+    if burn and a > 0:
+        lead = int(p[a] - p[max(0, a - burn)])
+    return Record(number, int(p[a]), int(p[b - 1] - p[a] + 1), int(p[0]), int(p[-1]), lead, q0, qd0, free, p[a:b])
+
+
+RESIDUALS: dict[str, type[Residual]] = {r.name: r for r in (OutputError, MultipleShooting, InverseDynamics)}

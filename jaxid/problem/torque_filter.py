@@ -1,0 +1,158 @@
+"""The settings of inverse dynamics: filtered motion, decimation, and the noise of the torque residual."""
+
+from __future__ import annotations
+
+import functools
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from jaxid.data.dataset import Dataset, Experiment
+from jaxid.dynamics.chain import Chain
+from jaxid.dynamics.parameter_vector import Layout
+from jaxid.errors import UsageError
+from jaxid.numerics.export_cache import key_of, Traced
+from jaxid.numerics.precision import float64
+from jaxid.simulation.rollout import Lane, torque_lane
+from jaxid.simulation.sample_buffers import bucket, columns
+
+
+#: Fewest rows of the torque equation for each number of a model that decimation may leave.
+ROWS = 30
+
+
+@dataclass(frozen=True)
+class TorqueSetting:
+    motion: list[np.ndarray]  # per run (q, qd, qdd) [time 3 nq]
+    ends: list[int]  # samples to leave out at each end of a run
+    decimate: int
+    taps: np.ndarray
+    noise: np.ndarray  # [nq]
+    cutoff_hz: float
+    statement: str
+    inputs: list[int]  # columns of u and y that the model uses
+    outputs: list[int]
+
+
+def torque_setting(
+    dataset: Dataset,
+    experiments: Sequence[Experiment],
+    chain: Chain,
+    noise: np.ndarray,
+    cutoff_hz: float | None,
+    decimate: int | None,
+) -> TorqueSetting:
+    """Filter and decimation: the cutoff a tenth of the sampling rate (or where the content of noisy positions ends),
+    decimation to 2.5 times less than the cutoff allows, but not below `ROWS` rows of the fit for each number of the model.
+    Noise of the residual: that of the drive's torque at high frequency (1 N m for a free motion)."""
+    from jaxid.data.signals import filter_ends
+    from jaxid.dynamics.joint_readings import all_read, cutoffs, joint_motion, stated_positions
+
+    iu, iy = columns(dataset, chain)
+    if chain.mechanism.hidden_states:
+        raise UsageError(f"{chain.mechanism.name} has an inner state that the measured motion does not show: use output_error")
+    if not all_read(chain):
+        raise UsageError(f"inverse dynamics needs every joint's position or speed measured ({', '.join(chain.signature.joints)})")
+    first = (dataset.split("fit") or experiments)[0]  # one rule for all splits
+    rate = 1 / float(np.median(np.diff(first.t)))
+    if cutoff_hz is None:
+        content = max(cutoffs(chain, first.t, first.motion()[:, iy], noise))
+        cutoff_hz = min(rate / 10, max(content, 2.0))
+    if decimate is None:
+        kept = sum(len(e.t) for e in dataset.split("fit") or experiments) * chain.nq
+        decimate = max(1, min(round(rate / (0.4 * cutoff_hz)), kept // (ROWS * own_numbers(chain))))
+    motion, ends = [], []
+    statement = ""
+    for e in experiments:
+        start = stated_positions(e, chain.signature)
+        q, qd, qdd, statement = joint_motion(chain, e.t, e.motion()[:, iy], [cutoff_hz] * chain.nq, start)
+        motion.append(np.concatenate([q, qd, qdd], 1))
+        ends.append(filter_ends(e.t, cutoff_hz))
+    taps = np.ones(1)
+    if decimate > 1:
+        from scipy.signal import firwin
+
+        taps = np.asarray(firwin(10 * decimate + 1, 0.8 / decimate), np.float64)
+        statement += f"; residual low-passed at {0.4 * rate / decimate:.3g} Hz and taken at every {decimate}th sample"
+    level = np.ones(chain.nq)
+    if iu:
+        torques = [drive_torque(Layout(chain), None, e.u[:, iu], m) for e, m in zip(experiments, motion, strict=True)]
+        third = np.concatenate([np.diff(tau, 3, axis=0) for tau in torques]) / np.sqrt(20.0)
+        white = 1.4826 * np.median(np.abs(third), axis=0)
+        span = np.percentile(np.abs(np.concatenate(torques)), 99, axis=0)
+        level = np.maximum(np.maximum(white * np.sqrt(np.sum(taps**2)), 1e-3 * span), 1e-12)
+    return TorqueSetting(motion, ends, decimate, taps, level, cutoff_hz, statement, iu, [iy[k] for k in chain.joint_outputs])
+
+
+def own_numbers(chain: Chain) -> int:
+    """How many numbers of the nominal model a fit determines; candidates of a diagnosis do not count."""
+    builtin = {kind.name for kind, _ in chain.mechanism.builtin}
+    held = chain.mechanism.held()
+    own = [e for e in Layout(chain).entries if e.owner < 0 or chain.effects[e.owner].name in builtin]
+    return max(1, sum(not e.spec.fixed and e.name not in held for e in own))
+
+
+def drive_gains(chain: Chain) -> np.ndarray:
+    """What turns each input into joint torque, [nu]: the model's drive gains, 1 where it has none."""
+    gains = [np.asarray(e.gain, float) for e in chain.effects if e.name == "drive_gain"]  # pyright: ignore
+    return np.prod(gains, 0) if gains else np.ones(max(1, len(chain.signature.inputs)))
+
+
+_DRIVES: dict[Any, Traced] = {}
+
+
+def drive_torque(layout: Layout, theta: np.ndarray | None, u: np.ndarray, motion: np.ndarray) -> np.ndarray:
+    """Joint torque that the drive makes of recorded inputs u [time nu] in a measured motion (q, qd, ...) [time 2 nq or more],
+    with the numbers theta (None: those of the layout), [time nq]."""
+    chain, nq = layout.chain, layout.chain.nq
+    if chain.direct:
+        return u * (drive_gains(chain) if theta is None else drive_gains(layout.model(theta)))
+    structure = jax.tree.structure(chain)
+    if structure not in _DRIVES:
+        key = key_of(_driven, layout.model(np.zeros(len(layout))), layout.names)
+        _DRIVES[structure] = Traced(lambda theta, *args: _driven(layout.model(theta), *args), key)
+    room = bucket(len(u)) - len(u)  # runs of other lengths meet the same program
+    args = [np.pad(a, ((0, room), (0, 0))) for a in (u, motion[:, :nq], motion[:, nq : 2 * nq])]
+    with float64():
+        return np.asarray(_DRIVES[structure](layout.values if theta is None else theta, *args))[: len(u)]
+
+
+def _driven(chain: Chain, u: Any, q: Any, qd: Any) -> Any:
+    body = chain.body()
+    return jax.vmap(lambda u, q, qd: body.drive(chain.signature, u, q, qd))(u, q, qd)
+
+
+def decimated_torque_lane(taps: np.ndarray) -> Lane:
+    """`torque_lane` followed by a zero-phase low-pass over time; equal filters share one lane, hence one program."""
+    return _decimated(tuple(float(x) for x in taps))
+
+
+@functools.cache
+def _decimated(taps: tuple[float, ...]) -> Lane:
+    kernel = np.array(taps)
+
+    def lane(chain, samples, where, start, steps, length, reach, burn):
+        missing = torque_lane(chain, samples, where, start, steps, length, reach, burn)
+        inside = jnp.arange(length)[:, None] <= where[2] - where[0]
+        smooth = jax.vmap(lambda column: jnp.convolve(column, jnp.asarray(kernel), mode="same"), 1, 1)
+        return smooth(jnp.where(inside, missing, 0.0))
+
+    lane.taps = kernel  # type: ignore[attr-defined]
+    return lane
+
+
+def measured_torque(dataset: Dataset, runs, theta: np.ndarray) -> np.ndarray:
+    """The drive's joint torque, with the numbers theta, at the residual's samples, through the same low-pass, [samples nq]."""
+    taps = getattr(runs.engine.lane, "taps", np.ones(1))
+    iu, _ = columns(dataset, runs.layout.chain)
+    out = []
+    for number in runs.records:
+        record = runs.record(number)
+        u = drive_torque(runs.layout, theta, runs.experiments[record.experiment].u[:, iu], runs.setting.motion[record.experiment])
+        smooth = np.stack([np.convolve(c, taps, mode="same") for c in u.T], -1)
+        out.append(smooth[record.samples - record.first])
+    return np.concatenate(out)

@@ -1,0 +1,376 @@
+"""Results in words: the numbers, sentences and tables that the terminal and the report share."""
+
+from __future__ import annotations
+
+import math
+import shutil
+import textwrap
+from collections.abc import Iterable, Sequence
+from typing import TYPE_CHECKING
+
+from jaxid.cli.terminal import one_line
+from jaxid.conventions.finding import data_lines
+
+
+if TYPE_CHECKING:
+    from jaxid.fitting.comparison import Comparison, Typical
+    from jaxid.fitting.result import Diagnosis, EffectEstimate, Estimate, Finding, Fit, HowFar, Which
+    from jaxid.fitting.simulation import Simulation
+
+
+def number(value: float | None, digits: int = 3) -> str:
+    """A number with `digits` significant digits; a dash where there is none."""
+    if value is None or not math.isfinite(value):
+        return "–"
+    if value == 0:
+        return "0"
+    if 1e-4 <= abs(value) < 1e5:
+        decimals = max(0, digits - 1 - math.floor(math.log10(abs(value))))
+        return f"{value:.{decimals}f}"
+    return f"{value:.{digits - 1}e}"
+
+
+def short(value: float | None) -> str:
+    """A number that is exact as written (a bound, a time): no zeros at its end."""
+    return "–" if value is None or math.isnan(value) else f"{value:.4g}".replace("inf", "∞")
+
+
+def times(multiple: float | None) -> str:
+    """A multiple of the noise, as exact as a person reads it."""
+    if multiple is None or not math.isfinite(multiple):
+        return "–"
+    return f"{multiple:.2f}" if abs(multiple) < 2 else f"{multiple:.1f}" if abs(multiple) < 9.95 else number(multiple, 2)
+
+
+def percent(fraction: float | None) -> str:
+    """A fraction in percent, with the digits that still tell 99.8 from 99.98 and 0.1 from 0.01."""
+    if fraction is None or not math.isfinite(fraction):
+        return "–"
+    if fraction < -1:
+        return "below −100 %"
+    if fraction > 10:
+        return f"{number(100 * fraction)} %"
+    rest = min(abs(fraction), abs(1 - abs(fraction)))
+    if 0 < rest < 5e-5 and fraction > 0.5:
+        return "over 99.99 %" if fraction < 1 else "100 %"
+    decimals = 0 if rest > 0.05 or rest == 0 else 1 if rest >= 1e-3 else 2
+    return f"{100 * fraction:.{decimals}f} %"
+
+
+def value_with_std(estimate: Estimate, unit: bool = True) -> str:
+    """`0.0812 ± 0.0004 kg m^2`, rounded to two digits of the standard deviation."""
+    value, std = estimate.value, estimate.std
+    tail = f" {one_line(estimate.unit)}" if unit and estimate.unit not in ("", "1") else ""
+    if std is None or not math.isfinite(std) or std <= 0 or not math.isfinite(value):
+        return number(value) + tail
+    exponent = math.floor(math.log10(std)) - 1
+    if -7 <= exponent <= 3 and abs(value) < 1e6:
+        decimals = max(0, -exponent)
+        return f"{value:.{decimals}f} ± {std:.{decimals}f}{tail}"
+    digits = 2 if value == 0 else max(2, math.floor(math.log10(abs(value))) - exponent + 1)
+    return f"{value:.{min(digits, 15) - 1}e} ± {std:.1e}{tail}"
+
+
+def remark(estimate: Estimate) -> str:
+    """What has to be said about a fitted parameter beyond its number, or nothing."""
+    if not estimate.identifiable:
+        return "not determined by these data"
+    if estimate.at_bound:
+        return "at its bound"
+    return ""
+
+
+def effect_name(effect: EffectEstimate) -> str:
+    return one_line(f"{effect.effect} at {effect.location}")
+
+
+def effect_with_parameters(effect: EffectEstimate) -> str:
+    """`dead_zone at tau (width 0.312 ± 0.004 N m)`."""
+    inside = ", ".join(f"{one_line(name)} {value_with_std(p)}" for name, p in effect.parameters.items())
+    return effect_name(effect) + (f" ({inside})" if inside else "")
+
+
+def listed(names: Iterable[str]) -> str:
+    """`a`, `a and b`, `a, b and c`."""
+    names = list(names)
+    return names[0] if len(names) == 1 else f"{', '.join(names[:-1])} and {names[-1]}" if names else ""
+
+
+def regime_words(regime: str) -> str:
+    return one_line(regime).replace("_", " ")
+
+
+def where_sentence(finding: Finding) -> str:
+    """The finding's own sentence, or one made from its numbers."""
+    if finding.text:
+        return one_line(finding.text)
+    start, end = finding.window_s
+    return (
+        f"At {one_line(finding.location)} during {regime_words(finding.regime)}"
+        f" (seen in {one_line(finding.channel)}, strongest from {short(start)} to {short(end)} s):"
+        f" {percent(finding.share_of_gap)} of the gap, {times(finding.times_noise_floor)} times the noise."
+    )
+
+
+#: Up to so many times the noise a gap is near it.
+NEAR = 1.5
+
+
+def measured(how_far: HowFar) -> bool:
+    """Whether there is anything on which a gap could be measured."""
+    return math.isfinite(how_far.gap_retuned) or not math.isnan(how_far.gap_before)
+
+
+def which_sentence(which: Which, how_far: HowFar | None = None) -> str:
+    """The verdict in plain words."""
+    if how_far is not None and not measured(how_far):
+        return which.text or "Nothing can be judged: the data kept for it stand still."
+    names = listed(effect_with_parameters(e) for e in which.effects)
+    if which.verdict == "named":
+        return f"The model lacks {names}."
+    if which.verdict == "partly":
+        return f"The model lacks {names}, and something more that no known effect explains."
+    if which.verdict == "none":
+        return "Nothing is missing: the model already reaches the noise."
+    if how_far is not None and which.text and max(how_far.gap_before, how_far.gap_retuned) <= NEAR:
+        return which.text
+    return "There is a gap, and no known effect explains most of it."
+
+
+def confusable_sentence(which: Which) -> str:
+    if not which.confusable_with:
+        return ""
+    return f"These data cannot tell it from {listed(effect_name(e) for e in which.confusable_with)}."
+
+
+def how_far_sentence(how_far: HowFar, verdict: str) -> str:
+    """The gaps in multiples of the noise."""
+    if not measured(how_far):
+        return f"No gap is given: {one_line(how_far.interval_reason).rstrip('.')}."
+    before, retuned, after = (times(g) for g in (how_far.gap_before, how_far.gap_retuned, how_far.gap_after))
+    if verdict == "none":
+        stated = f"; as it was stated, {before}" if before != retuned else ""
+        away = (
+            f" The {how_far.split} data go where the data that were fitted leave numbers of the model open; within what is known "
+            "of these it reaches the noise there too."
+        )
+        return (
+            f"What is left, its own numbers retuned, is {retuned} times the noise; 1 is the noise itself{stated}."
+            f"{away if not how_far.gap_retuned <= NEAR else ''}"
+        )
+    if verdict == "unknown":
+        worse = before != retuned and not how_far.gap_retuned <= how_far.gap_before
+        led = " Retuned to the data that were fitted it is further from these than as it was stated." if worse else ""
+        return f"The gap is {before} times the noise, {retuned} after retuning the model's own parameters.{led}"
+    course = "falls" if how_far.gap_after < how_far.gap_before else "does not fall, but goes"
+    return f"The gap {course} from {before} to {after} times the noise ({retuned} if the old parameters are retuned alone)."
+
+
+def unused(how_far: HowFar) -> str:
+    """What the data of the gap were not used for."""
+    return (
+        "data never fitted nor chosen on" if how_far.split == "report" else f"{how_far.split} data, which also chose the effect"
+    )
+
+
+def shrinkage_sentence(how_far: HowFar, verdict: str) -> str:
+    """The share of the gap that is closed with its interval, or why there is none."""
+    if verdict == "unknown" or not measured(how_far):
+        return ""
+    if how_far.shrinkage is None:
+        return f"No shrinkage is given: {one_line(how_far.interval_reason).rstrip('.')}." if how_far.interval_reason else ""
+    head = f"{percent(how_far.shrinkage)} of the gap is closed on {unused(how_far)}"
+    if how_far.shrinkage_interval_95 is None:
+        reason = one_line(how_far.interval_reason).rstrip(".").removeprefix("no interval: ")
+        return f"{head} (no interval: {reason})." if reason else f"{head}."
+    return f"{head} (in a further run like these {interval(how_far)})."
+
+
+def telling(how_far: HowFar) -> list[str]:
+    """Channels, those first in which most happens: the error that goes or stays, against the noise."""
+    size = lambda g: max(abs(g.rmse_before - g.rmse_after), g.rmse_retuned, g.rmse_after) / max(g.noise, 1e-300)
+    order = {name: size(gap) for name, gap in how_far.per_channel.items()}
+    return sorted(order, key=lambda name: -order[name] if math.isfinite(order[name]) else -math.inf)
+
+
+def interval(how_far: HowFar) -> str:
+    """What a further run like the report runs is to show."""
+    assert how_far.shrinkage_interval_95 is not None
+    low, high = (percent(min(x, 1.0)) for x in how_far.shrinkage_interval_95)
+    doubt = "; how runs differ is not known from fewer than eight" if how_far.interval_from == "blocks" else ""
+    return f"{low} to {high}, with 95 % probability{doubt}"
+
+
+def channel_sentence(how_far: HowFar, name: str, verdict: str) -> str:
+    """A channel's error in its unit."""
+    gap = how_far.per_channel[name]
+    unit = one_line(gap.unit)
+    before, retuned, after = number(gap.rmse_before), number(gap.rmse_retuned), number(gap.rmse_after)
+    course = f"{before} → {after} {unit}" if verdict in ("named", "partly") else f"{before} {unit}"
+    if verdict not in ("named", "partly") and retuned != before:
+        course += f", {retuned} {unit} retuned"
+    return f"{one_line(name)}: rms error {course} (noise {number(gap.noise, 2)} {unit}, {one_line(gap.noise_source)})"
+
+
+def table(header: Sequence[str], rows: Sequence[Sequence[str]]) -> str:
+    """Left-aligned columns, two spaces apart."""
+    cells = [[one_line(c) for c in row] for row in (header, *rows)]
+    widths = [max(len(row[i]) for row in cells) for i in range(len(header))]
+    return "\n".join("  ".join(c.ljust(w) for c, w in zip(row, widths, strict=True)).rstrip() for row in cells)
+
+
+def paragraph(label: str, sentences: Iterable[str]) -> str:
+    """Sentences wrapped to the terminal, each on a line of its own behind one label."""
+    lines = []
+    for sentence in filter(None, sentences):
+        lines.append(wrapped(sentence, f"{'' if lines else label:10}", " " * 10))
+    return "\n".join(lines)
+
+
+def wrapped(sentence: str, first: str = "", others: str = "") -> str:
+    width = max(40, min(shutil.get_terminal_size((100, 24)).columns, 110))
+    return "\n".join(textwrap.wrap(one_line(sentence), width, initial_indent=first, subsequent_indent=others))
+
+
+def sentence(text: str) -> str:
+    """A clause as a sentence of its own."""
+    return f"{text[:1].upper()}{text[1:].rstrip('.')}."
+
+
+def diagnosis_text(diagnosis: Diagnosis) -> str:
+    """About ten lines: where, which, how far, what next."""
+    which, how_far = diagnosis.which, diagnosis.how_far
+    channels = telling(how_far)[:3]
+    parts = [
+        *map(wrapped, data_lines(diagnosis.data)),
+        f"{one_line(diagnosis.dataset)}, model {one_line(diagnosis.model)}",
+        paragraph("STATED", [sentence(s.text) for s in diagnosis.final.stated if s.refuted]),
+        "" if which.verdict == "none" else paragraph("WHERE", (where_sentence(f) for f in diagnosis.where[:2])),
+        paragraph("WHICH", [which_sentence(which, how_far), confusable_sentence(which)]),
+        paragraph(
+            "HOW FAR",
+            [
+                how_far_sentence(how_far, which.verdict),
+                shrinkage_sentence(how_far, which.verdict),
+                *(channel_sentence(how_far, name, which.verdict) for name in channels),
+            ],
+        ),
+        paragraph("NEXT", [diagnosis.next_experiment]),
+    ]
+    return "\n".join(filter(None, parts))
+
+
+def parameter_rows(fit: Fit) -> list[tuple[str, Estimate]]:
+    """The model's parameters, then those of its effects as `effect@location.parameter`."""
+    rows = list(fit.parameters.items())
+    for effect in fit.effects:
+        rows += [(f"{effect.effect}@{effect.location}.{name}", p) for name, p in effect.parameters.items()]
+    return rows
+
+
+def fit_text(fit: Fit) -> str:
+    """Parameters, scores and cost of a fit."""
+    names = [fit.model, *(effect_name(e) for e in fit.effects)]
+    state = {"budget": "not converged"}.get(fit.state, fit.state)
+    parts = [
+        *map(wrapped, data_lines(fit.data)),
+        wrapped(
+            f"{fit.dataset}, model {listed(names)}: {fit.fitter} on {fit.residual}, {state} ({fit.stopped_because}),"
+            f" loss {number(fit.loss)} (1 = down to the noise)"
+        ),
+        table(
+            ("parameter", "value", "unit", ""),
+            [(name, value_with_std(p, unit=False), p.unit, remark(p)) for name, p in parameter_rows(fit)],
+        ),
+    ]
+    scores = [
+        (split, channel, f"{number(s.rmse)} {s.unit}", percent(s.nrmse), percent(s.relative_error))
+        for split, channels in fit.scores.items()
+        for channel, s in channels.items()
+    ]
+    if scores:
+        parts.append(table(("data", "channel", "rms error", "of its std", "relative"), scores))
+    parts += [f"The data determine only together: {one_line(', '.join(group))}" for group in fit.correlated]
+    parts += [paragraph("stated", [s.text]) for s in fit.stated]
+    parts += [paragraph("note", [note]) for note in fit.notes]
+    parts.append(f"{fit.evaluations} evaluations, {number(fit.wall_time_s)} s, {number(fit.compile_time_s)} s of it compiling")
+    return "\n".join(parts)
+
+
+def simulation_text(simulation: Simulation) -> str:
+    """The rms error of every run."""
+    rows = [
+        (f"run_{i}", channel, f"{number(rmse)} {simulation.units.get(channel, '')}")
+        for i, channels in enumerate(simulation.rmse, start=1)
+        for channel, rmse in channels.items()
+    ]
+    head = f"model {one_line(simulation.model)}, {len(simulation.runs)} runs simulated"
+    return "\n".join([head, table(("run", "channel", "rms error"), rows), *map(one_line, simulation.notes)])
+
+
+def comparison_headline(c: Comparison) -> str:
+    """Which fitter reached the target most reliably, at which cost."""
+    table = c.table
+    best = table[0]
+    if not best.successes:
+        return f"No fitter came within {percent(c.tolerance)} of the best known loss."
+    equal = [s for s in table if s.successes * best.runs == best.successes * s.runs]
+    others = f", like {listed(s.fitter for s in equal[1:])} (at no less cost)" if len(equal) > 1 else ""
+    return f"{best.fitter} reached the best known loss in {best.successes} of {best.runs} runs{others}."
+
+
+def comparison_setting(c: Comparison) -> str:
+    """What was the same for all."""
+    limits = [f"{c.budget} evaluations"] if c.budget is not None else []
+    limits += [f"{short(c.limit_s)} s"] if c.limit_s is not None else []
+    return (
+        f"Every fitter on {c.residual}, {c.loss_name.replace('_', ' ')}, with at most {' and '.join(limits)} a run, from"
+        f" {'random starts within the bounds' if c.starts == 'random' else 'the start that the data suggest'}."
+        f" The target is {number(c.target, 5)}: the best known loss {number(c.best_loss, 5)} plus {percent(c.tolerance)}."
+    )
+
+
+def comparison_rows(c: Comparison) -> list[list[str]]:
+    """One line a fitter: the cells of the table that terminal and report share."""
+    rows = []
+    for s in c.table:
+        low, high = s.success_interval_95
+        rows.append(
+            [
+                one_line(s.fitter),
+                f"{s.successes}/{s.runs} ({100 * low:.0f} to {100 * high:.0f} %)",
+                f"{s.in_time}/{s.runs}",
+                spread(s.evaluations_to_target),
+                spread(s.seconds_to_target),
+                count(s.expected_evaluations),
+                number(s.loss.median, 4),
+                count(s.evaluations),
+                number(s.seconds, 2),
+            ]
+        )
+    return rows
+
+
+def spread(t: Typical) -> str:
+    """`410 (380 to 520)`, with ∞ for what was never reached."""
+    return (
+        f"{count(t.median)} ({count(t.lower)} to {count(t.upper)})" if math.isfinite(t.median) or math.isfinite(t.lower) else "∞"
+    )
+
+
+def count(value: float) -> str:
+    """A count or a time, three digits."""
+    return "∞" if math.isinf(value) else f"{value:.0f}" if value >= 100 else number(value, 2)
+
+
+def comparison_text(c: Comparison) -> str:
+    """Headline and table of a comparison."""
+    header = ("fitter", "reached", f"in {number(c.common_time, 2)} s", "evaluations to target", "seconds to target",
+              "per success", "median loss", "evaluations", "seconds")  # fmt: skip
+    parts = [
+        wrapped(f"{c.dataset}, model {c.model}: {comparison_headline(c)}"),
+        wrapped(comparison_setting(c)),
+        table(header, comparison_rows(c)),
+        f"{len(c.runs)} runs in {number(c.wall_time_s)} s",
+    ]
+    return "\n".join(parts)

@@ -1,0 +1,119 @@
+"""Runs simulated by a solver of diffrax instead of jaxid's own stepping: a check by other means, on the user's own data."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from functools import cache
+from typing import Any
+
+import jax.numpy as jnp
+from jax.flatten_util import ravel_pytree
+
+from jaxid.dynamics.chain import Carry, Chain, Command, OutputEffect
+from jaxid.dynamics.mechanism import Mechanism
+from jaxid.dynamics.ode import check_smooth, rates
+from jaxid.dynamics.parameter_vector import Layout
+from jaxid.errors import nearest, UsageError
+from jaxid.numerics.reverse import reversible
+from jaxid.problem.binding import Binding
+from jaxid.problem.residual import MultipleShooting, OutputError, Residual
+from jaxid.simulation.rollout import Lane, simulate_lane
+
+
+@dataclass(frozen=True)
+class Diffrax:
+    """A solver of diffrax with its tolerances. Each step of a run (none is longer than 2.5 ms) is solved anew with its input,
+    which jumps between them, by as many steps as the tolerances take; sensors and recordings are as in jaxid's own stepping.
+
+    `adjoint` None: forward mode in fits, `DirectAdjoint` in `make_problem`, which passes both modes. A solver without an error
+    estimate takes `steps` equal ones; others at most `steps`.
+    """
+
+    solver: Any
+    rtol: float = 1e-8
+    atol: float = 1e-10
+    adjoint: Any = None
+    steps: int = 64
+
+    def __str__(self) -> str:
+        return f"diffrax:{type(self.solver).__name__}"
+
+
+def named(text: str) -> Diffrax:
+    """The solver that `diffrax:Tsit5` names. Raises `UsageError` for what is none."""
+    import diffrax
+
+    kind, _, name = text.partition(":")
+    kinds = {n: c for n, c in vars(diffrax).items() if isinstance(c, type) and issubclass(c, diffrax.AbstractSolver)}
+    usable = [n for n in kinds if not n.startswith("Abstract") and not issubclass(kinds[n], diffrax.AbstractItoSolver)]
+    if kind != "diffrax" or not name:
+        raise UsageError(f"a solver is `own` or `diffrax:NAME`, as in diffrax:Tsit5, not {text!r}")
+    if name not in usable:
+        raise UsageError(f"diffrax has no solver {name!r}{nearest(name, usable)}")
+    try:
+        return Diffrax(kinds[name]())
+    except TypeError as error:
+        raise UsageError(f"diffrax:{name} needs settings: make it in Python, solver=diffrax.{name}(...)") from error
+
+
+def bound_to(binding: Binding, solver: Any, residual: Residual | None) -> Binding:
+    """The binding whose free runs and windows are simulated by a solver. Raises `UsageError` for dry friction that sticks, and
+    for residuals that are something else."""
+    import diffrax
+
+    if isinstance(solver, str):
+        solver = named(solver)
+    elif isinstance(solver, diffrax.AbstractSolver):
+        solver = Diffrax(solver)
+    if not isinstance(solver, Diffrax):
+        raise UsageError(f"a solver is one of diffrax, such as diffrax.Tsit5(), not {type(solver).__name__}")
+    if residual is not None and not isinstance(residual, OutputError | MultipleShooting):
+        raise UsageError(f"a solver simulates free runs (output_error, multiple_shooting); {residual.name} has its own way")
+    check_smooth(binding.chain)
+    return replace(binding, layout=Layout(binding.layout.chain, solver))
+
+
+@cache
+def diffrax_lane(solver: Diffrax) -> Lane:
+    """The lane that simulates by a solver."""
+
+    def advance(chain: Chain, body: Mechanism, carry: Carry, command: Command) -> tuple[Carry, Any]:
+        return solved_step(solver, chain, body, carry, command)
+
+    def lane(chain, samples, where, start, steps, length, reach, burn, body=None, wanted=None):
+        return simulate_lane(chain, samples, where, start, steps, length, reach, burn, body, wanted, advance)
+
+    return lane
+
+
+def solved_step(solver: Diffrax, chain: Chain, body: Mechanism, carry: Carry, command: Command) -> tuple[Carry, Any]:
+    """`Chain.step` by a solver: state at the end of a step, and what the sensors record at its beginning."""
+    import diffrax
+
+    moving = tuple(() if isinstance(e, OutputEffect) else z for e, z in zip(chain.effects, carry.z, strict=True))
+    y0, unravel = ravel_pytree((carry.x, moving))
+    late = command.delayed  # the mean over the step, as of the input itself
+
+    def field(t: Any, y: Any, args: Any) -> Any:
+        chain, body, begin, u, other = args
+        held = Command(begin + t, jnp.zeros(()), u, other, late)
+        x, z = unravel(y)
+        dx, dz, _ = rates(chain, body, begin + t, x, z, held)
+        return ravel_pytree((dx, dz))[0]
+
+    _, _, tau = rates(chain, body, command.t, carry.x, moving, command)
+    adaptive = isinstance(solver.solver, diffrax.AbstractAdaptiveSolver)
+    control: Any = diffrax.PIDController(rtol=solver.rtol, atol=solver.atol) if adaptive else diffrax.ConstantStepSize()
+    adjoint = solver.adjoint or (diffrax.DirectAdjoint() if reversible() else diffrax.ForwardMode())
+    first = command.h if adaptive else command.h / solver.steps
+    found = diffrax.diffeqsolve(
+        diffrax.ODETerm(field), solver.solver, jnp.zeros(()), command.h, first, y0,
+        (chain, body, command.t, command.u, command.other), saveat=diffrax.SaveAt(t1=True), stepsize_controller=control,
+        max_steps=solver.steps + 1, adjoint=adjoint, throw=False,
+    )  # fmt: skip
+    failed = found.result != diffrax.RESULTS.successful
+    x, z = unravel(jnp.where(failed, jnp.nan, jnp.asarray(found.ys)[-1]))  # as where a run diverges
+    q, _ = body.port(carry.x)
+    y, sensed = chain.sense(body, carry, tau, jnp.zeros(q.shape, bool), command)
+    pairs = zip(chain.effects, z, sensed, strict=True)
+    return Carry(x, tuple(b if isinstance(e, OutputEffect) else a for e, a, b in pairs), carry.lam, carry.acc), y

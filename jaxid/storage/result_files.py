@@ -1,0 +1,127 @@
+"""The files of a result, its JSON, page and tables, which go into a folder together; and those of a run that was stopped."""
+
+from __future__ import annotations
+
+import io
+import json
+from contextlib import suppress
+from hashlib import sha256
+from pathlib import Path
+from typing import Any
+
+from jaxid.fitting.result import json_bytes
+from jaxid.storage.atomic_files import replace_files, settle
+
+
+#: Folder inside that of a result for what was known when a run was stopped, and the page's name.
+PARTIAL, PAGE = "partial", "report.html"
+#: Kinds of results that have a page.
+DRAWN = ("fit", "diagnosis", "comparison", "identification", "check")
+
+
+def save(result: Any, folder: Path) -> Path:
+    """Puts all files of a result into a folder at once, in the place of an older one of its kind; returns the path of the JSON.
+    What a stopped run had left there goes. A page that belongs to a result of another kind is kept under the name of that one.
+
+    Raises `NotSaved`; the older result is then as it was.
+    """
+    settle(folder)
+    name = f"{kind_of(result)}.json"
+    files = {name: json_bytes(result), **_tables(result)}
+    if page := page_of(result):
+        files |= {PAGE: page.encode(), **_kept_page(folder, name)}
+    replace_files(folder, files, _obsolete(folder, name, files))
+    drop_partial(folder)
+    return folder / name
+
+
+def save_partial(result: Any, folder: Path, page: bool) -> Path:
+    """Puts what is known before the end into `partial/` inside the folder of the result, with its `page` or, as drawing takes
+    seconds, without; returns the path of the JSON. Raises `NotSaved`."""
+    name, place = f"{kind_of(result)}.json", folder / PARTIAL
+    files = {name: json_bytes(result), **_tables(result)}
+    if page and (text := page_of(result)):
+        files[PAGE] = text.encode()
+    replace_files(place, files, {*_written(place), PAGE})
+    return place / name
+
+
+def drop_partial(folder: Path) -> None:
+    """Removes what stopped runs left in `partial/`, and that folder where nothing else lies in it."""
+    place = folder / PARTIAL
+    with suppress(OSError):
+        settle(place)
+        for name in _written(place):
+            (place / name).unlink(missing_ok=True)
+        place.rmdir()
+
+
+def kind_of(result: Any) -> str:
+    """`fit`, `diagnosis`, `comparison`, `identification`, `check` or `simulation`: the stem of its JSON file."""
+    return result.to_dict()["kind"]
+
+
+def page_of(result: Any) -> str | None:
+    """The report page; None for a kind without one."""
+    from jaxid import report
+
+    kind = kind_of(result)
+    return getattr(report, f"{kind}_page")(result) if kind in DRAWN else None
+
+
+def _tables(result: Any) -> dict[str, bytes]:
+    kind = kind_of(result)
+    if kind == "comparison":
+        return {"runs.parquet": result.parquet()}
+    if kind != "simulation":
+        return {}
+    import pyarrow
+    import pyarrow.parquet
+
+    files = {}
+    for i, run in enumerate(result.runs):
+        buffer = io.BytesIO()
+        pyarrow.parquet.write_table(pyarrow.table(dict(run)), buffer)
+        files[f"run_{i + 1}.parquet"] = buffer.getvalue()
+        if (moving := result.motion(i)) is not None:
+            buffer = io.BytesIO()
+            moving.strip().figure.savefig(buffer, dpi=120)
+            files[f"run_{i + 1}.png"] = buffer.getvalue()
+    return files
+
+
+def _written(place: Path) -> list[str]:
+    """Names of the files that stopped runs may have left."""
+    return [name for name in (*(f"{kind}.json" for kind in DRAWN), "runs.parquet", PAGE) if (place / name).is_file()]
+
+
+def _kept_page(folder: Path, name: str) -> dict[str, bytes]:
+    """The page there is, where it belongs to another JSON than `name` that still lies beside it: under the name of that one."""
+    from jaxid.report.page import result_of
+
+    with suppress(OSError):
+        page = (folder / PAGE).read_bytes()
+        about = result_of(page)
+        if about is None or about[0] == name or sha256((folder / about[0]).read_bytes()).hexdigest() != about[1]:
+            return {}
+        other = Path(about[0]).with_suffix(".html").name
+        if not (folder / other).exists() or result_of((folder / other).read_bytes()) is not None:
+            return {other: page}
+    return {}
+
+
+def _obsolete(folder: Path, name: str, files: dict[str, bytes]) -> list[str]:
+    """Files of the older result of this kind that the new one does not have."""
+    from jaxid.report.page import result_of
+
+    out = []
+    with suppress(OSError):
+        page = Path(name).with_suffix(".html").name
+        if (about := result_of((folder / page).read_bytes())) and about[0] == name:
+            out.append(page)
+    if name == "simulation.json":
+        with suppress(OSError, ValueError, KeyError, TypeError):
+            older = len(json.loads((folder / name).read_bytes())["rmse"])
+            runs = [f"run_{i + 1}.{kind}" for i in range(older) for kind in ("parquet", "png")]
+            out += [run for run in runs if run not in files]
+    return out

@@ -1,0 +1,144 @@
+"""The page of a study: what was run, how the fitters did, what was named, what failed and why."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from jaxid.report import plot, text
+from jaxid.report.compared import COLORS, LOWEST, MARKERS
+from jaxid.report.page import Section
+
+
+if TYPE_CHECKING:
+    from jaxid.study.outcome import Outcome
+    from jaxid.study.plan import Task
+    from jaxid.study.run import StudyResult
+    from jaxid.study.tables import Problem
+
+
+#: Problems that are drawn and listed; a study may have thousands.
+MOST = 24
+RIGHT = 1e6  # where runs that failed are drawn, as a multiple of the best loss
+
+
+def section(result: StudyResult) -> Section:
+    from jaxid.study import tables
+
+    problems = tables.problems(result)
+    shown = dict(sorted(problems.items(), key=lambda item: -_spread(item[1]))[:MOST])
+    fitters = [r.fitter for r in tables.rankings(result)]
+    return Section(
+        "studied.html",
+        {
+            "name": result.study.name,
+            "description": result.study.description,
+            "headline": headline(result),
+            "ranking": [ranking_row(r) for r in tables.rankings(result)],
+            "tolerance": text.percent(tables.TOLERANCE),
+            "left_out": len(problems) - len(shown),
+            "losses": plot.svg("losses", (9.2, 1.1 + 0.42 * len(shown)), lambda f: _losses(shown, fitters, f)) if shown else None,
+            "seconds": plot.svg("seconds", (9.2, 2.8), lambda f: _seconds(result, fitters, f)) if shown else None,
+            "problems": [(str(p), *problem_row(runs)) for p, runs in shown.items()],
+            "verdicts": [(str(p), _counted(v), _counted(n)) for p, v, n in tables.verdicts(result)[: 10 * MOST]],
+            "failures": tables.failures(result)[:MOST],
+            "notes": result.notes,
+            "store": str(result.study.store),
+        },
+    )
+
+
+def headline(result: StudyResult) -> str:
+    s = result.status
+    done = f"{s.done} of {s.total} tasks have a result"
+    return f"{done}, {s.failed} failed." if s.failed else f"{done}."
+
+
+def ranking_row(r) -> list[str]:
+    """The cells that terminal and report share."""
+    low, high = r.reached_interval_95
+    return [
+        text.one_line(r.fitter),
+        f"{r.reached}/{r.runs} ({100 * low:.0f} to {100 * high:.0f} %)",
+        text.number(r.mean_rank, 3),
+        "∞" if np.isinf(r.excess) else text.percent(r.excess) if r.excess > 0 else "0 %",
+        text.count(r.evaluations) if np.isfinite(r.evaluations) else "–",
+        text.number(r.seconds, 2) if np.isfinite(r.seconds) else "–",
+        str(r.failed),
+    ]
+
+
+def _spread(runs) -> float:
+    """Problems on which fitters differ come first."""
+    from jaxid.study.tables import best_loss, excess
+
+    best = best_loss(runs)
+    return float(np.mean([min(excess(o, best), RIGHT) for _, o in runs]))
+
+
+def problem_row(runs) -> tuple[str, list[tuple[str, str]]]:
+    """The best loss of a problem, and of each parameter the middle and the range from the 10th to the 90th percentile of the runs
+    that reached it."""
+    from jaxid.study.tables import best_loss, excess, TOLERANCE
+
+    best = best_loss(runs)
+    at = [o for _, o in runs if excess(o, best) <= TOLERANCE]
+    names = dict.fromkeys(n for o in at for n in o.parameters or {})
+    out = []
+    for name in names:
+        values = [v for o in at if (v := (o.parameters or {}).get(name)) is not None]
+        if values:
+            low, middle, high = np.percentile(values, [10, 50, 90])
+            wide = high - low > 1e-6 * abs(middle)
+            out.append((name, text.number(middle, 4) + (f" ({text.number(low, 4)} to {text.number(high, 4)})" if wide else "")))
+    return (text.number(best, 4) if np.isfinite(best) else "none"), out
+
+
+def _counted(counts) -> str:
+    return ", ".join(f"{name or '–'} {n}×" for name, n in counts.most_common(6))
+
+
+def _losses(shown: dict[Problem, list[tuple[Task, Outcome]]], fitters: list[str], figure) -> None:
+    from jaxid.study.tables import best_loss, excess, TOLERANCE
+
+    axes = figure.add_subplot()
+    points: dict[str, list[tuple[float, float]]] = {fitter: [] for fitter in fitters}
+    for k, runs in enumerate(shown.values()):
+        best = best_loss(runs)
+        for task, o in runs[:: max(1, len(runs) // plot.POINTS)]:
+            line = k + 0.7 * ((fitters.index(task.method) + 0.5) / len(fitters) - 0.5)
+            x = float(np.clip(excess(o, best), LOWEST, RIGHT))
+            points[task.method].append((x, line + 0.25 / len(fitters) * np.sin(7.0 * task.seed)))
+    for j, (fitter, own) in enumerate(points.items()):
+        color, marker = COLORS[j % len(COLORS)], MARKERS[(j // len(COLORS)) % len(MARKERS)]
+        x, y = np.array(own).reshape(-1, 2).T
+        axes.scatter(x, y, s=12, marker=marker, color=color, alpha=0.7, linewidths=0, label=plot.label(fitter, 20))
+    axes.axvline(TOLERANCE, color=plot.GREY, linestyle="--", linewidth=0.8)
+    axes.set_xscale("log")
+    axes.set_yticks(range(len(shown)), [plot.label(str(p), 40) for p in shown])
+    axes.set_ylim(len(shown) - 0.5, -0.5)
+    axes.set_xlabel("loss above the best of the problem, as a share of it (failed runs at the right edge)")
+    plot.plain_log(axes.xaxis)
+    figure.legend(*axes.get_legend_handles_labels(), loc="outside upper center", ncols=min(8, len(fitters)))
+
+
+def _seconds(result: StudyResult, fitters: list[str], figure) -> None:
+    left, right = figure.subplots(1, 2)
+    for axes, field, title in ((left, "wall_time_s", "seconds of a task"), (right, "evaluations", "evaluations of a run")):
+        for j, fitter in enumerate(fitters):
+            values = [
+                getattr(o, field)
+                for k, o in result.outcomes.items()
+                if result.study.tasks[k].command == "fit" and result.study.tasks[k].method == fitter and getattr(o, field)
+            ]
+            if values:
+                x = np.quantile(values, np.linspace(0, 1, min(len(values), 200)))
+                label = plot.label(fitter, 20)
+                axes.step(x, (np.arange(len(x)) + 1) / len(x), where="post", color=COLORS[j % len(COLORS)], label=label)
+        axes.set_xscale("log")
+        plot.plain_log(axes.xaxis)
+        axes.set_xlabel(title)
+        axes.set_ylim(0, 1.02)
+    left.set_ylabel("share of runs")
+    figure.legend(*right.get_legend_handles_labels(), loc="outside upper center", ncols=min(8, max(1, len(fitters))))
