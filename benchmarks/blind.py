@@ -38,9 +38,10 @@ from jaxid.data.io import load_dataset  # noqa: E402
 from jaxid.diagnosis.equivalence import equivalences  # noqa: E402
 from jaxid.diagnosis.evidence import held_out  # noqa: E402
 from jaxid.diagnosis.how_far import shrink  # noqa: E402
+from jaxid.diagnosis.result import Diagnosis  # noqa: E402
 from jaxid.fitting.problem_builder import Bench  # noqa: E402
-from jaxid.fitting.result import Diagnosis, save_json  # noqa: E402
 from jaxid.problem.binding import bind, resolve_model  # noqa: E402
+from jaxid.serialise import save_json  # noqa: E402
 
 
 RESULTS = Path(__file__).with_name("results") / "blind.jsonl"

@@ -22,7 +22,8 @@ import numpy as np
 sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 
 from benchmarks.twins import NEUTRAL, Plant, PLANTS  # noqa: E402
-from jaxid.data.dataset import Dataset, DatasetError  # noqa: E402
+from jaxid.data.dataset import Dataset
+from jaxid.errors import DatasetError  # noqa: E402
 
 
 MODELS = ("pendulum", "planar_arm", "tracker")

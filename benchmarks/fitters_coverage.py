@@ -20,8 +20,8 @@ from jaxid.runtime import prepare  # noqa: E402
 prepare()
 
 import jaxid  # noqa: E402
-from jaxid.fitters import descend  # noqa: E402
 from jaxid.fitting.covariance import covariance  # noqa: E402
+from jaxid.fitting.least_squares import descend  # noqa: E402
 from jaxid.fitting.problem_builder import Bench  # noqa: E402
 from jaxid.fitting.profiles import bootstrap, profile_likelihood  # noqa: E402
 from jaxid.problem.binding import bind  # noqa: E402

@@ -33,7 +33,7 @@ from jaxid.fitters import (  # noqa: E402
     RandToBestDE,
     Shade,
 )
-from jaxid.fitting.fitter import AbstractPopulation, CHUNK  # noqa: E402
+from jaxid.fitting.population import AbstractPopulation, CHUNK  # noqa: E402
 from jaxid.numerics.precision import float64  # noqa: E402
 from jaxid.problem.objective import FunctionProblem  # noqa: E402
 

@@ -68,7 +68,7 @@ def errors(fit: jaxid.Fit, own: Dataset, dataset: Dataset, effects: tuple[str, .
 
     from jaxid.numerics.precision import float64
     from jaxid.problem.binding import bind
-    from jaxid.problem.frequency_response import transfer
+    from jaxid.simulation.transfer import transfer
 
     layout = bind(None, own, effects=effects).layout
     out = {}

@@ -25,7 +25,7 @@ prepare()
 
 from jaxid.api import diagnose  # noqa: E402
 from jaxid.data.dataset import Dataset, ModelSpec, ParameterPrior  # noqa: E402
-from jaxid.fitting.result import Diagnosis  # noqa: E402
+from jaxid.diagnosis.result import Diagnosis  # noqa: E402
 from tests import test_models  # noqa: E402
 
 

@@ -35,8 +35,8 @@ from jaxid.dynamics.chain import Chain  # noqa: E402
 from jaxid.dynamics.parameter_vector import Layout  # noqa: E402
 from jaxid.models import FlexibleLink  # noqa: E402
 from jaxid.numerics.precision import float64  # noqa: E402
-from jaxid.problem.frequency_response import transfer  # noqa: E402
 from jaxid.problem.problem import Problem  # noqa: E402
+from jaxid.simulation.transfer import transfer  # noqa: E402
 from tests import test_flexible_link as link  # noqa: E402
 from tests.simulated import Simulator  # noqa: E402
 

@@ -23,8 +23,8 @@ from jaxid.runtime import prepare  # noqa: E402
 prepare()
 
 from jaxid.data.dataset import Dataset  # noqa: E402
-from jaxid.fitters import descend  # noqa: E402
 from jaxid.fitting.covariance import covariance  # noqa: E402
+from jaxid.fitting.least_squares import descend  # noqa: E402
 from jaxid.fitting.problem_builder import Bench  # noqa: E402
 from jaxid.problem.binding import bind  # noqa: E402
 from jaxid.problem.problem import linearise  # noqa: E402

@@ -29,7 +29,7 @@ from pathlib import Path
 from typing import Any
 
 from jaxid import runtime
-from jaxid.fitting.result import Diagnosis
+from jaxid.diagnosis.result import Diagnosis
 from jaxid.report.page import result_of
 from jaxid.storage.atomic_files import settle, STAGE
 from tests.test_batch import write_dataset

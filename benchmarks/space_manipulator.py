@@ -25,7 +25,8 @@ import jax  # noqa: E402
 
 from jaxid import fitters  # noqa: E402
 from jaxid.data.dataset import Dataset, ModelSpec, ParameterPrior  # noqa: E402
-from jaxid.fitting.fitter import AbstractFitter, AbstractPopulation, sampling_box  # noqa: E402
+from jaxid.fitting.fitter import AbstractFitter, sampling_box  # noqa: E402
+from jaxid.fitting.population import AbstractPopulation  # noqa: E402
 from jaxid.fitting.problem_builder import Bench  # noqa: E402
 from jaxid.fitting.sequential import follow, stretches  # noqa: E402
 from jaxid.problem.binding import bind  # noqa: E402

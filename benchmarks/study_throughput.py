@@ -90,7 +90,7 @@ RESULT: dict = {}
 
 def nothing(session: str, command: tuple[str, ...], batch: str) -> str:
     """Stands in for `supervisor.run_batch`: answers of the size of a fit, without a process."""
-    from jaxid.fitting.result import finite
+    from jaxid.serialise import finite
     from tests.report_sample import sample_fit
     from tests.study_fleet import answer
 

@@ -13,7 +13,8 @@ import numpy as np
 import jaxid
 from jaxid.dynamics.base_parameters import independent_columns, torque_columns
 from jaxid.dynamics.rigid_body import about_origin
-from jaxid.identification.online import replay, Rule, watched_of
+from jaxid.fitting.recursive_least_squares import replay, Rule
+from jaxid.identification.online import watched_of
 from jaxid.identification.payload import payload_of, published_rows
 from jaxid.identification.regression import friction_columns, LAWS
 from jaxid.models import UR10

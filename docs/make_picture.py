@@ -9,7 +9,7 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from jaxid.runtime import prepare
+from jaxid.runtime import prepare  # noqa: E402
 
 
 prepare()
@@ -17,7 +17,8 @@ prepare()
 import numpy as np  # noqa: E402
 
 import jaxid  # noqa: E402
-from jaxid.report import plot, text  # noqa: E402
+from jaxid import wording  # noqa: E402
+from jaxid.report import plot  # noqa: E402
 from jaxid.report.answer import draw_gap  # noqa: E402
 
 
@@ -43,7 +44,7 @@ def picture(diagnosis: jaxid.Diagnosis) -> str:
         left.margins(x=0)
         left.legend(loc="lower left", bbox_to_anchor=(0.0, 1.0), ncols=3, fontsize=8.5, borderaxespad=0.2)
         draw_gap(right, diagnosis.how_far, diagnosis.which.verdict)
-        closed = text.percent(diagnosis.how_far.shrinkage)
+        closed = wording.percent(diagnosis.how_far.shrinkage)
         right.set_title(f"{closed} of the gap closed", fontsize=9, loc="left")
         right.set_xlabel("gap, multiples of the noise (logarithmic)")
 

@@ -11,7 +11,7 @@ from .de import DifferentialEvolution
 from .ga import GeneticAlgorithm
 from .hybrid import Hybrid
 from .linear import InstrumentalVariables, LeastSquares, RecursiveLeastSquares, WeightedLeastSquares
-from .lm import descend, LevenbergMarquardt, Path, race, search
+from .lm import LevenbergMarquardt
 from .optimistix import Optimistix, OptimistixBFGS, OptimistixDogleg, OptimistixLM, OptimistixNelderMead
 from .pso import ParticleSwarm
 from .rde import RecursiveDE
@@ -40,13 +40,9 @@ __all__ = [
     "OptimistixLM",
     "OptimistixNelderMead",
     "ParticleSwarm",
-    "Path",
     "RandToBestDE",
     "RecursiveDE",
     "RecursiveLeastSquares",
     "Shade",
     "WeightedLeastSquares",
-    "descend",
-    "race",
-    "search",
 ]

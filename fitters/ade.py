@@ -8,7 +8,7 @@ import jax
 import jax.numpy as jnp
 
 from jaxid.fitters.de import binomial, dithered, donors, extent, select, State
-from jaxid.fitting.fitter import AbstractPopulation
+from jaxid.fitting.population import AbstractPopulation
 from jaxid.fitting.settings import option
 
 

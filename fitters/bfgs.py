@@ -10,8 +10,8 @@ from typing import ClassVar
 
 import numpy as np
 
-from jaxid.fitters.lm import descend, guesses, Path
 from jaxid.fitting.fitter import AbstractFitter, Log
+from jaxid.fitting.least_squares import descend, guesses, Path
 from jaxid.fitting.settings import option
 from jaxid.problem.objective import expand, Linear
 

@@ -11,7 +11,7 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from jaxid.fitters.de import extent
-from jaxid.fitting.fitter import AbstractPopulation
+from jaxid.fitting.population import AbstractPopulation
 from jaxid.fitting.settings import option
 
 

@@ -10,7 +10,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, PRNGKeyArray, UInt32
 
-from jaxid.fitting.fitter import AbstractPopulation
+from jaxid.fitting.population import AbstractPopulation
 from jaxid.fitting.settings import option
 
 

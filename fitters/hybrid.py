@@ -7,10 +7,11 @@ from typing import ClassVar
 import jax
 import numpy as np
 
-from jaxid.fitters.lm import problem_clip, search
 from jaxid.fitters.shade import Shade
 from jaxid.fitting.ask_tell import answered
-from jaxid.fitting.fitter import AbstractFitter, AbstractPopulation, Course, Log, same
+from jaxid.fitting.fitter import AbstractFitter, Log
+from jaxid.fitting.least_squares import problem_clip, search
+from jaxid.fitting.population import AbstractPopulation, Course, same
 from jaxid.fitting.settings import option
 from jaxid.problem.objective import AbstractProblem
 

@@ -22,8 +22,8 @@ from jaxid.dynamics.controller import law_of
 from jaxid.errors import UsageError
 from jaxid.fitting.covariance import _long_run, _null_directions, _whiteness, Covariance
 from jaxid.fitting.fitter import AbstractFitter, Minimum
+from jaxid.fitting.recursive_least_squares import replay
 from jaxid.fitting.settings import option
-from jaxid.identification.online import replay
 from jaxid.problem.objective import AbstractProblem, PENALTY, rows
 from jaxid.problem.problem import Problem
 from jaxid.problem.residual import InverseDynamics, Runs

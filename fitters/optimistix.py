@@ -13,8 +13,8 @@ import jax.numpy as jnp
 import numpy as np
 
 from jaxid.errors import UsageError
-from jaxid.fitters.lm import guesses
 from jaxid.fitting.fitter import AbstractFitter, Log
+from jaxid.fitting.least_squares import guesses
 from jaxid.fitting.settings import about, option
 from jaxid.numerics.precision import float64
 from jaxid.problem.objective import AbstractProblem, PENALTY

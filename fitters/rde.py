@@ -23,7 +23,8 @@ from jaxtyping import Array, Float
 
 from jaxid.errors import UsageError
 from jaxid.fitters.de import binomial, dithered, donors, extent
-from jaxid.fitting.fitter import AbstractPopulation, Log
+from jaxid.fitting.fitter import Log
+from jaxid.fitting.population import AbstractPopulation
 from jaxid.fitting.settings import option
 from jaxid.problem.objective import AbstractProblem, expand
 

@@ -9,7 +9,7 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float
 
 from jaxid.fitters.de import binomial, extent
-from jaxid.fitting.fitter import AbstractPopulation
+from jaxid.fitting.population import AbstractPopulation
 from jaxid.fitting.settings import option
 
 

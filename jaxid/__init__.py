@@ -14,18 +14,14 @@ from jaxid.numerics import forked as _forked  # noqa: F401  it has to be there w
 if _TYPE_CHECKING:
     from jaxid import fitters as fitters, models as models, runtime as runtime
     from jaxid.api import check as check, compare as compare, diagnose as diagnose, fit as fit, simulate as simulate
-    from jaxid.data.dataset import (
-        Channel as Channel,
-        Dataset as Dataset,
-        DatasetError as DatasetError,
-        Experiment as Experiment,
-    )
+    from jaxid.data.dataset import Channel as Channel, Dataset as Dataset, Experiment as Experiment
     from jaxid.data.io import load_dataset as load_dataset, save_dataset as save_dataset
+    from jaxid.diagnosis.result import Diagnosis as Diagnosis
     from jaxid.dynamics.chain import Chain as Chain
-    from jaxid.errors import UsageError as UsageError
+    from jaxid.errors import DatasetError as DatasetError, UsageError as UsageError
     from jaxid.excitation.design import excite as excite
     from jaxid.fitting.comparison import Comparison as Comparison
-    from jaxid.fitting.result import Diagnosis as Diagnosis, Fit as Fit
+    from jaxid.fitting.result import Fit as Fit
     from jaxid.identification.run import identify as identify
     from jaxid.problem.pure_problem import make_problem as make_problem
 
@@ -36,8 +32,8 @@ _HOME = {
     "Channel": "jaxid.data.dataset",
     "Comparison": "jaxid.fitting.comparison",
     "Dataset": "jaxid.data.dataset",
-    "DatasetError": "jaxid.data.dataset",
-    "Diagnosis": "jaxid.fitting.result",
+    "DatasetError": "jaxid.errors",
+    "Diagnosis": "jaxid.diagnosis.result",
     "Experiment": "jaxid.data.dataset",
     "Fit": "jaxid.fitting.result",
     "UsageError": "jaxid.errors",

@@ -11,11 +11,12 @@ from jaxid import catalogue
 from jaxid.conventions.finding import Checked
 from jaxid.data.capacity import foreseen, refuse_too_large
 from jaxid.data.dataset import Dataset
-from jaxid.dynamics.chain import Effect
+from jaxid.diagnosis.result import Diagnosis
+from jaxid.dynamics.effect import Effect
 from jaxid.errors import nearest, UsageError
 from jaxid.fitting.comparison import Comparison
 from jaxid.fitting.fitter import AbstractFitter, Progress
-from jaxid.fitting.result import Diagnosis, Fit
+from jaxid.fitting.result import Fit
 from jaxid.fitting.settings import fitter_of
 from jaxid.fitting.simulation import Simulation
 from jaxid.problem.binding import bind, Binding
@@ -103,7 +104,7 @@ def diagnose(
     than about an hour, the first part is looked at, and a note says so.
     The recording is checked first (`jaxid.check`), and decisive findings are applied unless `as_recorded`.
     """
-    from jaxid.diagnosis import run_diagnosis
+    from jaxid.diagnosis.run import run_diagnosis
 
     if max_effects < 1:
         raise UsageError(f"max_effects is {max_effects}; a diagnosis needs at least 1")

@@ -84,7 +84,7 @@ def enrolled(effect: Any) -> str:
 
     Raises `UsageError` for what is no effect, and for one of the user's own that takes the name of another one.
     """
-    from jaxid.dynamics.chain import Effect
+    from jaxid.dynamics.effect import Effect
 
     if isinstance(effect, str):
         return effect
@@ -219,3 +219,9 @@ def describe_fitter(name: str) -> FitterInfo:
 
 def _text(kind: type) -> str:
     return " ".join((kind.__doc__ or "").split())
+
+
+RESIDUALS = ("output_error", "multiple_shooting", "inverse_dynamics", "frequency_response", "closed_loop")
+
+
+LOSSES = ("sum_of_squares", "sum_of_norms", "sum_of_abs")

@@ -9,7 +9,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array
 
-from jaxid.dynamics.chain import InputEffect
+from jaxid.dynamics.effect import InputEffect
 from jaxid.dynamics.parameter import constant, param, Quantity
 
 

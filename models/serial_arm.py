@@ -11,7 +11,7 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from jaxid.dynamics.base_parameters import base_parameters, BaseParameters, STANDARD, standard_names
-from jaxid.dynamics.chain import InputEffect
+from jaxid.dynamics.effect import InputEffect
 from jaxid.dynamics.kinematics import ArmTable, free_fall, modified_dh, placements
 from jaxid.dynamics.mechanism import Signature, Staged
 from jaxid.dynamics.parameter import constant, param, ParameterSpec, Quantity

@@ -10,7 +10,7 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array
 
-from jaxid.dynamics.chain import JointEffect
+from jaxid.dynamics.effect import JointEffect
 from jaxid.dynamics.mechanism import Rigid, Signature
 from jaxid.dynamics.parameter import constant, param, setting
 from jaxid.numerics.fast_math import dot, inverse, sincos

@@ -32,10 +32,10 @@ from jaxtyping import Array, Float
 from scipy.integrate import solve_ivp
 
 import jaxid
-from jaxid.dynamics.chain import JointEffect
+from jaxid.dynamics.effect import JointEffect
 from jaxid.dynamics.mechanism import Rigid, Signature
 from jaxid.dynamics.parameter import ANGLE, param, TORQUE
-from jaxid.fitting.fitter import AbstractPopulation
+from jaxid.fitting.population import AbstractPopulation
 from jaxid.models.effects import CoulombFriction, ViscousFriction
 
 

@@ -6,21 +6,8 @@ from dataclasses import replace
 
 import numpy as np
 
-from jaxid.fitting.result import (
-    ChannelGap,
-    Diagnosis,
-    EffectEstimate,
-    Estimate,
-    Finding,
-    Fit,
-    HowFar,
-    MissingForce,
-    Ranked,
-    Regime,
-    Score,
-    Trace,
-    Which,
-)
+from jaxid.diagnosis.result import ChannelGap, Diagnosis, Finding, HowFar, MissingForce, Ranked, Regime, Which
+from jaxid.fitting.result import EffectEstimate, Estimate, Fit, Score, Trace
 from jaxid.fitting.simulation import Simulation
 
 

@@ -13,6 +13,7 @@ from pathlib import Path
 import pytest
 
 import jaxid
+from jaxid import wording
 from jaxid.cli import app as cli, terminal
 from jaxid.study import check_study, run_study, study_status
 from jaxid.study.outcome import Outcome
@@ -63,7 +64,7 @@ def test_forty_names_in_every_field(tmp_path, capsys):
             }
             result = type(FIRST["result"])(read, outcomes, True, notes=(name,))
         FIRST.setdefault("result", result)
-        from jaxid.report import write_study as write_page
+        from jaxid.study.page import write_study as write_page
 
         page = assert_harmless(write_page(result, home / "page.html").read_text(encoding="utf-8"))
         assert name != "{{7*7}}" or name in page.text  # as it was written; "49" alone may be part of a time or a hash
@@ -225,4 +226,4 @@ def test_progress_names_no_escape(tmp_path):
     study, outcomes, _ = study_status(write_study(tmp_path, "seeds = 2"))
     from jaxid.study.run import Progress
 
-    assert visible(terminal.clean(progress_text(Progress(study, outcomes, 2, 10.0, 1))))
+    assert visible(wording.clean(progress_text(Progress(study, outcomes, 2, 10.0, 1))))

@@ -14,11 +14,11 @@ import numpy as np
 import pytest
 
 import jaxid
+from jaxid import wording
 from jaxid.cli import app as cli, terminal
 from jaxid.data.dataset import Dataset
-from jaxid.fitting.result import finite
-from jaxid.report import text
 from jaxid.runtime import Interrupted
+from jaxid.serialise import finite
 from report_sample import hostile, sample_diagnosis, sample_fit, sample_simulation
 
 
@@ -350,4 +350,4 @@ def test_reader_that_goes_away():
 
 
 def test_tables_line_up():
-    assert text.table(("a", "b"), [("long", "x"), ("s", "y")]) == "a     b\nlong  x\ns     y"
+    assert wording.table(("a", "b"), [("long", "x"), ("s", "y")]) == "a     b\nlong  x\ns     y"

@@ -130,7 +130,7 @@ def test_shared_cases(name, kind, channel, line):
     assert (finding.kind, finding.channel, finding.line, finding.applied) == (kind, channel, line, True)
 
 
-@pytest.mark.filterwarnings("ignore::jaxid.data.dataset.DatasetWarning")
+@pytest.mark.filterwarnings("ignore::jaxid.errors.DatasetWarning")
 def test_a_run_that_comes_to_rest_says_which_part_moves():
     findings = checked(jaxid.load_dataset(case("rec_03_report_stands_still"))).findings
     (still,) = [f for f in findings if f.channel == "run_1"]

@@ -18,8 +18,9 @@ import jaxid
 from jaxid.catalogue import describe_fitter, fitter_names
 from jaxid.cli.app import main
 from jaxid.cli.compare import compare as compare_command
-from jaxid.dynamics.chain import Chain, Command, InputEffect
+from jaxid.dynamics.chain import Chain
 from jaxid.dynamics.dry_friction import solve_dry
+from jaxid.dynamics.effect import Command, InputEffect
 from jaxid.dynamics.parameter import param, TORQUE
 from jaxid.fitters import DifferentialEvolution, FITTERS, Optimistix
 from jaxid.fitting.result import EffectEstimate, Estimate

@@ -17,17 +17,10 @@ import pytest
 from hypothesis import given, HealthCheck, settings, strategies as st
 
 import jaxid
-from jaxid.data.dataset import (
-    Channel,
-    Controller,
-    DatasetError,
-    DatasetWarning,
-    ModelSpec,
-    ParameterPrior,
-    Problem,
-)
+from jaxid.data.dataset import Channel, Controller, ModelSpec, ParameterPrior
 from jaxid.data.io import load_dataset
 from jaxid.dynamics.mechanism import Signature
+from jaxid.errors import DatasetError, DatasetWarning, Problem
 
 
 TOML = """\

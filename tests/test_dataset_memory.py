@@ -16,18 +16,9 @@ import pyarrow.parquet as pq
 import pytest
 from hypothesis import given, HealthCheck, settings, strategies as st
 
-from jaxid.data.dataset import (
-    Channel,
-    Controller,
-    Dataset,
-    DatasetError,
-    Experiment,
-    FrequencyResponse,
-    ModelSpec,
-    ParameterPrior,
-    Problem,
-)
+from jaxid.data.dataset import Channel, Controller, Dataset, Experiment, FrequencyResponse, ModelSpec, ParameterPrior
 from jaxid.data.io import load_dataset, save_dataset
+from jaxid.errors import DatasetError, Problem
 
 
 DATA = Path(os.environ.get("JAXID_DATA", Path(__file__).parents[2] / "shared" / "data"))
@@ -291,7 +282,7 @@ RECORDINGS = {
 }
 
 
-@pytest.mark.filterwarnings("ignore::jaxid.data.dataset.DatasetWarning")
+@pytest.mark.filterwarnings("ignore::jaxid.errors.DatasetWarning")
 @pytest.mark.parametrize("name", RECORDINGS)
 def test_real_recordings_load(name):
     if not (DATA / name / "dataset.toml").is_file():

@@ -13,13 +13,13 @@ from hypothesis import given, settings, strategies as st
 
 import jaxid
 from jaxid.cli.app import cli
+from jaxid.data.limits import Limits
 from jaxid.dynamics.base_parameters import torque_columns
 from jaxid.errors import UsageError
 from jaxid.excitation.bounds import bounds_of, KNOWN
 from jaxid.excitation.clearance import gaps, heights, links_of, nodes
 from jaxid.excitation.design import excite
 from jaxid.excitation.trajectories import feasible, Setting, Shape
-from jaxid.hardware.limits import Limits
 from jaxid.hardware.trajectory import Trajectory
 from jaxid.models import Panda, UR10, UR10e
 from jaxid.numerics.precision import float64

@@ -13,10 +13,11 @@ from jaxtyping import Array, Float
 
 import jaxid
 import reference as ref
-from jaxid.dynamics.chain import InputEffect
+from jaxid.dynamics.effect import InputEffect
 from jaxid.dynamics.mechanism import Rigid, Signature
 from jaxid.dynamics.parameter import DURATION, param
-from jaxid.fitting.fitter import AbstractFitter, AbstractPopulation, Minimum
+from jaxid.fitting.fitter import AbstractFitter, Minimum
+from jaxid.fitting.population import AbstractPopulation
 from jaxid.models.effects import CoulombFriction, ViscousFriction
 from jaxid.numerics.precision import float64
 

@@ -18,19 +18,17 @@ import reference as ref
 from jaxid.data.dataset import ModelSpec, ParameterPrior
 from jaxid.fitters import (
     BFGS,
-    descend,
     DifferentialEvolution,
     FITTERS,
     GeneticAlgorithm,
     Hybrid,
     LevenbergMarquardt,
     ParticleSwarm,
-    race,
     RandToBestDE,
     RecursiveDE,
 )
-from jaxid.fitters.lm import accept, next_trial, Path, PATIENCE
-from jaxid.fitting.fitter import AbstractPopulation
+from jaxid.fitting.least_squares import accept, descend, next_trial, Path, PATIENCE, race
+from jaxid.fitting.population import AbstractPopulation
 from jaxid.fitting.problem_builder import Bench
 from jaxid.fitting.sequential import follow, stretches
 from jaxid.problem.binding import bind

@@ -21,7 +21,8 @@ from jaxid.dynamics import beam
 from jaxid.models import FlexibleLink
 from jaxid.models.effects import GeometricStiffening, ViscousFriction
 from jaxid.numerics.precision import float64
-from jaxid.problem.frequency_response import FrequencyResponseError, merged, transfer
+from jaxid.problem.frequency_response import FrequencyResponseError, merged
+from jaxid.simulation.transfer import transfer
 from notebooks.twins.flexible_link import (
     AREA,
     DE,

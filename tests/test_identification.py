@@ -15,7 +15,8 @@ from click.testing import CliRunner
 import jaxid
 from jaxid.cli.app import cli
 from jaxid.dynamics.rigid_body import about_origin
-from jaxid.identification.online import OnlineIdentification, ridge_rls
+from jaxid.fitting.recursive_least_squares import ridge_rls
+from jaxid.identification.online import OnlineIdentification
 from jaxid.identification.run import identify
 from jaxid.models import UR10
 from test_serial_arm import table_of, twin
@@ -305,7 +306,7 @@ def test_recursion_is_a_pure_function():
     import jax
     import jax.numpy as jnp
 
-    from jaxid.identification.online import Recursion
+    from jaxid.fitting.recursive_least_squares import Recursion
     from jaxid.numerics.precision import float64
 
     rng = np.random.default_rng(0)
@@ -338,7 +339,7 @@ def test_recursion_says_when_the_payload_has_converged():
 def test_replay_is_the_stream(stream):
     """The recursion over recorded rows ends where the stream ends, and its rule fires at the same sample."""
     from jaxid.dynamics.base_parameters import torque_columns
-    from jaxid.identification.online import replay
+    from jaxid.fitting.recursive_least_squares import replay
     from jaxid.identification.regression import friction_columns, LAWS
 
     (t, q, qd, qdd), _ = stream

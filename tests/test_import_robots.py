@@ -13,11 +13,11 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 import pytest
 
-from jaxid.data.dataset import Controller, Dataset, DatasetError, DatasetWarning, ModelSpec
+from jaxid.data.dataset import Controller, Dataset, ModelSpec
 from jaxid.data.importers.robot import import_lerobot, import_mcap, import_rosbag
 from jaxid.data.io import load_dataset, save_dataset
 from jaxid.dynamics.joint_names import in_chain_order
-from jaxid.errors import UsageError
+from jaxid.errors import DatasetError, DatasetWarning, UsageError
 
 
 N = 120

@@ -11,10 +11,9 @@ import pyarrow.parquet as pq
 import pytest
 
 from jaxid.cli.app import main
-from jaxid.data.dataset import DatasetError, DatasetWarning
 from jaxid.data.importers.robot import import_csv, import_lerobot, import_mcap, import_rosbag, import_ur_rtde_csv
 from jaxid.data.io import load_dataset
-from jaxid.errors import UsageError
+from jaxid.errors import DatasetError, DatasetWarning, UsageError
 
 
 T = np.arange(500) * 0.002

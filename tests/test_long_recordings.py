@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 
 import jaxid
+from jaxid import errors
 from jaxid.cli import app as cli
 from jaxid.data import capacity, signals
 from jaxid.fitting.noise_model import autoregressions, Part, score_covariance
@@ -169,5 +170,5 @@ def test_parameters_have_a_largest_size(monkeypatch, tmp_path, capsys):
     monkeypatch.setattr(cli, "LARGEST_JSON", 1000)
     (tmp_path / "fit.json").write_text(" " * 1001)
     words = ["simulate", "nowhere", "--parameters", str(tmp_path / "fit.json"), "--out", str(tmp_path / "o")]
-    assert cli.main(words) == cli.BAD_INPUT
+    assert cli.main(words) == errors.BAD_INPUT
     assert "larger than" in capsys.readouterr().err

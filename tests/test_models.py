@@ -16,14 +16,14 @@ from hypothesis import given, settings
 from scipy.integrate import solve_ivp
 
 import jaxid
-from jaxid.dynamics.chain import Command
+from jaxid.dynamics.effect import Command
 from jaxid.dynamics.mechanism import Rigid
 from jaxid.dynamics.parameter import Reference
 from jaxid.dynamics.parameter_vector import Layout
 from jaxid.models import FlexibleLink, MODELS, Servo, SpaceManipulator, Tracker
 from jaxid.models.effects import BaseMotion
 from jaxid.numerics.precision import float64
-from jaxid.problem.frequency_response import transfer
+from jaxid.simulation.transfer import transfer
 from simulated import flow, relative, Simulator
 
 

@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from jaxid.fitters import descend
 from jaxid.fitting.covariance import covariance
+from jaxid.fitting.least_squares import descend
 from jaxid.fitting.problem_builder import Bench
 from jaxid.fitting.profiles import bootstrap, profile_likelihood
 from jaxid.problem.binding import bind

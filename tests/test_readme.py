@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 
 import jaxid
-from jaxid.report.text import percent
+from jaxid.wording import percent
 
 
 ROOT = Path(__file__).resolve().parents[1]

@@ -8,7 +8,9 @@ from html.parser import HTMLParser
 import numpy as np
 import pytest
 
-from jaxid.fitting.result import Estimate, HowFar
+from jaxid import wording
+from jaxid.diagnosis.result import HowFar
+from jaxid.fitting.result import Estimate
 from jaxid.report import diagnosis_fragment, plot, text, write_diagnosis, write_fit
 from jaxid.report.missing_force import spectrum
 from report_sample import hostile, sample_diagnosis, sample_fit, sample_simulation
@@ -215,7 +217,7 @@ def test_value_with_std(value, std, expected):
     ],
 )
 def test_percent(fraction, expected):
-    assert text.percent(fraction) == expected
+    assert wording.percent(fraction) == expected
 
 
 # ---- objects in a notebook

@@ -11,12 +11,15 @@ from typing import Any
 import numpy as np
 from hypothesis import given, settings, strategies as st
 
+from jaxid import wording
 from jaxid.diagnosis.breakdown import Share
 from jaxid.diagnosis.hypothesis import Search
 from jaxid.diagnosis.next_experiment import advice
+from jaxid.diagnosis.result import ChannelGap, Finding, HowFar, Ranked, Which
 from jaxid.diagnosis.verdict import astray, judge, level, NAMED, PARTLY, SEEN, upheld
-from jaxid.fitting.result import ChannelGap, EffectEstimate, Estimate, Finding, finite, HowFar, Ranked, Which
+from jaxid.fitting.result import EffectEstimate, Estimate
 from jaxid.report import answer, text, write_diagnosis
+from jaxid.serialise import finite
 from report_sample import sample_diagnosis, sample_fit
 
 
@@ -70,7 +73,7 @@ def test_verdicts_hold_on_report_data(verdict, before, retuned, after, several):
         at_noise = retuned <= SEEN and after**2 <= 1.02 * max(1.02, retuned**2)
         assert after < min(before, retuned) or at_noise
     else:
-        assert "not claimed" in words and text.times(after) in words
+        assert "not claimed" in words and wording.times(after) in words
 
 
 @many
@@ -141,13 +144,13 @@ def test_sentences_of_a_diagnosis_agree_with_its_numbers(drawn):
     sentence = text.how_far_sentence(far, verdict)
     assert ("falls" in sentence) == (verdict in ("named", "partly"))
     if verdict == "none":
-        assert f"is {text.times(far.gap_retuned)} times the noise" in sentence
+        assert f"is {wording.times(far.gap_retuned)} times the noise" in sentence
         assert ("go where the data that were fitted leave" in sentence) == (far.gap_retuned > 1.5)
-        assert answer.far_card(found)[0] == f"{text.times(far.gap_retuned)} × the noise"
+        assert answer.far_card(found)[0] == f"{wording.times(far.gap_retuned)} × the noise"
     if (
         verdict == "unknown"
         and far.gap_retuned > 1.001 * far.gap_before
-        and text.times(far.gap_retuned) != text.times(far.gap_before)
+        and wording.times(far.gap_retuned) != wording.times(far.gap_before)
     ):
         assert "further from these than as it was stated" in sentence
     shown = [n for n in far.per_channel if f"{n}: rms error" in terminal]

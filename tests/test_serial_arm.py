@@ -14,7 +14,8 @@ from hypothesis import given, settings, strategies as st
 
 from jaxid.dynamics import kinematics as kin, rigid_body as rb
 from jaxid.dynamics.base_parameters import base_parameters, standard_names, torque_columns
-from jaxid.dynamics.chain import Chain, Command
+from jaxid.dynamics.chain import Chain
+from jaxid.dynamics.effect import Command
 from jaxid.dynamics.kinematics import ArmTable, modified_dh, standard_dh
 from jaxid.dynamics.parameter import Reference
 from jaxid.dynamics.parameter_vector import Layout

@@ -13,8 +13,9 @@ from hypothesis import given, settings, strategies as st
 from jaxtyping import Array
 
 import reference as ref
-from jaxid.dynamics.chain import Chain, Command
+from jaxid.dynamics.chain import Chain
 from jaxid.dynamics.dry_friction import solve_dry
+from jaxid.dynamics.effect import Command
 from jaxid.dynamics.mechanism import Lagrangian
 from jaxid.dynamics.parameter import constant, param
 from jaxid.dynamics.parameter_vector import Layout

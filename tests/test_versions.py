@@ -9,6 +9,7 @@ from pathlib import Path
 import pytest
 from packaging.requirements import Requirement
 
+from jaxid import errors
 from jaxid.cli import app as cli
 from jaxid.errors import UsageError
 from jaxid.numerics import versions
@@ -55,7 +56,7 @@ def test_an_older_jax_is_refused_with_the_remedy(installed, jax, capsys, tmp_pat
     installed(jax)
     with pytest.raises(UsageError, match=rf"JAX {jax} .* -m pip install 'jax<=.*,>=.*'"):
         versions.check_jax()
-    assert cli.main(["fit", "examples/servo_pendulum", "--out", str(tmp_path)]) == cli.BAD_INPUT
+    assert cli.main(["fit", "examples/servo_pendulum", "--out", str(tmp_path)]) == errors.BAD_INPUT
     assert f"JAX {jax} is installed" in capsys.readouterr().err
 
 

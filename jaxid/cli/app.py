@@ -6,23 +6,19 @@ import importlib
 import json
 import os
 import sys
-from collections.abc import Callable
 from keyword import iskeyword
 from pathlib import Path
-from typing import Any
 
 import click
 
+from jaxid.catalogue import LOSSES
 from jaxid.cli import terminal
 from jaxid.cli.model import MODEL as MODEL
-from jaxid.cli.output import FAILED, Output, SUCCESS, writable_folder
+from jaxid.cli.options import DATASET, foretell, names, OUT, output_options, read_parameters, RESIDUAL, SEED, start, WITHOUT
+from jaxid.cli.output import Output
+from jaxid.errors import explain, FAILED, SUCCESS
 from jaxid.storage.stopping import INTERRUPTED
 
-
-BAD_INPUT = 2
-
-RESIDUALS = ("output_error", "multiple_shooting", "inverse_dynamics", "frequency_response", "closed_loop")
-LOSSES = ("sum_of_squares", "sum_of_norms", "sum_of_abs")
 
 #: Commands that live in modules of their own, as light to import as this one: name -> module that has it under that name.
 MODULES = {
@@ -70,11 +66,6 @@ def cli() -> None:
     """
 
 
-def names(_ctx, _param, value: str | None) -> tuple[str, ...] | None:
-    """A list written with commas."""
-    return None if value is None else tuple(name for name in (part.strip() for part in value.split(",")) if name)
-
-
 def fitter_list(_ctx, _param, value: str | None) -> tuple[str, ...] | None:
     """Fitters written with commas, of which those in brackets belong to one."""
     from jaxid.fitting.settings import split_outside_brackets
@@ -82,22 +73,10 @@ def fitter_list(_ctx, _param, value: str | None) -> tuple[str, ...] | None:
     return None if value is None else split_outside_brackets(value)
 
 
-def output_options(command: Callable) -> Callable:
-    command = click.option("--quiet", is_flag=True, help="Print nothing but errors.")(command)
-    return click.option("--json", "as_json", is_flag=True, help="Print the result as JSON and nothing else.")(command)
-
-
-DATASET = click.argument("dataset", type=click.Path())
-OUT = click.option("--out", required=True, type=click.Path(path_type=Path), metavar="DIR", help="Folder for results.")
-WITHOUT = click.option(
-    "--without", callback=names, metavar="E,…", help="Built-in effects to leave out; each becomes a candidate."
-)
-RESIDUAL = click.option("--residual", metavar="R", type=click.Choice(RESIDUALS), help=f"{', '.join(RESIDUALS)}.")
 SOLVER = click.option(
     "--solver", metavar="own|diffrax:S", help="What simulates: jaxid's own stepping, or a solver of diffrax (diffrax:Tsit5)."
 )
 AS_RECORDED = click.option("--as-recorded", is_flag=True, help="Take the data as they are: apply no finding of the check.")
-SEED = click.option("--seed", type=click.IntRange(0, 2**31 - 1), default=0, show_default=True, help="Random seed.")
 
 
 @cli.command()
@@ -166,7 +145,7 @@ def diagnose(
     Also says how far the gap shrinks once it is added. Writes diagnosis.json and report.html into DIR. With --next, also the
     input that best tells the two leading hypotheses apart, as a folder that `jaxid record --play` takes.
     """
-    from jaxid.hardware.limits import Limits
+    from jaxid.data.limits import Limits
 
     own = None if limits is None else Limits.read(limits)
     jaxid, data = start(dataset, out)
@@ -263,82 +242,6 @@ def catalogue(kind: str, name: str | None, as_json: bool, quiet: bool) -> int:
     elif not quiet:
         terminal.say(listing.summary(kind, found) if name is None else listing.description(found[0]))
     return SUCCESS
-
-
-def start(dataset: str, out: Path) -> tuple[Any, Any]:
-    """Loads the dataset, then makes sure that results can be written, before any long work."""
-    from jaxid import runtime
-
-    runtime.prepare()
-    import jaxid
-
-    data = jaxid.load_dataset(dataset)
-    writable_folder(out)
-    return jaxid, data
-
-
-def foretell(work: str, model: str | None, data: Any, quiet: bool) -> None:
-    """Says on standard error what long work will take."""
-    from jaxid.data.capacity import foreseen
-
-    if not quiet and (wanted := foreseen(work, model, data)).large:
-        terminal.complain(wanted)
-
-
-def read_parameters(path: Path) -> dict[str, Any]:
-    """The content of a FIT.json; only `parameters` is needed."""
-    from jaxid.errors import UsageError
-    from jaxid.storage.small_files import read_small, TooLarge
-
-    wanted = 'it needs {"parameters": {"inertia": {"value": 0.08}}, "effects": []}'
-    try:
-        content = json.loads(read_small(path).decode())
-    except TooLarge as error:
-        raise UsageError(f"--parameters {path}: {error}; {wanted}") from error
-    except OSError as error:
-        raise UsageError(f"--parameters {path}: cannot be read ({error.strerror})") from error
-    except json.JSONDecodeError as error:
-        raise UsageError(
-            f"--parameters {path}: not JSON, line {error.lineno} column {error.colno}: {error.msg}; {wanted}"
-        ) from error
-    except UsageError:
-        raise
-    except (ValueError, RecursionError) as error:
-        raise UsageError(f"--parameters {path}: not JSON text; {wanted}") from error
-    if not isinstance(content, dict) or not isinstance(content.get("parameters"), dict):
-        raise UsageError(f"--parameters {path}: no object `parameters` in it; {wanted}")
-    groups = [("parameters", content["parameters"])]
-    effects = content.get("effects", [])
-    if not isinstance(effects, list):
-        raise UsageError(f"--parameters {path}: `effects` is not a list; {wanted}")
-    for i, effect in enumerate(effects):
-        inside = effect.get("parameters", {}) if isinstance(effect, dict) else None
-        if not isinstance(inside, dict) or not isinstance(effect.get("effect"), str):
-            raise UsageError(f"--parameters {path}: effects[{i}] needs an `effect`, a `location` and `parameters`")
-        groups.append((f"effects[{i}].parameters", inside))
-    for group, parameters in groups:
-        for name, entry in parameters.items():
-            value = entry.get("value") if isinstance(entry, dict) else None
-            if isinstance(value, bool) or not isinstance(value, int | float) or not abs(value) < float("inf"):
-                raise UsageError(f'--parameters {path}: {group}.{name} needs a finite number, as in {{"value": 0.08}}')
-    return content
-
-
-def explain(error: Exception) -> tuple[int, str]:
-    """Exit code and message of an error that reached the top."""
-    from jaxid.data.dataset import DatasetError
-    from jaxid.errors import NotSaved, UsageError
-
-    if isinstance(error, UsageError | DatasetError):
-        return BAD_INPUT, str(error)
-    if isinstance(error, NotSaved):
-        return FAILED, f"{error}. Make room, or name another folder with --out"
-    if isinstance(error, OSError):
-        why = error.strerror or str(error) or type(error).__name__
-        return (BAD_INPUT, f"{error.filename}: {why}") if error.filename else (FAILED, why)
-    if isinstance(error, MemoryError):
-        return FAILED, "not enough memory"
-    return FAILED, f"internal error, {type(error).__name__}: {error} (JAXID_TRACEBACK=1 shows where; please report it)"
 
 
 def main(arguments: list[str] | None = None) -> int:

@@ -8,8 +8,10 @@ import time
 
 import click
 
+from jaxid import wording
 from jaxid.cli import terminal
-from jaxid.cli.app import FAILED, INTERRUPTED, output_options, SUCCESS
+from jaxid.cli.app import FAILED, INTERRUPTED, SUCCESS
+from jaxid.cli.options import output_options
 
 
 @click.command()
@@ -106,4 +108,4 @@ class Table:
             from jaxid.study.words import progress_text
 
             self._drawn = time.monotonic()
-            self._live.update(Text(terminal.clean(progress_text(progress))), refresh=True)
+            self._live.update(Text(wording.clean(progress_text(progress))), refresh=True)

@@ -8,8 +8,10 @@ from pathlib import Path
 import click
 
 from jaxid.cli import terminal
-from jaxid.cli.app import AS_RECORDED, DATASET, MODEL, output_options, WITHOUT
-from jaxid.cli.output import FAILED, Output, SUCCESS, writable_folder
+from jaxid.cli.app import AS_RECORDED, MODEL
+from jaxid.cli.options import DATASET, output_options, WITHOUT
+from jaxid.cli.output import Output, writable_folder
+from jaxid.errors import FAILED, SUCCESS
 
 
 @click.command()
@@ -30,7 +32,7 @@ def check(dataset, out, model, without, as_recorded, as_json, quiet) -> int:
     runtime.prepare()
     from jaxid.conventions.checking import check_folder
     from jaxid.conventions.words import checked_text
-    from jaxid.fitting.result import finite
+    from jaxid.serialise import finite
 
     work = lambda: check_folder(model, dataset, without or (), as_recorded)
     if out is not None:

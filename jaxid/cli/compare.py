@@ -4,8 +4,10 @@ from __future__ import annotations
 
 import click
 
+from jaxid.catalogue import LOSSES
 from jaxid.cli import terminal
-from jaxid.cli.app import DATASET, FAILED, fitter_list, LOSSES, MODEL, OUT, output_options, RESIDUAL, SEED, start, WITHOUT
+from jaxid.cli.app import FAILED, fitter_list, MODEL
+from jaxid.cli.options import DATASET, OUT, output_options, RESIDUAL, SEED, start, WITHOUT
 from jaxid.cli.output import Output
 
 

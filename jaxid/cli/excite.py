@@ -9,13 +9,14 @@ from typing import TYPE_CHECKING
 import click
 
 from jaxid.cli import terminal
-from jaxid.cli.app import OUT, output_options, SEED, SUCCESS
+from jaxid.cli.app import SUCCESS
+from jaxid.cli.options import OUT, output_options, SEED
 
 
 if TYPE_CHECKING:
+    from jaxid.data.limits import Limits
+    from jaxid.diagnosis.result import Diagnosis
     from jaxid.excitation.result import Excitation
-    from jaxid.fitting.result import Diagnosis
-    from jaxid.hardware.limits import Limits
 
 
 def _numbers(_ctx, param, value: str | None) -> list[float] | None:
@@ -65,13 +66,13 @@ def excite(
     `jaxid record --play`, excitation.json, trajectory.csv and a plot; for a UR also what it plays.
     """
     from jaxid import runtime
-    from jaxid.cli.app import read_parameters
+    from jaxid.cli.options import read_parameters
 
     runtime.prepare()
+    from jaxid.data.limits import Limits
     from jaxid.errors import NotSaved
     from jaxid.excitation.design import excite
-    from jaxid.fitting.result import finite
-    from jaxid.hardware.limits import Limits
+    from jaxid.serialise import finite
 
     known = None if parameters is None else read_parameters(parameters)
     own = None if limits is None else Limits.read(limits)
@@ -97,7 +98,7 @@ def excite(
 
 def excitation_text(made: Excitation, out: Path | None) -> str:
     """The design as tables for a terminal; `out` is where it was written."""
-    from jaxid.report.text import table
+    from jaxid.wording import table
 
     c = made.content
     head = f"{c['model']}: {c['kind_of_excitation']} of {c['duration_s']:g} s, condition number {c['condition_number']:.4g}"

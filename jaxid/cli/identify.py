@@ -7,12 +7,13 @@ from typing import TYPE_CHECKING
 
 import click
 
-from jaxid.cli.app import AS_RECORDED, DATASET, foretell, MODEL, OUT, output_options, start
+from jaxid.cli.app import AS_RECORDED, MODEL
+from jaxid.cli.options import DATASET, foretell, OUT, output_options, start
 from jaxid.cli.output import Output
 
 
 if TYPE_CHECKING:
-    from jaxid.identification.run import Identification
+    pass
 
 
 @click.command()
@@ -60,41 +61,11 @@ def identify(
         model = jaxid.models.SerialArm.from_urdf(model, tip, root)
 
     foretell("identify", model, data, quiet)
+    from jaxid.report.text import identification_text  # with matplotlib
+
     with Output(out, as_json, quiet) as output:
         result = jaxid.identify(
             model, data, method=method, friction=friction, cutoff_hz=cutoff, motion_hz=motion_cutoff, reference=reference,
             gain_std=gain_std, as_recorded=as_recorded,
         )  # fmt: skip
         return output.deliver(result, identification_text)
-
-
-def identification_text(result: Identification) -> str:
-    """The result as tables for a terminal."""
-    from jaxid.conventions.finding import data_lines
-    from jaxid.report.identified import base_rows, friction_rows, headline, payload_rows
-    from jaxid.report.text import table
-
-    joints = result.labels
-    parts = [
-        *data_lines(result.data),
-        f"{result.dataset}, model {result.model}: {result.method}, friction law {result.law}. {headline(result)}",
-        table(
-            ("recording", "data", "all joints", *joints, "unfiltered"),
-            [
-                (
-                    e.file, e.split, f"{100 * e.relative_error:.2f} %", *(f"{100 * r:.1f} %" for r in e.relative_error_per_joint),
-                    f"{100 * e.unfiltered_relative_error:.2f} %",
-                )
-                for e in result.experiments
-            ],
-        ),
-        table(("friction", *joints), [(f"{name} ({unit})", *values) for name, unit, values in friction_rows(result)]),
-        table(("base parameter", "value", "unit", "stands for", ""), base_rows(result)),
-    ]  # fmt: skip
-    if result.payload is not None:
-        parts.append(table(("payload", "value", "95 % interval"), payload_rows(result)))
-    parts.append(
-        f"condition number {result.condition_number:.4g} ({result.condition_number_scaled:.4g} with columns of equal length)"
-    )
-    parts += [f"note: {n}" for n in (result.filter, *result.notes)]
-    return "\n".join(parts)

@@ -11,7 +11,8 @@ from typing import Any
 import click
 
 from jaxid.cli import terminal
-from jaxid.cli.app import OUT, output_options, SUCCESS
+from jaxid.cli.app import SUCCESS
+from jaxid.cli.options import OUT, output_options
 
 
 #: Kinds that are read by a map of channels, whatever a file turns out to be.
@@ -66,8 +67,7 @@ def import_(kind, files, out, overwrite, as_json, quiet, **options) -> int:
     files of one recording become one folder. What was recognised of a table is printed as the command that says it.
     """
     import jaxid
-    from jaxid.data.dataset import DatasetWarning
-    from jaxid.errors import nearest
+    from jaxid.errors import DatasetWarning, nearest
 
     if kind not in KINDS:
         raise jaxid.UsageError(f"unknown kind of recording {kind!r}{nearest(kind, KINDS)}")

@@ -5,10 +5,9 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import Any
 
-from jaxid.cli.terminal import one_line
 from jaxid.errors import nearest, UsageError
-from jaxid.fitting.result import finite, SCHEMA
-from jaxid.report.text import table
+from jaxid.serialise import finite, SCHEMA
+from jaxid.wording import one_line, table
 
 
 def find(kind: str, name: str | None) -> list[Any]:

@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import Any, TYPE_CHECKING
 
 from jaxid.cli import terminal
-from jaxid.errors import NotSaved, UsageError
+from jaxid.errors import FAILED, NotSaved, SUCCESS, UsageError
 from jaxid.storage.atomic_files import settle
 from jaxid.storage.interim import listening
 from jaxid.storage.stopping import stoppable
@@ -19,9 +19,6 @@ from jaxid.storage.stopping import stoppable
 
 if TYPE_CHECKING:
     from jaxid.fitting.fitter import Progress
-
-
-SUCCESS, FAILED = 0, 1
 
 
 class Output:
@@ -71,7 +68,7 @@ class Output:
         return SUCCESS
 
     def show(self, result: Any, text: Callable[[Any], str], quiet: bool) -> None:
-        from jaxid.fitting.result import finite
+        from jaxid.serialise import finite
 
         if self.as_json:
             print(json.dumps(finite(result.to_dict()), indent=1, allow_nan=False))

@@ -10,7 +10,8 @@ from pathlib import Path
 import click
 
 from jaxid.cli import terminal
-from jaxid.cli.app import Commands, FAILED, OUT, output_options, SUCCESS
+from jaxid.cli.app import Commands, FAILED, SUCCESS
+from jaxid.cli.options import OUT, output_options
 from jaxid.storage.stopping import ending
 
 

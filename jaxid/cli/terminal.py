@@ -3,23 +3,10 @@
 from __future__ import annotations
 
 import sys
-import unicodedata
 from collections.abc import Callable
 from contextlib import suppress
 
-
-# Format characters that turn the direction of text around or hide it; control characters are category Cc.
-_INVISIBLE = {"Cc", "Cf", "Zl", "Zp", "Cs"}
-
-
-def one_line(text: object) -> str:
-    """The text with every control and direction character (names from files may hold escape sequences) as `?`."""
-    return "".join("?" if unicodedata.category(c) in _INVISIBLE else c for c in str(text))
-
-
-def clean(text: object) -> str:
-    """Like `one_line`, keeping line breaks."""
-    return "\n".join(one_line(line) for line in str(text).split("\n"))
+from jaxid.wording import clean, one_line
 
 
 def say(text: object) -> None:

@@ -20,9 +20,9 @@ from jaxid.conventions.finding import Checked, DataFinding
 from jaxid.conventions.mending import mended, Mending
 from jaxid.conventions.missing_force import ForceFit, measured
 from jaxid.conventions.samples import Shown
-from jaxid.data.dataset import Dataset, DatasetError, DatasetWarning
+from jaxid.data.dataset import Dataset
 from jaxid.data.noise import noise_floor
-from jaxid.errors import UsageError
+from jaxid.errors import DatasetError, DatasetWarning, UsageError
 from jaxid.problem.binding import bind, Binding
 
 

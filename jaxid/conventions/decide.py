@@ -168,7 +168,7 @@ def _line(binding: Binding, reading: Reading, mending: Mending) -> str:
 
 
 def _listed(names: tuple[str, ...]) -> str:
-    from jaxid.report.text import listed
+    from jaxid.wording import listed
 
     return listed(names)
 

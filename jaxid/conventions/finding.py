@@ -7,8 +7,8 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
-from jaxid.cli.terminal import one_line
 from jaxid.data.dataset import Dataset
+from jaxid.wording import one_line
 
 
 KINDS = (
@@ -72,7 +72,8 @@ class Checked:
     wall_time_s: float = 0.0
 
     def to_dict(self) -> dict[str, Any]:
-        from jaxid.fitting.result import SCHEMA, versions
+        from jaxid.fitting.result import versions
+        from jaxid.serialise import SCHEMA
 
         return {
             "schema": SCHEMA,

@@ -17,13 +17,13 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from jaxid.data.signals import differentiate, filter_ends, zero_phase
-from jaxid.dynamics.chain import Command
+from jaxid.data.signals import content_cutoff, differentiate, filter_ends, zero_phase
+from jaxid.dynamics.effect import Command
 from jaxid.dynamics.parameter_vector import Layout
 from jaxid.numerics.export_cache import key_of, Traced
 from jaxid.numerics.precision import float64
 from jaxid.problem.binding import Binding
-from jaxid.simulation.sample_buffers import columns, content_cutoff
+from jaxid.simulation.sample_buffers import columns
 
 
 #: Samples at which the force is looked at, and the longest part of a run that is filtered for them.

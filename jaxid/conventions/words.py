@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-from jaxid.cli.terminal import one_line
-from jaxid.report import text
+from jaxid import wording
+from jaxid.wording import one_line
 
 
 if TYPE_CHECKING:
@@ -16,9 +16,9 @@ def finding_text(f: DataFinding) -> str:
     """A finding with what it does to the gap and the line that mends it."""
     parts = [f"{f.kind}: {one_line(f.text)}"]
     if f.gap_before is not None and f.gap_if_mended is not None:
-        parts.append(f"The gap goes from {text.times(f.gap_before)} to {text.times(f.gap_if_mended)} times the noise.")
+        parts.append(f"The gap goes from {wording.times(f.gap_before)} to {wording.times(f.gap_if_mended)} times the noise.")
     if f.same_as:
-        same = text.listed(f"{kind} of {channel}" for kind, channel in f.same_as[:6])
+        same = wording.listed(f"{kind} of {channel}" for kind, channel in f.same_as[:6])
         parts.append(f"These data cannot tell it from {one_line(same)}.")
     if f.line:
         place = "under [[experiments]]" if f.kind in ("not_at_rest", "does_not_move") else f"under [channels.{f.channel}]"
@@ -44,8 +44,8 @@ def headline(checked: Checked) -> str:
 def checked_text(checked: Checked) -> str:
     """About ten lines for the terminal."""
     of = f", model {one_line(checked.model)}" if checked.model else ""
-    parts = [text.wrapped(f"{one_line(checked.dataset)}{of}: {headline(checked)}")]
+    parts = [wording.wrapped(f"{one_line(checked.dataset)}{of}: {headline(checked)}")]
     for f in checked.findings:
         label = "FOUND" if f.decisive or f.kind in ("time_unit",) else "ASKED"
-        parts.append(text.paragraph(label, [finding_text(f)]))
-    return "\n".join([*parts, *(text.paragraph("note", [n]) for n in checked.notes)])
+        parts.append(wording.paragraph(label, [finding_text(f)]))
+    return "\n".join([*parts, *(wording.paragraph("note", [n]) for n in checked.notes)])

@@ -8,16 +8,7 @@ from collections.abc import Callable, Iterable
 from dataclasses import replace
 from typing import Any
 
-from jaxid.data.dataset import (
-    Controller,
-    Dataset,
-    DatasetError,
-    DatasetWarning,
-    Geometry,
-    ModelSpec,
-    ParameterPrior,
-    Problem,
-)
+from jaxid.data.dataset import Controller, Dataset, Geometry, ModelSpec, ParameterPrior
 from jaxid.data.patterns import expanded_channels
 from jaxid.data.records import Harvest, read_record, read_response, Reading
 from jaxid.data.schema import Document, ExperimentEntry, Header, ModelEntry, Places, PriorEntry
@@ -25,7 +16,7 @@ from jaxid.data.table import Table
 from jaxid.data.units import Conversion, conversion, si_unit, UnitError
 from jaxid.dynamics.joint_names import in_chain_order, number_of, renamed, renumbered
 from jaxid.dynamics.urdf_table import arm_table
-from jaxid.errors import nearest, UsageError
+from jaxid.errors import DatasetError, DatasetWarning, nearest, Problem, UsageError
 
 
 OpenTable = Callable[[int, ExperimentEntry], Table | Problem]

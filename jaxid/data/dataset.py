@@ -17,45 +17,6 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
 
-@dataclass(frozen=True)
-class Problem:
-    """One fault of a dataset. `row` counts as an editor does (the header is row 1, the first sample row 2)."""
-
-    file: str
-    row: int | None
-    column: str | None
-    message: str
-    remedy: str
-
-    def __str__(self) -> str:
-        place = [self.file]
-        if self.row is not None:
-            place.append(f"row {self.row}")
-        if self.column is not None:
-            place.append(f"column {self.column}" if not self.file.endswith(".toml") else self.column)
-        return f"{', '.join(place)}: {self.message}. {self.remedy}"
-
-
-class DatasetError(ValueError):
-    """A dataset that was refused; `problems` holds every fault found, `str()` lists them all."""
-
-    def __init__(self, problems: Sequence[Problem]):
-        self.problems = list(problems)
-        super().__init__(str(self))
-
-    def __str__(self) -> str:
-        if len(self.problems) == 1:
-            return str(self.problems[0])
-        return "\n".join([f"{len(self.problems)} problems in the data:", *(f"- {p}" for p in self.problems)])
-
-    def __reduce__(self):
-        return (type(self), (self.problems,))
-
-
-class DatasetWarning(UserWarning):
-    """Data that were accepted and deserve a look; the same sentence stands in `Dataset.notes`."""
-
-
 def _frozen(values: Any, dtype: type = float) -> np.ndarray:
     array = np.array(values, dtype=dtype)
     array.setflags(write=False)
@@ -399,7 +360,7 @@ class Dataset:
         return figures.dataset(self, channel, ax)
 
     def __repr__(self) -> str:
-        from jaxid.cli.terminal import one_line
+        from jaxid.wording import one_line
 
         runs = [f"{e.name} ({e.split}, {len(e.t)} samples)" for e in self.experiments]
         runs += [f"{r.name} ({r.split}, {len(r.omega)} lines)" for r in self.responses]

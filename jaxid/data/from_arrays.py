@@ -11,10 +11,10 @@ from typing import Any
 import numpy as np
 
 from jaxid.data.assemble import assemble
-from jaxid.data.dataset import Controller, Dataset, DatasetError, ModelSpec, Problem
+from jaxid.data.dataset import Controller, Dataset, ModelSpec
 from jaxid.data.schema import ExperimentEntry, Places, read_document
 from jaxid.data.table import Table, table_of_arrays
-from jaxid.errors import nearest
+from jaxid.errors import DatasetError, nearest, Problem
 
 
 RUN_SETTINGS = ("split", "at_rest", "initial", "constants", "initial_window_s", "split_at_gaps", "repeat_of")

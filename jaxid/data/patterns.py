@@ -6,10 +6,10 @@ import re
 from collections.abc import Callable
 from pathlib import Path
 
-from jaxid.data.dataset import Problem
 from jaxid.data.places import Places
 from jaxid.data.schema import ChannelEntry, Document, ExperimentEntry, ModelEntry
 from jaxid.data.table import Table
+from jaxid.errors import Problem
 
 
 def expanded_files(document: Document, places: Places, folder: Path, suffixes: tuple[str, ...]) -> list[Problem]:

@@ -7,7 +7,7 @@ import tomllib
 from collections.abc import Mapping
 from typing import Any
 
-from jaxid.data.dataset import Problem
+from jaxid.errors import Problem
 
 
 class Places:

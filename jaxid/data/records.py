@@ -7,13 +7,13 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from jaxid.data.dataset import Channel, Experiment, FrequencyResponse, Problem, Stated
+from jaxid.data.dataset import Channel, Experiment, FrequencyResponse, Stated
 from jaxid.data.forms import FormError, Signal, signal
 from jaxid.data.schema import ChannelEntry, ExperimentEntry
 from jaxid.data.table import ragged_rows, Table
 from jaxid.data.time_axis import impossible, seconds
 from jaxid.data.units import Conversion
-from jaxid.errors import nearest
+from jaxid.errors import nearest, Problem
 
 
 MINIMUM_SAMPLES = 20

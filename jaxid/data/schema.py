@@ -12,9 +12,8 @@ from typing import Annotated, Any, Literal, TypeVar
 
 from pydantic import BaseModel, ConfigDict, Field, field_validator, FiniteFloat, model_validator, ValidationError
 
-from jaxid.data.dataset import Problem
 from jaxid.data.places import dotted, Places, real_path
-from jaxid.errors import nearest
+from jaxid.errors import nearest, Problem
 
 
 Split = Literal["fit", "validation", "report"]

@@ -187,3 +187,24 @@ def _statement(t: np.ndarray, cutoff_hz: float, order: int, uniform: bool) -> st
 def _ends_text(t: np.ndarray, cutoff_hz: float) -> str:
     count = filter_ends(t, cutoff_hz)
     return f"; {count} samples at each end left out ({count * np.median(np.diff(t)):.3g} s)"
+
+
+def content_cutoff(t: np.ndarray, y: np.ndarray, noise: float) -> float:
+    """Frequency in Hz up to which a recorded position rises above its white noise; motion is smoothed there.
+
+    At least 8 periods of the record, at most a fifth of the sampling frequency.
+    """
+    from scipy.signal import welch
+
+    rate = 1 / float(np.median(np.diff(t)))
+    grid = np.interp(np.linspace(t[0], t[-1], t.size), t, y)
+    second = np.diff(grid, 2)  # whitens the steep spectrum of a position, so that windows do not leak
+    f, power = welch(second, rate, nperseg=min(second.size, max(256, second.size // 8)))
+    floor = 2 * noise**2 / rate * (2 - 2 * np.cos(2 * np.pi * f / rate)) ** 2
+    above = np.flatnonzero((power > 4 * floor) & (f > 0))
+    top = f[above[-1]] if above.size else 0.0
+    # A lone peak far up is not content: take the frequency below which 99.9 % of the power above the floor lies.
+    excess = np.cumsum(np.maximum(power - floor, 0.0) * (f <= top))
+    if excess[-1] > 0:
+        top = f[np.searchsorted(excess, 0.999 * excess[-1])]
+    return float(np.clip(1.5 * top, min(8 / (t[-1] - t[0]), rate / 5), rate / 5))

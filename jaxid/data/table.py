@@ -11,8 +11,7 @@ from typing import Any
 
 import numpy as np
 
-from jaxid.data.dataset import Problem
-from jaxid.errors import nearest
+from jaxid.errors import nearest, Problem
 
 
 _MISSING = {"", "nan", "na", "n/a", "null", "none", "-", "?"}

@@ -14,8 +14,7 @@ import numpy as np
 
 from jaxid.data.dataset import Dataset, Experiment
 from jaxid.data.noise import Noise, quantisation_step
-from jaxid.data.signals import differentiate, filter_ends
-from jaxid.simulation.sample_buffers import content_cutoff
+from jaxid.data.signals import content_cutoff, differentiate, filter_ends
 
 
 #: The differences that are asked, and how far the slope over speed squared is from zero by each, in its standard deviations.

@@ -9,7 +9,8 @@ import numpy as np
 
 from jaxid.diagnosis.evidence import HeldOut
 from jaxid.diagnosis.where import Missing, regimes
-from jaxid.fitting.problem_builder import Bench, scored
+from jaxid.fitting.problem_builder import Bench
+from jaxid.fitting.scores import scored
 from jaxid.simulation.sample_buffers import columns
 
 

@@ -21,8 +21,8 @@ from jaxid.diagnosis.screen import probe_residuals, Retuning
 from jaxid.dynamics.chain import Chain
 from jaxid.dynamics.parameter_vector import Layout
 from jaxid.errors import UsageError
-from jaxid.fitters import search
 from jaxid.fitting.effect_starts import probes
+from jaxid.fitting.least_squares import search
 from jaxid.fitting.problem_builder import Bench
 from jaxid.problem.binding import bind, Binding
 from jaxid.problem.problem import Problem, rows

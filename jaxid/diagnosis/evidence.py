@@ -7,8 +7,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from jaxid.fitters import descend, Path
-from jaxid.fitting.problem_builder import Bench, scored
+from jaxid.fitting.least_squares import descend, Path
+from jaxid.fitting.problem_builder import Bench
+from jaxid.fitting.scores import scored
 from jaxid.problem.problem import rows
 from jaxid.problem.residual import OutputError, Residual
 

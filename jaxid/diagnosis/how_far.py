@@ -10,11 +10,11 @@ from scipy.special import stdtrit
 
 from jaxid.diagnosis.breakdown import by_regime, by_run, Share
 from jaxid.diagnosis.evidence import held_out, HeldOut, memory
+from jaxid.diagnosis.result import ChannelGap, HowFar
 from jaxid.fitting.problem_builder import Bench
-from jaxid.fitting.result import ChannelGap, HowFar
 from jaxid.problem.residual import InverseDynamics, MultipleShooting, Residual
-from jaxid.report.text import times
 from jaxid.simulation.sample_buffers import columns
+from jaxid.wording import times
 
 
 #: An interval needs at least this many runs, or independent blocks of fewer runs.

@@ -10,10 +10,11 @@ import numpy as np
 
 from jaxid import catalogue
 from jaxid.diagnosis.evidence import HeldOut, memory
-from jaxid.dynamics.chain import Chain, Effect
+from jaxid.dynamics.chain import Chain
+from jaxid.dynamics.effect import Effect
 from jaxid.errors import UsageError
-from jaxid.fitters import Path
 from jaxid.fitting.effect_starts import probes, read_off
+from jaxid.fitting.least_squares import Path
 from jaxid.fitting.problem_builder import Bench
 from jaxid.problem.problem import Problem
 from jaxid.problem.residual import InverseDynamics

@@ -10,11 +10,11 @@ import numpy as np
 from jaxid.data.time_stamps import Stamps
 from jaxid.diagnosis.evidence import held_out
 from jaxid.diagnosis.hypothesis import Candidate, Hypothesis
+from jaxid.diagnosis.result import Ranked
 from jaxid.fitting.problem_builder import Bench
-from jaxid.fitting.result import Ranked
 from jaxid.problem.binding import Binding, JITTER
 from jaxid.problem.residual import Residual
-from jaxid.report.text import times
+from jaxid.wording import times
 
 
 @dataclass(frozen=True)

@@ -11,8 +11,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from jaxid.fitters import descend
-from jaxid.fitters.lm import Path
+from jaxid.fitting.least_squares import descend, Path
 from jaxid.problem.problem import Problem
 
 

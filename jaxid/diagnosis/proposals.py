@@ -8,7 +8,7 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 
 from jaxid.diagnosis.hypothesis import Candidate, effect_of, family_of, Hypothesis, probes_of, sensible
-from jaxid.fitters import descend
+from jaxid.fitting.least_squares import descend
 from jaxid.fitting.problem_builder import Bench
 from jaxid.problem.residual import InverseDynamics
 

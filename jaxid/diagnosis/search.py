@@ -45,8 +45,8 @@ from jaxid.diagnosis.selection import (
     WHITE,
 )
 from jaxid.diagnosis.shortlist import shortlist
-from jaxid.fitters import descend, Path, race
 from jaxid.fitting.fitter import Progress
+from jaxid.fitting.least_squares import descend, Path, race
 from jaxid.fitting.problem_builder import Bench, estimate_starts
 from jaxid.problem.problem import Problem
 from jaxid.problem.residual import InverseDynamics, OutputError, Residual

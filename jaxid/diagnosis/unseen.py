@@ -17,7 +17,7 @@ from scipy.special import chdtrc
 from jaxid.diagnosis.evidence import knowledge, memory
 from jaxid.diagnosis.hypothesis import Candidate, Hypothesis, probes_of
 from jaxid.diagnosis.screen import each_probe, probe_residuals, Retuning
-from jaxid.fitters import descend
+from jaxid.fitting.least_squares import descend
 from jaxid.fitting.problem_builder import Bench, estimate_starts
 from jaxid.problem.problem import Problem, Rows, rows
 from jaxid.problem.residual import OutputError, Residual

@@ -16,10 +16,10 @@ from jaxid.diagnosis import how_far as shrinking
 from jaxid.diagnosis.breakdown import Share
 from jaxid.diagnosis.hypothesis import Hypothesis, Search
 from jaxid.diagnosis.selection import ALIKE
-from jaxid.fitting.problem_builder import scored
+from jaxid.fitting.scores import scored
 from jaxid.problem.binding import Binding
-from jaxid.report.text import listed, percent, times
 from jaxid.simulation.sample_buffers import columns
+from jaxid.wording import listed, percent, times
 
 
 #: Shares of the gap (mean square above the floor, validation data) that the verdicts need.

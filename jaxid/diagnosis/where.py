@@ -15,13 +15,14 @@ import numpy as np
 
 from jaxid.data.dataset import Experiment
 from jaxid.data.splits import LATE
+from jaxid.diagnosis.result import Finding, MissingForce, Regime
 from jaxid.dynamics.joint_readings import joint_motion, stated_positions
-from jaxid.fitting.problem_builder import Bench, free_runs
-from jaxid.fitting.result import Finding, MissingForce, Regime
+from jaxid.fitting.problem_builder import Bench
+from jaxid.fitting.scores import free_runs
 from jaxid.problem.problem import Problem
 from jaxid.problem.residual import InverseDynamics, OutputError, Runs
-from jaxid.report.text import number, percent, times
 from jaxid.simulation import sample_buffers as samples
+from jaxid.wording import number, percent, times
 
 
 #: Simulated repetitions for the null of every regime.

@@ -110,7 +110,7 @@ def position_matters(chain: Chain) -> bool:
 
 def cutoffs(chain: Chain, t: np.ndarray, y: np.ndarray, noise: np.ndarray) -> list[float]:
     """Frequency up to which the reading of each joint rises above its noise, Hz; y [time ny], noise [ny]."""
-    from jaxid.simulation.sample_buffers import content_cutoff
+    from jaxid.data.signals import content_cutoff
 
     used = [r.q if r.q is not None else r.qd for r in joint_readings(chain)]
     return [content_cutoff(t, y[:, k], float(noise[k])) for k in used if k is not None]

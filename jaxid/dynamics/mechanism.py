@@ -91,7 +91,7 @@ class Mechanism(eqx.Module):
     hidden_states: ClassVar[bool] = False
 
     def ode(self, *, smoothing_velocity: float = 0.0) -> ODE:
-        """The model with its built-in effects as a differential equation: see `jaxid.dynamics.ode.ODE`. `smoothing_velocity` (rad/s or
+        """The model with its built-in effects as a differential equation: see `ode.ODE`. `smoothing_velocity` (rad/s or
         m/s) smooths their dry friction; without, one that has some raises `UsageError`."""
         from jaxid.dynamics.chain import Chain
 

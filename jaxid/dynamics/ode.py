@@ -11,7 +11,8 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from jaxid.dynamics.chain import Chain, Command, JointEffect, OutputEffect, RecordEffect, Signals
+from jaxid.dynamics.chain import Chain
+from jaxid.dynamics.effect import Command, JointEffect, OutputEffect, RecordEffect, Signals
 from jaxid.dynamics.mechanism import Mechanism
 from jaxid.dynamics.parameter import specs, with_fields
 from jaxid.dynamics.parameter_vector import Layout

@@ -10,7 +10,8 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from jaxid.dynamics.chain import Chain, Effect
+from jaxid.dynamics.chain import Chain
+from jaxid.dynamics.effect import Effect
 from jaxid.dynamics.parameter import ParameterSpec, Reference, resolve, specs
 from jaxid.errors import nearest, UsageError
 

@@ -14,10 +14,9 @@ from typing import Any
 
 import numpy as np
 
-from jaxid.data.dataset import DatasetWarning
 from jaxid.dynamics.kinematics import ArmTable, geometry_of
 from jaxid.dynamics.rigid_body import about_origin, moved, Placements
-from jaxid.errors import nearest, UsageError
+from jaxid.errors import DatasetWarning, nearest, UsageError
 
 
 MOVING = ("revolute", "continuous", "prismatic")

@@ -11,9 +11,9 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from jaxid.data.limits import Limits
 from jaxid.dynamics.mechanism import Signature
 from jaxid.errors import UsageError
-from jaxid.hardware.limits import Limits
 
 
 class Bounds(NamedTuple):

@@ -11,6 +11,7 @@ import numpy as np
 
 from jaxid import catalogue
 from jaxid.data.dataset import Channel, Dataset, Experiment, ModelSpec
+from jaxid.data.limits import Limits
 from jaxid.dynamics.chain import Chain
 from jaxid.dynamics.parameter_vector import Layout
 from jaxid.errors import nearest, UsageError
@@ -29,7 +30,6 @@ from jaxid.excitation.trajectories import (
     required,
     Setting,
 )
-from jaxid.hardware.limits import Limits
 from jaxid.identification.regression import LAWS, names_of
 from jaxid.numerics.precision import float64
 

@@ -16,13 +16,13 @@ import numpy as np
 from jaxtyping import Float
 
 from jaxid.data.dataset import Experiment
+from jaxid.data.limits import Limits
 from jaxid.dynamics.parameter_vector import Layout
 from jaxid.errors import UsageError
 from jaxid.excitation.bounds import Bounds
 from jaxid.excitation.design import described, widened
 from jaxid.excitation.inputs import Bench, choose, Family, settled
 from jaxid.excitation.result import Excitation
-from jaxid.hardware.limits import Limits
 
 
 #: Speeds seen in the recordings may be passed by this factor: they come from differences of noisy samples.

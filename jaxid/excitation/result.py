@@ -12,7 +12,8 @@ from jaxid.data.dataset import Dataset
 from jaxid.dynamics.chain import Chain
 from jaxid.excitation.bounds import Bounds
 from jaxid.excitation.trajectories import Fourier
-from jaxid.fitting.result import SCHEMA, versions
+from jaxid.fitting.result import versions
+from jaxid.serialise import SCHEMA
 
 
 #: Speeds (share of the limit) whose coverage is reported.

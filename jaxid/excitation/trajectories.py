@@ -18,7 +18,8 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from jaxid.dynamics.chain import Chain, Command, Signals
+from jaxid.dynamics.chain import Chain
+from jaxid.dynamics.effect import Command, Signals
 from jaxid.dynamics.parameter_vector import Layout
 from jaxid.dynamics.rigid_body import regressor
 from jaxid.errors import UsageError

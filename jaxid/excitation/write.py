@@ -13,7 +13,7 @@ import numpy as np
 
 from jaxid.data.write import write_files
 from jaxid.errors import UsageError
-from jaxid.fitting.result import finite
+from jaxid.serialise import finite
 from jaxid.storage.atomic_files import replace_files, settle
 
 

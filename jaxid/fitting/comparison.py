@@ -9,7 +9,8 @@ from typing import Any, TYPE_CHECKING
 
 import numpy as np
 
-from jaxid.fitting.result import SCHEMA, versions
+from jaxid.fitting.result import versions
+from jaxid.serialise import SCHEMA
 
 
 if TYPE_CHECKING:

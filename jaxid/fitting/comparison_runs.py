@@ -13,12 +13,13 @@ import numpy as np
 
 from jaxid import catalogue
 from jaxid.data.dataset import Dataset
-from jaxid.dynamics.chain import Effect
+from jaxid.dynamics.effect import Effect
 from jaxid.errors import nearest, UsageError
-from jaxid.fitters import descend
 from jaxid.fitting.comparison import Comparison, Known, Run
 from jaxid.fitting.covariance import covariance
-from jaxid.fitting.fitter import AbstractFitter, AbstractPopulation, Minimum, Progress, sampling_box
+from jaxid.fitting.fitter import AbstractFitter, Minimum, Progress, sampling_box
+from jaxid.fitting.least_squares import descend
+from jaxid.fitting.population import AbstractPopulation
 from jaxid.fitting.problem_builder import Bench, default_residual, start_values
 from jaxid.fitting.settings import fitter_of, label_of, parsed
 from jaxid.problem.binding import bind, Binding

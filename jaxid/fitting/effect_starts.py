@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import numpy as np
 
-from jaxid.dynamics.chain import Effect
+from jaxid.dynamics.effect import Effect
 from jaxid.dynamics.parameter import resolve
-from jaxid.fitters import descend
+from jaxid.fitting.least_squares import descend
 from jaxid.fitting.problem_builder import Bench
 from jaxid.problem.binding import Binding
 from jaxid.problem.problem import Problem

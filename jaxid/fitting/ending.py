@@ -8,9 +8,10 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from jaxid.fitters import descend
 from jaxid.fitting.covariance import Covariance
-from jaxid.fitting.fitter import AbstractFitter, AbstractPopulation, Log, Minimum, Progress
+from jaxid.fitting.fitter import AbstractFitter, Log, Minimum, Progress
+from jaxid.fitting.least_squares import descend
+from jaxid.fitting.population import AbstractPopulation
 from jaxid.fitting.result import Trace
 from jaxid.problem.problem import Problem
 

@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from jaxid.fitters import descend
+from jaxid.fitting.least_squares import descend
 from jaxid.problem.problem import Problem
 from jaxid.problem.residual import MultipleShooting, Residual
 
@@ -41,7 +41,7 @@ def own_simulation(bench: Bench, residual: Residual, split: str, problem: Proble
 
 def simulated_scores(problem: Problem, z: np.ndarray) -> dict[str, Score]:
     """Scores of what a problem simulates, by channel."""
-    from jaxid.fitting.problem_builder import score
+    from jaxid.fitting.scores import score
 
     predictions = np.concatenate(problem.predictions(z))
     at = np.concatenate([problem.runs.record(r).samples for r in problem.records])

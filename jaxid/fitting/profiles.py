@@ -1,7 +1,7 @@
 """Intervals that do not rest on a parabola: profile likelihood and bootstrap, each all at once in batches of lanes.
 
-The covariance of `jaxid.fitting.covariance` is the first answer; a profile shows where it misleads (a bound, a bent valley, a parameter
-that the data do not determine), a bootstrap where residuals are neither white nor Gaussian.
+The covariance of `jaxid.fitting.covariance` is the first answer; a profile shows where it misleads (a bound, a bent valley, a
+parameter that the data do not determine), a bootstrap where residuals are neither white nor Gaussian.
 """
 
 from __future__ import annotations
@@ -12,8 +12,8 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from jaxid.fitters import descend
 from jaxid.fitting.covariance import covariance
+from jaxid.fitting.least_squares import descend
 from jaxid.fitting.noise_model import Autoregression
 from jaxid.problem.problem import Problem, rows
 
@@ -178,8 +178,8 @@ class Bootstrap:
 def bootstrap(problem: Problem, z: np.ndarray, replicas: int = 200, seed: int = 0) -> Bootstrap:
     """Bootstrap of the residuals at the minimum z of a sum of squares, all refits as one batch.
 
-    Coloured residuals are taken for stationary noise with a memory (`jaxid.fitting.noise_model`): its innovations are resampled and
-    run through it anew (the sieve of Bühlmann 1997), scaled up where a record holds few independent ones. White residuals are
+    Coloured residuals are taken for stationary noise with a memory (`jaxid.fitting.noise_model`): its innovations are resampled
+    and run through it anew (the sieve of Bühlmann 1997), scaled up where a record holds few independent ones. White residuals are
     resampled themselves. All columns of a sample stay together.
     """
     parts = list(rows([(problem, z)]))

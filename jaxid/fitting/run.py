@@ -10,10 +10,11 @@ import jax
 import numpy as np
 
 from jaxid.fitters import LevenbergMarquardt
+from jaxid.fitting.assemble import assemble
 from jaxid.fitting.effect_starts import probe_starts
 from jaxid.fitting.ending import looked_again
 from jaxid.fitting.fitter import AbstractFitter, Minimum, Progress
-from jaxid.fitting.problem_builder import assemble, Bench, default_residual, start_values
+from jaxid.fitting.problem_builder import Bench, default_residual, start_values
 from jaxid.fitting.result import Fit
 from jaxid.fitting.settings import label_of
 from jaxid.problem.binding import Binding

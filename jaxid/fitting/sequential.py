@@ -19,7 +19,8 @@ from jaxtyping import PRNGKeyArray
 
 from jaxid.errors import UsageError
 from jaxid.fitting.ask_tell import answered
-from jaxid.fitting.fitter import AbstractPopulation, Course, Log, Minimum
+from jaxid.fitting.fitter import Log, Minimum
+from jaxid.fitting.population import AbstractPopulation, Course
 from jaxid.problem.objective import AbstractProblem
 
 

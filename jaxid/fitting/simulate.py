@@ -13,7 +13,9 @@ from jaxid.data.dataset import Dataset
 from jaxid.dynamics.chain import Chain
 from jaxid.dynamics.parameter_vector import Layout
 from jaxid.errors import UsageError
-from jaxid.fitting.problem_builder import Bench, estimate_starts, free_runs, scored, solver_name, solver_notes
+from jaxid.fitting.assemble import solver_name, solver_notes
+from jaxid.fitting.problem_builder import Bench, estimate_starts
+from jaxid.fitting.scores import free_runs, scored
 from jaxid.fitting.simulation import Simulation
 from jaxid.numerics.precision import float64
 from jaxid.problem.binding import bind, resolve_model

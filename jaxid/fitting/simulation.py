@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from jaxid.fitting.result import SCHEMA
+from jaxid.serialise import SCHEMA
 
 
 @dataclass(frozen=True)
@@ -21,7 +21,7 @@ class Simulation:
     units: dict[str, str]
     notes: tuple[str, ...] = ()
     motion: Callable[[int], Any] = field(default=lambda i: None, repr=False, compare=False)
-    """The mechanism in run i as a `jaxid.simulation.animation.Motion` (`strip()`, `animate()`), or None where it has no outline."""
+    """The mechanism in run i as a `jaxid.simulation.animation.Motion` (`strip()`, `animate()`); None without an outline."""
     solver: str = "own"
     """What simulated: jaxid's own stepping, or a solver of diffrax."""
 

@@ -6,7 +6,8 @@ from collections.abc import Mapping
 from dataclasses import asdict, dataclass
 from typing import Any, TYPE_CHECKING
 
-from jaxid.report.text import number, value_with_std
+from jaxid.report.text import value_with_std
+from jaxid.wording import number
 
 
 if TYPE_CHECKING:

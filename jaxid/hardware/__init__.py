@@ -8,10 +8,10 @@ from typing import TYPE_CHECKING as _TYPE_CHECKING
 
 
 if _TYPE_CHECKING:
+    from jaxid.data.limits import Limits as Limits
     from jaxid.hardware.dynamixel.servo import Dynamixel as Dynamixel
     from jaxid.hardware.errors import HardwareError as HardwareError
     from jaxid.hardware.finishing import Recording as Recording
-    from jaxid.hardware.limits import Limits as Limits
     from jaxid.hardware.sensor import SensorSpec as SensorSpec
     from jaxid.hardware.session import record as record, recover as recover
     from jaxid.hardware.trajectory import Trajectory as Trajectory

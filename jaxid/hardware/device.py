@@ -8,7 +8,7 @@ from typing import Any, NamedTuple, Protocol
 
 import numpy as np
 
-from jaxid.hardware.limits import Limits
+from jaxid.data.limits import Limits
 from jaxid.hardware.recorder import Stream
 from jaxid.hardware.trajectory import Trajectory
 

@@ -10,9 +10,9 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
+from jaxid.data.limits import Limits
 from jaxid.errors import UsageError
 from jaxid.hardware.device import Device, Plan, Sample
-from jaxid.hardware.limits import Limits
 from jaxid.hardware.recorder import Stream, SUFFIX
 from jaxid.hardware.trajectory import Trajectory
 

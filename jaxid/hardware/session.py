@@ -12,13 +12,13 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
+from jaxid.data.limits import Limits
 from jaxid.errors import UsageError
 from jaxid.hardware import preflight
 from jaxid.hardware.channels import channel_map
 from jaxid.hardware.device import Device, Plan, Sample
 from jaxid.hardware.errors import HardwareError
 from jaxid.hardware.finishing import finish, Recording
-from jaxid.hardware.limits import Limits
 from jaxid.hardware.pauses import Pauses
 from jaxid.hardware.preflight import check_words, dry_text, refuse_other_columns, refuse_path, refuse_size, refuse_state
 from jaxid.hardware.recorder import COMMANDS, Recorder, SUFFIX

@@ -10,9 +10,8 @@ from pathlib import Path
 
 import numpy as np
 
-from jaxid.data.dataset import DatasetError
-from jaxid.errors import UsageError
-from jaxid.hardware.limits import Limits
+from jaxid.data.limits import Limits
+from jaxid.errors import DatasetError, UsageError
 
 
 #: Kind of command -> (channel stem in files, unit).

@@ -19,7 +19,7 @@ from jaxid.dynamics.chain import Chain
 from jaxid.dynamics.joint_names import in_chain_order, joint_names, names_of_joints
 from jaxid.dynamics.parameter_vector import Layout
 from jaxid.errors import nearest, UsageError
-from jaxid.fitting.result import SCHEMA, versions
+from jaxid.fitting.result import versions
 from jaxid.identification import estimators as solve
 from jaxid.identification.estimators import Estimate
 from jaxid.identification.payload import Payload, payload_by_difference, read_reference
@@ -41,6 +41,7 @@ from jaxid.identification.stated import beside_the_file
 from jaxid.problem.binding import resolve_model
 from jaxid.problem.torque_filter import drive_gains
 from jaxid.robots.arms import as_arm
+from jaxid.serialise import SCHEMA
 
 
 METHODS = ("ls", "wls", "iv", "rls", "tls", "constrained")
@@ -198,7 +199,7 @@ class Identification:
         return write_identification(self, Path(path))
 
     def __repr__(self) -> str:
-        from jaxid.cli.identify import identification_text
+        from jaxid.report.text import identification_text
 
         return identification_text(self)
 
@@ -346,7 +347,7 @@ def _solve(law: Law, runs: Sequence[Run], by: Sequence[Run] | None, method: str,
 def recursive(fit: Sequence[Run], law: Law, exponent: np.ndarray, weights: Sequence[np.ndarray], prior: np.ndarray) -> np.ndarray:
     """Weighted least squares sample by sample: the recursion over all rows of the fit runs, one run after the other, from the
     model's own values, of which next to nothing is trusted."""
-    from jaxid.identification.online import replay_stretches
+    from jaxid.fitting.recursive_least_squares import replay_stretches
 
     size = np.zeros(len(prior))
     for r, w in zip(fit, weights, strict=True):
@@ -376,7 +377,8 @@ def converged_after(
 ) -> float | None:
     """Seconds of the first fit run after which the paper's stopping rule holds for the last link's parameters, from the unloaded
     arm's parameters with the paper's P0 = 10; None: never within the run."""
-    from jaxid.identification.online import replay_stretches, Rule, watched_of
+    from jaxid.fitting.recursive_least_squares import replay_stretches, Rule
+    from jaxid.identification.online import watched_of
 
     first = next(r for r in runs if r.split == "fit")
     friction = {f"{k}{entry['joint'][1:]}": v["value"] for entry in before["friction"] for k, v in entry.items() if k != "joint"}

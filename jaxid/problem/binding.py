@@ -15,7 +15,8 @@ from jaxid import catalogue
 from jaxid.data.dataset import Dataset, Experiment, ParameterPrior
 from jaxid.data.noise import Noise, noise_floor
 from jaxid.data.time_stamps import scattered_stamps, Stamps, with_scatter
-from jaxid.dynamics.chain import Chain, Effect, neutral
+from jaxid.dynamics.chain import Chain
+from jaxid.dynamics.effect import Effect, neutral
 from jaxid.dynamics.joint_names import in_chain_order, joint_names
 from jaxid.dynamics.joint_readings import all_read, with_speeds
 from jaxid.dynamics.mechanism import Mechanism, Signature
@@ -25,10 +26,11 @@ from jaxid.dynamics.urdf_table import arm_table
 from jaxid.errors import nearest, UsageError
 from jaxid.numerics.export_cache import key_of, Traced
 from jaxid.numerics.precision import float64
+from jaxid.problem import measured_motion
+from jaxid.problem.measured_motion import Motion
 from jaxid.problem.torque_filter import drive_torque
 from jaxid.robots import match as robots
 from jaxid.simulation import sample_buffers as samples
-from jaxid.simulation.sample_buffers import Motion
 
 
 #: The effect whose strength is read off the recording: it is noise, which no residual shows the size of.
@@ -230,7 +232,7 @@ def bind(
 
     motions: dict[str, Motion] = {}
     if all_read(chain):
-        motions = {e.name: samples.motion(dataset, e, chain, sigma) for e in dataset.experiments}
+        motions = {e.name: measured_motion.motion(dataset, e, chain, sigma) for e in dataset.experiments}
     references, inputs = _references(dataset, layout, theta, motions)
     lower, upper, scale = layout.boxes(references, inputs)
     for name, prior in priors.items():
@@ -332,5 +334,5 @@ def _references(
             parts = zip(fit, used, strict=True)
             driven = [drive_torque(layout, theta, e.u[:, iu], np.concatenate([m.q, m.qd], 1)) for e, m in parts]
             inertia = np.maximum(inertia, np.percentile(np.abs(np.concatenate(driven)), 99, axis=0))
-        joints = samples.references(fit, used, iu if direct else [], inertia)
+        joints = measured_motion.references(fit, used, iu if direct else [], inertia)
     return joints, [joints[min(k, nq - 1)]._replace(torque=max(s, 1e-9)) for k, s in enumerate(size)]

@@ -17,8 +17,9 @@ import numpy as np
 
 from jaxid.data.dataset import Dataset, Experiment
 from jaxid.dynamics import controller as feedback
-from jaxid.dynamics.chain import Carry, Chain, Command
+from jaxid.dynamics.chain import Carry, Chain
 from jaxid.dynamics.controller import Law, law_of, Memory, Reading
+from jaxid.dynamics.effect import Command
 from jaxid.dynamics.parameter_vector import Layout
 from jaxid.errors import UsageError
 from jaxid.problem.residual import _record, OutputError, overrides, Residual, RESIDUALS, Runs
@@ -181,7 +182,7 @@ def simulate_closed_loop(
 
     `noise` [ny]. Starts that nobody states are fitted to the first tenth of each run.
     """
-    from jaxid.fitters import descend
+    from jaxid.fitting.least_squares import descend
     from jaxid.problem.problem import Problem
 
     runs = ClosedLoopOutputError("both").runs(dataset, experiments, layout, noise, None)

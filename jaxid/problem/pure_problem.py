@@ -14,7 +14,7 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from jaxid.data.dataset import Dataset
-from jaxid.dynamics.chain import Effect
+from jaxid.dynamics.effect import Effect
 from jaxid.dynamics.parameter_vector import Layout
 from jaxid.errors import nearest, UsageError
 from jaxid.fitting.problem_builder import Bench, default_residual, start_values

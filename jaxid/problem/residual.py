@@ -21,11 +21,13 @@ from jaxid.dynamics.chain import Chain
 from jaxid.dynamics.joint_readings import joint_readings, position_matters, start_of, stated_start
 from jaxid.dynamics.parameter_vector import Layout
 from jaxid.errors import UsageError
+from jaxid.problem import measured_motion
+from jaxid.problem.measured_motion import Motion
 from jaxid.problem.torque_filter import decimated_torque_lane, torque_setting, TorqueSetting
 from jaxid.simulation import sample_buffers as recorded
 from jaxid.simulation.batch import Engine
 from jaxid.simulation.rollout import Lane, simulate_lane, torque_lane
-from jaxid.simulation.sample_buffers import Motion, Record
+from jaxid.simulation.sample_buffers import Record
 
 
 #: A part of a longer run starts so long before it, and by so many samples at most.
@@ -112,7 +114,7 @@ class OutputError(Residual):
         every = [e.whole for e in experiments]
         remembers = motions is not None and any(e.past for e in dataset.experiments) and chain.has_states()
         known = zip(every, experiments, motions, strict=True) if remembers and motions else ()
-        smooth = [recorded.motion(dataset, e, chain, noise) if own.past else m for e, own, m in known]
+        smooth = [measured_motion.motion(dataset, e, chain, noise) if own.past else m for e, own, m in known]
         samples, positions = recorded.build(dataset, every, chain, noise, step, _states(smooth), shape[0])
         records, heads = [], []
         for number, (e, own) in enumerate(zip(every, experiments, strict=True)):

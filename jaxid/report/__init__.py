@@ -5,8 +5,6 @@ from __future__ import annotations
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from jaxid.cli.terminal import one_line
-from jaxid.fitting.result import json_bytes
 from jaxid.report import (
     answer,
     background,
@@ -23,17 +21,18 @@ from jaxid.report import (
     unseen,
 )
 from jaxid.report.page import render, render_fragment
+from jaxid.serialise import json_bytes
 from jaxid.storage.atomic_files import replace_files
-from jaxid.study import page as studied
+from jaxid.wording import one_line
 
 
 if TYPE_CHECKING:
     from jaxid.conventions.finding import Checked
     from jaxid.data.dataset import Dataset
+    from jaxid.diagnosis.result import Diagnosis
     from jaxid.fitting.comparison import Comparison
-    from jaxid.fitting.result import Diagnosis, Fit
+    from jaxid.fitting.result import Fit
     from jaxid.identification.run import Identification
-    from jaxid.study.run import StudyResult
 
 
 def diagnosis_page(diagnosis: Diagnosis) -> str:
@@ -81,29 +80,24 @@ def check_page(result: Checked) -> str:
     return render(f"{one_line(result.dataset)}: check", [checked.section(result)], "check.json", json_bytes(result))
 
 
-def study_page(result: StudyResult, table: bytes) -> str:
-    """The page of a study, whose results are the `table` runs.csv."""
-    return render(f"{one_line(result.study.name)}: study", [studied.section(result)], "runs.csv", table)
-
-
 def write_diagnosis(diagnosis: Diagnosis, path: str | Path) -> Path:
     """Writes the page of a diagnosis (whole or not at all) and returns its path; raises `NotSaved`."""
-    return _write(diagnosis_page(diagnosis), path)
+    return write_page(diagnosis_page(diagnosis), path)
 
 
 def write_fit(fit: Fit, path: str | Path) -> Path:
     """Writes the page of a fit (whole or not at all) and returns its path; raises `NotSaved`."""
-    return _write(fit_page(fit), path)
+    return write_page(fit_page(fit), path)
 
 
 def write_comparison(comparison: Comparison, path: str | Path) -> Path:
     """Writes the page of a comparison (whole or not at all) and returns its path; raises `NotSaved`."""
-    return _write(comparison_page(comparison), path)
+    return write_page(comparison_page(comparison), path)
 
 
 def write_identification(result: Identification, path: str | Path) -> Path:
     """Writes the page of an identification (whole or not at all) and returns its path; raises `NotSaved`."""
-    return _write(identification_page(result), path)
+    return write_page(identification_page(result), path)
 
 
 def comparison_fragment(comparison: Comparison) -> str:
@@ -113,7 +107,7 @@ def comparison_fragment(comparison: Comparison) -> str:
 
 def write_check(result: Checked, path: str | Path) -> Path:
     """Writes the page of a check (whole or not at all) and returns its path; raises `NotSaved`."""
-    return _write(check_page(result), path)
+    return write_page(check_page(result), path)
 
 
 def check_fragment(result: Checked) -> str:
@@ -141,13 +135,6 @@ def dataset_fragment(data: Dataset) -> str:
     return render_fragment([recorded.section(data)])
 
 
-def write_study(result: StudyResult, path: str | Path) -> Path:
-    """Writes the page of a study (whole or not at all) and returns its path; raises `NotSaved`."""
-    from jaxid.study.tables import csv_text, table_rows
-
-    return _write(study_page(result, csv_text(*table_rows(result)).encode()), path)
-
-
-def _write(html: str, path: str | Path) -> Path:
+def write_page(html: str, path: str | Path) -> Path:
     path = Path(path)
     return replace_files(path.parent, {path.name: html.encode()}) / path.name

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
+from jaxid import wording
 from jaxid.report import plot, text
 from jaxid.report.page import Section
 
@@ -11,7 +12,8 @@ from jaxid.report.page import Section
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
-    from jaxid.fitting.result import Diagnosis, EffectEstimate, HowFar
+    from jaxid.diagnosis.result import Diagnosis, HowFar
+    from jaxid.fitting.result import EffectEstimate
 
 
 def section(diagnosis: Diagnosis) -> Section:
@@ -44,7 +46,7 @@ def words(effect: EffectEstimate) -> str:
 
 def headline(diagnosis: Diagnosis) -> str:
     which = diagnosis.which
-    names = text.listed(words(e) for e in which.effects)
+    names = wording.listed(words(e) for e in which.effects)
     if which.verdict == "none":
         return "Nothing is missing: the model reaches the noise."
     if not text.measured(diagnosis.how_far):
@@ -63,11 +65,11 @@ def where_card(diagnosis: Diagnosis) -> tuple[str, list[str]]:
         return "Nowhere above the noise", ["What the simulation misses is no more than noise."]
     first = diagnosis.where[0]
     sentences = [text.where_sentence(f) for f in diagnosis.where[:2]]
-    if first.text and text.percent(first.share_of_gap) not in sentences[0]:  # a sentence of its own may leave these out
+    if first.text and wording.percent(first.share_of_gap) not in sentences[0]:  # a sentence of its own may leave these out
         sentences.insert(
-            1, f"{text.percent(first.share_of_gap)} of the gap, {text.times(first.times_noise_floor)} times the noise."
+            1, f"{wording.percent(first.share_of_gap)} of the gap, {wording.times(first.times_noise_floor)} times the noise."
         )
-    return f"{first.location}, {text.regime_words(first.regime)}", sentences
+    return f"{first.location}, {wording.regime_words(first.regime)}", sentences
 
 
 def which_card(diagnosis: Diagnosis) -> tuple[str, list[str]]:
@@ -87,7 +89,7 @@ def which_card(diagnosis: Diagnosis) -> tuple[str, list[str]]:
     if which.verdict == "partly":
         sentences.append("A clear remainder is left that no known effect explains.")
     sentences += [text.confusable_sentence(which), which.text]
-    return text.listed(words(e) for e in which.effects), [s for s in sentences if s]
+    return wording.listed(words(e) for e in which.effects), [s for s in sentences if s]
 
 
 def far_card(diagnosis: Diagnosis) -> tuple[str, list[str]]:
@@ -96,9 +98,9 @@ def far_card(diagnosis: Diagnosis) -> tuple[str, list[str]]:
         fact = "Not measured"
     elif how_far.shrinkage is None or not diagnosis.which.effects:
         last = how_far.gap_retuned if verdict == "none" else how_far.gap_after if diagnosis.which.effects else how_far.gap_before
-        fact = f"{text.times(last)} × the noise"
+        fact = f"{wording.times(last)} × the noise"
     else:
-        fact = f"{text.percent(how_far.shrinkage)} of the gap closed"
+        fact = f"{wording.percent(how_far.shrinkage)} of the gap closed"
     sentences = [text.how_far_sentence(how_far, verdict)]
     if how_far.shrinkage is None or verdict == "unknown":
         sentences.append(text.shrinkage_sentence(how_far, verdict))
@@ -135,7 +137,7 @@ def draw_gap(axes: Axes, how_far: HowFar, verdict: str) -> Axes:
         gap = plot.drawable(exact)
         axes.barh(i, gap - start, left=start, color=color, height=0.62)
         axes.annotate(
-            text.times(exact),
+            wording.times(exact),
             (max(gap, start), i),
             xytext=(5, 0),
             textcoords="offset points",

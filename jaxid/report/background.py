@@ -4,14 +4,16 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
+from jaxid import wording
 from jaxid.fitting.result import versions
 from jaxid.report import text
 from jaxid.report.page import Section
 
 
 if TYPE_CHECKING:
+    from jaxid.diagnosis.result import Diagnosis
     from jaxid.fitting.comparison import Comparison
-    from jaxid.fitting.result import Diagnosis, Fit
+    from jaxid.fitting.result import Fit
 
 
 def of_diagnosis(diagnosis: Diagnosis) -> Section:
@@ -21,7 +23,7 @@ def of_diagnosis(diagnosis: Diagnosis) -> Section:
     return Section(
         "background.html",
         {
-            "named": text.listed(text.effect_name(e) for e in diagnosis.which.effects),
+            "named": wording.listed(text.effect_name(e) for e in diagnosis.which.effects),
             "confusable": [text.effect_name(e) for e in diagnosis.which.confusable_with],
             "next_experiment": diagnosis.next_experiment,
             "notes": list(notes),
@@ -30,7 +32,7 @@ def of_diagnosis(diagnosis: Diagnosis) -> Section:
                 ("residual", diagnosis.residual),
                 ("fitter", final.fitter),
                 ("seed", str(diagnosis.seed)),
-                ("time", f"{text.number(diagnosis.wall_time_s)} s"),
+                ("time", f"{wording.number(diagnosis.wall_time_s)} s"),
                 *version_facts(),
             ],
         },
@@ -50,7 +52,7 @@ def of_fit(fit: Fit) -> Section:
                 ("loss", fit.loss_name),
                 ("seed", str(fit.seed)),
                 ("evaluations", str(fit.evaluations)),
-                ("time", f"{text.number(fit.wall_time_s)} s, {text.number(fit.compile_time_s)} s of it compiling"),
+                ("time", f"{wording.number(fit.wall_time_s)} s, {wording.number(fit.compile_time_s)} s of it compiling"),
                 *version_facts(),
             ],
         },
@@ -70,7 +72,7 @@ def of_comparison(comparison: Comparison) -> Section:
                 ("residual", comparison.residual),
                 ("loss", comparison.loss_name),
                 ("runs", f"{len(comparison.runs)}, one after the other"),
-                ("time", f"{text.number(comparison.wall_time_s)} s"),
+                ("time", f"{wording.number(comparison.wall_time_s)} s"),
                 *version_facts(),
             ],
         },

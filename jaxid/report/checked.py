@@ -5,9 +5,9 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
+from jaxid import wording
 from jaxid.conventions import words
 from jaxid.conventions.finding import data_lines
-from jaxid.report import text
 from jaxid.report.page import Section
 
 
@@ -48,8 +48,8 @@ def _state(f: DataFinding) -> str:
 def _gap(f: DataFinding) -> str:
     if f.gap_before is None or f.gap_if_mended is None:
         return ""
-    return f"{text.times(f.gap_before)} to {text.times(f.gap_if_mended)}"
+    return f"{wording.times(f.gap_before)} to {wording.times(f.gap_if_mended)}"
 
 
 def _same(f: DataFinding) -> str:
-    return text.listed(f"{kind} of {channel}" for kind, channel in f.same_as[:6])
+    return wording.listed(f"{kind} of {channel}" for kind, channel in f.same_as[:6])

@@ -6,6 +6,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from jaxid import wording
 from jaxid.fitting.comparison import along
 from jaxid.report import plot, text
 from jaxid.report.page import Section
@@ -30,10 +31,10 @@ def section(c: Comparison) -> Section:
         "compared.html",
         {
             "c": c,
-            "effects": text.listed(c.effects),
+            "effects": wording.listed(c.effects),
             "headline": text.comparison_headline(c),
             "setting": text.comparison_setting(c),
-            "common_time": text.number(c.common_time, 2),
+            "common_time": wording.number(c.common_time, 2),
             "rows": text.comparison_rows(c),
             "convergence": plot.svg("convergence", (9.2, 3.6), lambda figure: _convergence(c, figure)),
             "scatter": plot.svg("scatter", (9.2, 1.1 + 0.52 * len(c.best)), lambda figure: _scatter(c, figure))
@@ -124,7 +125,9 @@ def _scatter(c: Comparison, figure) -> None:
             axes.scatter(x[~won], y[~won], s=13, marker=marker, facecolors="none", edgecolors=color, linewidths=0.8)
     axes.set_xscale("symlog", linthresh=1.0)
     axes.axvline(0, color=plot.GREY, linewidth=0.8)
-    axes.set_yticks(range(len(names)), [plot.label(f"{n} = {text.number(c.best[n].value)} {c.best[n].unit}", 40) for n in names])
+    axes.set_yticks(
+        range(len(names)), [plot.label(f"{n} = {wording.number(c.best[n].value)} {c.best[n].unit}", 40) for n in names]
+    )
     axes.set_ylim(len(names) - 0.5, -0.5)
     axes.set_xlabel("distance from the best known value, in its standard deviations")
     axes.xaxis.set_major_formatter(lambda v, _: f"{v:g}" if abs(v) < 1e5 else f"{v:.0e}")

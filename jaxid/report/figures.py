@@ -17,8 +17,9 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
     from jaxid.data.dataset import Dataset
+    from jaxid.diagnosis.result import Diagnosis, MissingForce
     from jaxid.fitting.profiles import Profile
-    from jaxid.fitting.result import Diagnosis, Fit, MissingForce, Trace
+    from jaxid.fitting.result import Fit, Trace
 
 
 def new_axes(width: float = 7.0, height: float = 3.2) -> Axes:

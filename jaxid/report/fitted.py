@@ -6,6 +6,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from jaxid import wording
 from jaxid.report import plot, text
 from jaxid.report.page import Section
 
@@ -22,7 +23,7 @@ def section(fit: Fit, history: bool = True) -> Section:
         {
             "fit": fit,
             "headline": headline(fit),
-            "effects": text.listed(text.effect_name(e) for e in fit.effects),
+            "effects": wording.listed(text.effect_name(e) for e in fit.effects),
             "rows": rows,
             "history": history_picture(fit) if history and len(fit.history) > 2 else None,
         },
@@ -37,7 +38,7 @@ def headline(fit: Fit) -> str:
         return "The fit has converged." if fit.converged else f"The fit has not converged: {fit.stopped_because}."
     channel, worst = max(fit.scores[split].items(), key=lambda item: item[1].relative_error)
     tail = "" if fit.converged else f" ({'stalled' if fit.state == 'stalled' else 'not converged'}: {fit.stopped_because})"
-    return f"{channel} is reproduced to {text.number(worst.rmse)} {worst.unit} rms on {split} data{tail}."
+    return f"{channel} is reproduced to {wording.number(worst.rmse)} {worst.unit} rms on {split} data{tail}."
 
 
 def history_picture(fit: Fit):

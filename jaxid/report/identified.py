@@ -6,7 +6,8 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from jaxid.report import plot, text
+from jaxid import wording
+from jaxid.report import plot
 from jaxid.report.page import Section
 
 
@@ -45,7 +46,7 @@ def headline(result: Identification) -> str:
 def pair(value: float, std: float | None) -> str:
     """`3.52 ± 0.03`, rounded to two digits of the standard deviation."""
     if std is None or not np.isfinite(std) or std <= 0:
-        return text.number(value, 4)
+        return wording.number(value, 4)
     decimals = int(np.clip(1 - np.floor(np.log10(std)), 0, 9))
     return f"{value:.{decimals}f} ± {std:.{decimals}f}"
 

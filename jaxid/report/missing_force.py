@@ -7,12 +7,13 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from jaxid.report import plot, text
+from jaxid import wording
+from jaxid.report import plot
 from jaxid.report.page import Section
 
 
 if TYPE_CHECKING:
-    from jaxid.fitting.result import MissingForce, Regime
+    from jaxid.diagnosis.result import MissingForce, Regime
 
 
 SHOWN = 6
@@ -162,7 +163,7 @@ def regime_picture(regimes: Sequence[Regime]):
                 axes.plot([plot.drawable(r.ratio)], [i], "|", color=plot.BLACK, markersize=11)
             axes.plot([strength], [i], mark, color=color, markersize=6)
             axes.annotate(
-                text.number(r.strength),
+                wording.number(r.strength),
                 (max(strength, high, plot.drawable(r.ratio)), i),
                 xytext=(8, 0),
                 textcoords="offset points",
@@ -171,7 +172,7 @@ def regime_picture(regimes: Sequence[Regime]):
             )
         axes.set_yticks(
             range(len(regimes)),
-            [f"{plot.label(r.joint, 20)}, {plot.label(text.regime_words(r.regime), 30)}" for r in regimes],
+            [f"{plot.label(r.joint, 20)}, {plot.label(wording.regime_words(r.regime), 30)}" for r in regimes],
         )
         axes.set_ylim(len(regimes) - 0.4, -0.6)
         axes.set_xlim(0, 1.12 * max([1e-3, *(plot.drawable(x) for r in regimes for x in (r.strength, r.ratio, r.null[1]))]))

@@ -10,8 +10,9 @@ from typing import Any, NamedTuple
 from jinja2 import Environment, PackageLoader, StrictUndefined
 from markupsafe import Markup
 
-from jaxid.cli.terminal import one_line
+from jaxid import wording
 from jaxid.report import text
+from jaxid.wording import one_line
 
 
 class Section(NamedTuple):
@@ -30,7 +31,7 @@ _environment = Environment(
     # Names from files may hold control and direction characters, which HTML does not escape.
     finalize=lambda value: value if isinstance(value, Markup) else one_line(value),
 )
-_environment.filters.update(number=text.number, short=text.short, percent=text.percent, estimate=text.value_with_std)
+_environment.filters.update(number=wording.number, short=wording.short, percent=wording.percent, estimate=text.value_with_std)
 
 
 def render(title: str, sections: Iterable[Section | None], result: str, content: bytes) -> str:

@@ -15,7 +15,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.ticker import FuncFormatter, LogLocator, NullFormatter
 
-from jaxid.cli.terminal import one_line
+from jaxid.wording import one_line
 
 
 # Okabe and Ito: told apart by colour-blind readers, and in grey.

@@ -4,12 +4,13 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-from jaxid.report import plot, text
+from jaxid import wording
+from jaxid.report import plot
 from jaxid.report.page import Section
 
 
 if TYPE_CHECKING:
-    from jaxid.fitting.result import Ranked, Which
+    from jaxid.diagnosis.result import Ranked, Which
 
 
 BARS, ROWS = 12, 60
@@ -50,7 +51,7 @@ def picture(rows: list[tuple[Ranked, str]]):
         for i, (r, kind) in enumerate(rows):
             axes.barh(i, gaps[i] - start, left=start, color=palette[kind], height=0.66)
             axes.annotate(
-                text.number(r.validation_gap),
+                wording.number(r.validation_gap),
                 (max(gaps[i], start), i),
                 xytext=(5, 0),
                 textcoords="offset points",

@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from jaxid.report import text
+from jaxid import wording
 from jaxid.report.page import Section
 
 
@@ -19,7 +19,7 @@ ROWS = 12
 
 def section(data: Dataset) -> Section:
     runs = [
-        (e.name, e.split, f"{len(e)} samples, {text.number(e.duration)} s", f"{text.number(_rate(e.t))} Hz")
+        (e.name, e.split, f"{len(e)} samples, {wording.number(e.duration)} s", f"{wording.number(_rate(e.t))} Hz")
         for e in data.experiments
     ]
     runs += [(r.name, r.split, f"{len(r.omega)} lines of {r.output} / {r.input}", "frequency response") for r in data.responses]
@@ -41,7 +41,7 @@ def _rate(t: np.ndarray) -> float:
 
 def _noise(channel) -> str:
     stated = [
-        f"noise {text.number(channel.noise_std, 2)} {channel.unit}" if channel.noise_std else "",
-        f"resolution {text.number(channel.resolution, 2)} {channel.unit}" if channel.resolution else "",
+        f"noise {wording.number(channel.noise_std, 2)} {channel.unit}" if channel.noise_std else "",
+        f"resolution {wording.number(channel.resolution, 2)} {channel.unit}" if channel.resolution else "",
     ]
     return ", ".join(filter(None, stated))

@@ -3,58 +3,21 @@
 from __future__ import annotations
 
 import math
-import shutil
-import textwrap
-from collections.abc import Iterable, Sequence
 from typing import TYPE_CHECKING
 
-from jaxid.cli.terminal import one_line
 from jaxid.conventions.finding import data_lines
+from jaxid.wording import listed, number, one_line, paragraph, percent, regime_words, short, table, times, wrapped
 
 
 if TYPE_CHECKING:
+    from jaxid.identification.run import Identification
+
+
+if TYPE_CHECKING:
+    from jaxid.diagnosis.result import Diagnosis, Finding, HowFar, Which
     from jaxid.fitting.comparison import Comparison, Typical
-    from jaxid.fitting.result import Diagnosis, EffectEstimate, Estimate, Finding, Fit, HowFar, Which
+    from jaxid.fitting.result import EffectEstimate, Estimate, Fit
     from jaxid.fitting.simulation import Simulation
-
-
-def number(value: float | None, digits: int = 3) -> str:
-    """A number with `digits` significant digits; a dash where there is none."""
-    if value is None or not math.isfinite(value):
-        return "–"
-    if value == 0:
-        return "0"
-    if 1e-4 <= abs(value) < 1e5:
-        decimals = max(0, digits - 1 - math.floor(math.log10(abs(value))))
-        return f"{value:.{decimals}f}"
-    return f"{value:.{digits - 1}e}"
-
-
-def short(value: float | None) -> str:
-    """A number that is exact as written (a bound, a time): no zeros at its end."""
-    return "–" if value is None or math.isnan(value) else f"{value:.4g}".replace("inf", "∞")
-
-
-def times(multiple: float | None) -> str:
-    """A multiple of the noise, as exact as a person reads it."""
-    if multiple is None or not math.isfinite(multiple):
-        return "–"
-    return f"{multiple:.2f}" if abs(multiple) < 2 else f"{multiple:.1f}" if abs(multiple) < 9.95 else number(multiple, 2)
-
-
-def percent(fraction: float | None) -> str:
-    """A fraction in percent, with the digits that still tell 99.8 from 99.98 and 0.1 from 0.01."""
-    if fraction is None or not math.isfinite(fraction):
-        return "–"
-    if fraction < -1:
-        return "below −100 %"
-    if fraction > 10:
-        return f"{number(100 * fraction)} %"
-    rest = min(abs(fraction), abs(1 - abs(fraction)))
-    if 0 < rest < 5e-5 and fraction > 0.5:
-        return "over 99.99 %" if fraction < 1 else "100 %"
-    decimals = 0 if rest > 0.05 or rest == 0 else 1 if rest >= 1e-3 else 2
-    return f"{100 * fraction:.{decimals}f} %"
 
 
 def value_with_std(estimate: Estimate, unit: bool = True) -> str:
@@ -88,16 +51,6 @@ def effect_with_parameters(effect: EffectEstimate) -> str:
     """`dead_zone at tau (width 0.312 ± 0.004 N m)`."""
     inside = ", ".join(f"{one_line(name)} {value_with_std(p)}" for name, p in effect.parameters.items())
     return effect_name(effect) + (f" ({inside})" if inside else "")
-
-
-def listed(names: Iterable[str]) -> str:
-    """`a`, `a and b`, `a, b and c`."""
-    names = list(names)
-    return names[0] if len(names) == 1 else f"{', '.join(names[:-1])} and {names[-1]}" if names else ""
-
-
-def regime_words(regime: str) -> str:
-    return one_line(regime).replace("_", " ")
 
 
 def where_sentence(finding: Finding) -> str:
@@ -210,26 +163,6 @@ def channel_sentence(how_far: HowFar, name: str, verdict: str) -> str:
     if verdict not in ("named", "partly") and retuned != before:
         course += f", {retuned} {unit} retuned"
     return f"{one_line(name)}: rms error {course} (noise {number(gap.noise, 2)} {unit}, {one_line(gap.noise_source)})"
-
-
-def table(header: Sequence[str], rows: Sequence[Sequence[str]]) -> str:
-    """Left-aligned columns, two spaces apart."""
-    cells = [[one_line(c) for c in row] for row in (header, *rows)]
-    widths = [max(len(row[i]) for row in cells) for i in range(len(header))]
-    return "\n".join("  ".join(c.ljust(w) for c, w in zip(row, widths, strict=True)).rstrip() for row in cells)
-
-
-def paragraph(label: str, sentences: Iterable[str]) -> str:
-    """Sentences wrapped to the terminal, each on a line of its own behind one label."""
-    lines = []
-    for sentence in filter(None, sentences):
-        lines.append(wrapped(sentence, f"{'' if lines else label:10}", " " * 10))
-    return "\n".join(lines)
-
-
-def wrapped(sentence: str, first: str = "", others: str = "") -> str:
-    width = max(40, min(shutil.get_terminal_size((100, 24)).columns, 110))
-    return "\n".join(textwrap.wrap(one_line(sentence), width, initial_indent=first, subsequent_indent=others))
 
 
 def sentence(text: str) -> str:
@@ -373,4 +306,36 @@ def comparison_text(c: Comparison) -> str:
         table(header, comparison_rows(c)),
         f"{len(c.runs)} runs in {number(c.wall_time_s)} s",
     ]
+    return "\n".join(parts)
+
+
+def identification_text(result: Identification) -> str:
+    """The result as tables for a terminal."""
+    from jaxid.conventions.finding import data_lines
+    from jaxid.report.identified import base_rows, friction_rows, headline, payload_rows
+    from jaxid.wording import table
+
+    joints = result.labels
+    parts = [
+        *data_lines(result.data),
+        f"{result.dataset}, model {result.model}: {result.method}, friction law {result.law}. {headline(result)}",
+        table(
+            ("recording", "data", "all joints", *joints, "unfiltered"),
+            [
+                (
+                    e.file, e.split, f"{100 * e.relative_error:.2f} %", *(f"{100 * r:.1f} %" for r in e.relative_error_per_joint),
+                    f"{100 * e.unfiltered_relative_error:.2f} %",
+                )
+                for e in result.experiments
+            ],
+        ),
+        table(("friction", *joints), [(f"{name} ({unit})", *values) for name, unit, values in friction_rows(result)]),
+        table(("base parameter", "value", "unit", "stands for", ""), base_rows(result)),
+    ]  # fmt: skip
+    if result.payload is not None:
+        parts.append(table(("payload", "value", "95 % interval"), payload_rows(result)))
+    parts.append(
+        f"condition number {result.condition_number:.4g} ({result.condition_number_scaled:.4g} with columns of equal length)"
+    )
+    parts += [f"note: {n}" for n in (result.filter, *result.notes)]
     return "\n".join(parts)

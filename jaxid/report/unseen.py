@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-from jaxid.report import text
+from jaxid import wording
 from jaxid.report.page import Section
 
 
@@ -27,4 +27,4 @@ def section(unseen: tuple[Unseen, ...]) -> Section | None:
 
 def size(unseen: Unseen) -> str:
     plain = lambda unit: "" if unit == "1" else f" {unit}"
-    return ", ".join(f"{name} {text.number(value)}{plain(unit)}" for name, (value, unit) in unseen.parameters.items())
+    return ", ".join(f"{name} {wording.number(value)}{plain(unit)}" for name, (value, unit) in unseen.parameters.items())

@@ -95,14 +95,14 @@ def as_it_stands(binding: Any) -> tuple[np.ndarray, str]:
 
 def per_joint(bench: Any, scores: Mapping[str, Mapping[str, Any]]) -> tuple[dict[str, Any], ...]:
     """Each joint's free-run error (root mean square) with the file as it stands and re-tuned, on every split that was scored."""
-    from jaxid.fitting import problem_builder as estimation
+    from jaxid.fitting import problem_builder as estimation, scores
 
     binding = bench.binding
     theta, text = as_it_stands(binding)
     out = []
     for split, table in scores.items():
         starts = estimation.estimate_starts(bench, split, [theta])
-        before = estimation.scores(bench, split, estimation.free_runs(bench, split, [theta], starts)[0])
+        before = scores.scores(bench, split, scores.free_runs(bench, split, [theta], starts)[0])
         out += [
             {
                 "joint": j,

@@ -22,7 +22,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array
 
-from jaxid.dynamics.chain import RecordEffect
+from jaxid.dynamics.effect import RecordEffect
 from jaxid.dynamics.parameter_vector import Layout
 from jaxid.numerics.batch_loop import over_lanes
 from jaxid.numerics.export_cache import key_of, Traced

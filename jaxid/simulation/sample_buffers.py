@@ -15,7 +15,6 @@ import numpy as np
 
 from jaxid.data.dataset import Dataset, Experiment
 from jaxid.dynamics.chain import Chain
-from jaxid.dynamics.parameter import Reference
 from jaxid.errors import UsageError
 
 
@@ -56,16 +55,6 @@ class Record:
     qd0: np.ndarray
     free: np.ndarray  # [2 nq] which of (q0, qd0) are unknown
     samples: np.ndarray  # buffer positions of the samples it holds
-
-
-@dataclass(frozen=True)
-class Motion:
-    """Smoothed measured motion of one run at its samples, for references, start states and inverse dynamics."""
-
-    q: np.ndarray
-    qd: np.ndarray
-    qdd: np.ndarray
-    statement: str
 
 
 def bucket(n: int, smallest: int = 1024) -> int:
@@ -167,64 +156,3 @@ def build(
         fill = np.ones if name == "h" else np.zeros
         arrays.append(np.concatenate([a, fill((size - len(a), *a.shape[1:]))]))
     return Samples(*arrays), positions
-
-
-def motion(dataset: Dataset, experiment: Experiment, chain: Chain, noise: np.ndarray) -> Motion:
-    """Smoothed joint motion of a run in which every joint is read; the cutoff lies where the content of a reading ends."""
-    from jaxid.dynamics.joint_readings import cutoffs, joint_motion, stated_positions
-
-    _, iy = columns(dataset, chain)
-    rms = experiment.noise_rms(noise, iy)
-    t, y = experiment.t, experiment.motion()[:, iy]
-    return Motion(*joint_motion(chain, t, y, cutoffs(chain, t, y, rms), stated_positions(experiment, chain.signature)))
-
-
-def content_cutoff(t: np.ndarray, y: np.ndarray, noise: float) -> float:
-    """Frequency in Hz up to which a recorded position rises above its white noise; motion is smoothed there.
-
-    At least 8 periods of the record, at most a fifth of the sampling frequency.
-    """
-    from scipy.signal import welch
-
-    rate = 1 / float(np.median(np.diff(t)))
-    grid = np.interp(np.linspace(t[0], t[-1], t.size), t, y)
-    second = np.diff(grid, 2)  # whitens the steep spectrum of a position, so that windows do not leak
-    f, power = welch(second, rate, nperseg=min(second.size, max(256, second.size // 8)))
-    floor = 2 * noise**2 / rate * (2 - 2 * np.cos(2 * np.pi * f / rate)) ** 2
-    above = np.flatnonzero((power > 4 * floor) & (f > 0))
-    top = f[above[-1]] if above.size else 0.0
-    # A lone peak far up is not content: take the frequency below which 99.9 % of the power above the floor lies.
-    excess = np.cumsum(np.maximum(power - floor, 0.0) * (f <= top))
-    if excess[-1] > 0:
-        top = f[np.searchsorted(excess, 0.999 * excess[-1])]
-    return float(np.clip(1.5 * top, min(8 / (t[-1] - t[0]), rate / 5), rate / 5))
-
-
-def references(
-    experiments: Sequence[Experiment], motions: Sequence[Motion], inputs: Sequence[int], inertia_torque: np.ndarray
-) -> list[Reference]:
-    """Typical magnitudes per joint; without inputs the torque that moves the inertia stands in for the drive."""
-    out = []
-    nq = motions[0].q.shape[1]
-    for j in range(nq):
-        qd = np.concatenate([m.qd[:, j] for m in motions])
-        q = np.concatenate([m.q[:, j] for m in motions])
-        torque = 0.0
-        if j < len(inputs):
-            u = np.concatenate([e.u[:, inputs[j]] for e in experiments])
-            torque = float(np.percentile(np.abs(u), 99))
-        if torque <= 0:
-            torque = float(inertia_torque[j])
-        duration = max(float(e.t[-1] - e.t[0]) for e in experiments)
-        step = float(np.median(np.concatenate([np.diff(e.t) for e in experiments])))
-        tiny = 1e-9
-        out.append(
-            Reference(
-                max(torque, tiny),
-                max(float(np.percentile(np.abs(qd), 99)), tiny),
-                max(float(np.ptp(q)), tiny),
-                duration,
-                step,
-            )
-        )
-    return out

@@ -11,7 +11,8 @@ from jaxid.errors import UsageError
 if TYPE_CHECKING:
     import pandas
 
-    from jaxid.fitting.result import Diagnosis, Fit
+    from jaxid.diagnosis.result import Diagnosis
+    from jaxid.fitting.result import Fit
 
 
 def frame(rows: Sequence[dict[str, Any]], columns: Sequence[str]) -> pandas.DataFrame:

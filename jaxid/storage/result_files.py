@@ -9,7 +9,7 @@ from hashlib import sha256
 from pathlib import Path
 from typing import Any
 
-from jaxid.fitting.result import json_bytes
+from jaxid.serialise import json_bytes
 from jaxid.storage.atomic_files import replace_files, settle
 
 

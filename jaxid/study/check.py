@@ -8,11 +8,11 @@ from pathlib import Path
 from typing import Any
 
 from jaxid import catalogue
-from jaxid.data.dataset import Dataset, DatasetError, Problem
+from jaxid.data.dataset import Dataset
 from jaxid.data.io import load_dataset
 from jaxid.data.schema import Places
 from jaxid.diagnosis.hypothesis import check_asked
-from jaxid.errors import UsageError
+from jaxid.errors import DatasetError, Problem, UsageError
 from jaxid.fitting.settings import fitter_of
 from jaxid.problem.binding import parse_effect, resolve_model
 from jaxid.study.plan import dataset_problems, parse_study, Runs, Study, StudyError

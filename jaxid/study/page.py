@@ -2,13 +2,16 @@
 
 from __future__ import annotations
 
+from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
 
-from jaxid.report import plot, text
+from jaxid import wording
+from jaxid.report import plot, text, write_page
 from jaxid.report.compared import COLORS, LOWEST, MARKERS
-from jaxid.report.page import Section
+from jaxid.report.page import render, Section
+from jaxid.wording import one_line
 
 
 if TYPE_CHECKING:
@@ -36,7 +39,7 @@ def section(result: StudyResult) -> Section:
             "description": result.study.description,
             "headline": headline(result),
             "ranking": [ranking_row(r) for r in tables.rankings(result)],
-            "tolerance": text.percent(tables.TOLERANCE),
+            "tolerance": wording.percent(tables.TOLERANCE),
             "left_out": len(problems) - len(shown),
             "losses": plot.svg("losses", (9.2, 1.1 + 0.42 * len(shown)), lambda f: _losses(shown, fitters, f)) if shown else None,
             "seconds": plot.svg("seconds", (9.2, 2.8), lambda f: _seconds(result, fitters, f)) if shown else None,
@@ -61,10 +64,10 @@ def ranking_row(r) -> list[str]:
     return [
         text.one_line(r.fitter),
         f"{r.reached}/{r.runs} ({100 * low:.0f} to {100 * high:.0f} %)",
-        text.number(r.mean_rank, 3),
-        "∞" if np.isinf(r.excess) else text.percent(r.excess) if r.excess > 0 else "0 %",
+        wording.number(r.mean_rank, 3),
+        "∞" if np.isinf(r.excess) else wording.percent(r.excess) if r.excess > 0 else "0 %",
         text.count(r.evaluations) if np.isfinite(r.evaluations) else "–",
-        text.number(r.seconds, 2) if np.isfinite(r.seconds) else "–",
+        wording.number(r.seconds, 2) if np.isfinite(r.seconds) else "–",
         str(r.failed),
     ]
 
@@ -91,8 +94,10 @@ def problem_row(runs) -> tuple[str, list[tuple[str, str]]]:
         if values:
             low, middle, high = np.percentile(values, [10, 50, 90])
             wide = high - low > 1e-6 * abs(middle)
-            out.append((name, text.number(middle, 4) + (f" ({text.number(low, 4)} to {text.number(high, 4)})" if wide else "")))
-    return (text.number(best, 4) if np.isfinite(best) else "none"), out
+            out.append(
+                (name, wording.number(middle, 4) + (f" ({wording.number(low, 4)} to {wording.number(high, 4)})" if wide else ""))
+            )
+    return (wording.number(best, 4) if np.isfinite(best) else "none"), out
 
 
 def _counted(counts) -> str:
@@ -142,3 +147,15 @@ def _seconds(result: StudyResult, fitters: list[str], figure) -> None:
         axes.set_ylim(0, 1.02)
     left.set_ylabel("share of runs")
     figure.legend(*right.get_legend_handles_labels(), loc="outside upper center", ncols=min(8, max(1, len(fitters))))
+
+
+def study_page(result: StudyResult, table: bytes) -> str:
+    """The page of a study, whose results are the `table` runs.csv."""
+    return render(f"{one_line(result.study.name)}: study", [section(result)], "runs.csv", table)
+
+
+def write_study(result: StudyResult, path: str | Path) -> Path:
+    """Writes the page of a study (whole or not at all) and returns its path; raises `NotSaved`."""
+    from jaxid.study.tables import csv_text, table_rows
+
+    return write_page(study_page(result, csv_text(*table_rows(result)).encode()), path)

@@ -21,11 +21,10 @@ from typing import Any, Literal
 
 from pydantic import BaseModel, ConfigDict, Field, field_validator
 
-from jaxid.cli.app import LOSSES, RESIDUALS
-from jaxid.cli.terminal import one_line
-from jaxid.data.dataset import DatasetError, Problem
+from jaxid.catalogue import LOSSES, RESIDUALS
 from jaxid.data.schema import _entry as checked_entry, _plain, Document, Places
-from jaxid.errors import nearest, UsageError
+from jaxid.errors import DatasetError, nearest, Problem, UsageError
+from jaxid.wording import one_line
 
 
 #: Most tasks of a study.

@@ -187,7 +187,7 @@ def _check_places(scheduler: str | None, cluster: str | None, interface: str | N
 
 def summary(result: StudyResult) -> dict[str, Any]:
     """The result as `--json` prints it."""
-    from jaxid.fitting.result import SCHEMA
+    from jaxid.serialise import SCHEMA
     from jaxid.study.tables import rankings
 
     return {

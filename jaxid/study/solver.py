@@ -57,7 +57,7 @@ def answered(work: Work, tasks: list[dict[str, Any]]) -> Iterator[dict[str, Any]
 
 
 def explained(error: Exception) -> str:
-    from jaxid.cli.app import explain
+    from jaxid.errors import explain
 
     return explain(error)[1]
 

@@ -11,10 +11,10 @@ from typing import Any, TYPE_CHECKING
 
 import numpy as np
 
-from jaxid.cli.terminal import one_line
 from jaxid.storage.atomic_files import replace_files
 from jaxid.study.plan import Task
 from jaxid.study.store import Store
+from jaxid.wording import one_line
 
 
 if TYPE_CHECKING:
@@ -59,7 +59,7 @@ class Ranking:
     seconds: float
 
     def to_dict(self) -> dict[str, Any]:
-        from jaxid.fitting.result import finite
+        from jaxid.serialise import finite
 
         own = vars(self) | {"reached_interval_95": list(self.reached_interval_95)}
         return finite(own)
@@ -203,7 +203,7 @@ def write_tables(result: StudyResult, store: Store) -> None:
 
     Raises `NotSaved` where they cannot be written; the results themselves are in the store.
     """
-    from jaxid.report import study_page
+    from jaxid.study.page import study_page
 
     rows, names = table_rows(result)
     text = csv_text(rows, names).encode()

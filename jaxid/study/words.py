@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections import Counter, defaultdict
 from typing import TYPE_CHECKING
 
+from jaxid import wording
 from jaxid.report import text
 
 
@@ -50,7 +51,7 @@ def _progress_table(study: Study, outcomes: dict[str, Outcome]) -> str:
     rows.sort(key=lambda row: row[0])  # what is not finished first
     lines = [cells for _, cells in rows[:LINES]]
     more = f"\n… and {len(rows) - LINES} more lines" if len(rows) > LINES else ""
-    return text.table(("dataset", "model", "fitter", "done", "status"), lines) + more
+    return wording.table(("dataset", "model", "fitter", "done", "status"), lines) + more
 
 
 def _short(name: str) -> str:
@@ -75,13 +76,13 @@ def result_text(result: StudyResult) -> str:
              f" ({result.new} run now, in {duration(result.seconds)})"]  # fmt: skip
     if rows := tables.rankings(result):
         header = ("fitter", "at the best loss", "mean rank", "median excess", "evaluations", "seconds", "failed")
-        parts.append(text.table(header, [ranking_row(r) for r in rows]))
+        parts.append(wording.table(header, [ranking_row(r) for r in rows]))
     if diagnosed := tables.verdicts(result)[:LINES]:
         header = ("diagnosed", "verdicts", "named")
         counted = lambda c: ", ".join(f"{name or '-'} {n}" for name, n in c.most_common(4))
-        parts.append(text.table(header, [[_short(str(p)), counted(v), counted(n)] for p, v, n in diagnosed]))
+        parts.append(wording.table(header, [[_short(str(p)), counted(v), counted(n)] for p, v, n in diagnosed]))
     for status, reason, count, which, _ in tables.failures(result)[:5]:
-        parts.append(text.wrapped(f"{count} {status}: {reason.splitlines()[0] if reason else 'no reason'} ({which})"))
+        parts.append(wording.wrapped(f"{count} {status}: {reason.splitlines()[0] if reason else 'no reason'} ({which})"))
     if result.complete:
         parts.append(f"runs.parquet, runs.csv and report.html are in {result.study.store}")
     return "\n".join(parts)

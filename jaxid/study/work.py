@@ -12,11 +12,13 @@ from typing import Any
 import jaxid
 from jaxid.api import resolve_fitter, resolve_residual
 from jaxid.data.dataset import Dataset
+from jaxid.diagnosis.result import Diagnosis
 from jaxid.errors import UsageError
 from jaxid.fitters import LevenbergMarquardt
-from jaxid.fitting.result import Diagnosis, finite, Fit
+from jaxid.fitting.result import Fit
 from jaxid.fitting.run import Benches, fit_seeds
 from jaxid.problem.binding import bind
+from jaxid.serialise import finite
 
 
 #: Datasets and bound models that are kept.

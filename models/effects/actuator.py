@@ -8,7 +8,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array
 
-from jaxid.dynamics.chain import drives, InputEffect, JointEffect
+from jaxid.dynamics.effect import drives, InputEffect, JointEffect
 from jaxid.dynamics.parameter import ANGLE, param, Quantity, SPEED, TORQUE
 from jaxid.numerics.fast_math import sincos
 

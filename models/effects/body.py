@@ -7,8 +7,8 @@ from typing import ClassVar, Protocol, runtime_checkable
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
-from jaxid.dynamics.chain import BodyEffect, JointEffect
 from jaxid.dynamics.compliance import with_inertia
+from jaxid.dynamics.effect import BodyEffect, JointEffect
 from jaxid.dynamics.mechanism import Mechanism
 from jaxid.dynamics.parameter import ANGLE, DURATION, param, Quantity, SPEED, STEP, TORQUE
 from jaxid.numerics.fast_math import sincos

@@ -7,7 +7,7 @@ from typing import ClassVar
 import jax.numpy as jnp
 from jaxtyping import Array
 
-from jaxid.dynamics.chain import JointEffect
+from jaxid.dynamics.effect import JointEffect
 from jaxid.dynamics.parameter import ANGLE, DURATION, param, Quantity, SPEED, TORQUE
 from jaxid.numerics.fast_math import sincos
 

@@ -9,7 +9,7 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
-from jaxid.dynamics.chain import OutputEffect, RecordEffect
+from jaxid.dynamics.effect import OutputEffect, RecordEffect
 from jaxid.dynamics.parameter import ANGLE, param, Quantity, STEP
 
 

@@ -7,7 +7,7 @@ from typing import ClassVar
 import jax.numpy as jnp
 from jaxtyping import Array
 
-from jaxid.dynamics.chain import InputEffect
+from jaxid.dynamics.effect import InputEffect
 from jaxid.dynamics.parameter import param, Quantity, STEP
 
 

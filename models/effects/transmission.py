@@ -7,8 +7,8 @@ from typing import ClassVar
 import jax.numpy as jnp
 from jaxtyping import Array
 
-from jaxid.dynamics.chain import BodyEffect, JointEffect
 from jaxid.dynamics.compliance import Compliant, compliant
+from jaxid.dynamics.effect import BodyEffect, JointEffect
 from jaxid.dynamics.parameter import ANGLE, param, Quantity, TORQUE
 
 

@@ -56,8 +56,7 @@ def read_arrays(kind: str, path: Path) -> Arrays:
     try:
         return READERS[kind](path)
     except (OSError, ValueError, KeyError, TypeError, NotImplementedError, EOFError) as error:
-        from jaxid.data.dataset import DatasetError
-        from jaxid.errors import UsageError
+        from jaxid.errors import DatasetError, UsageError
 
         if isinstance(error, DatasetError | UsageError):
             raise

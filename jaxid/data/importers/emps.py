@@ -9,9 +9,9 @@ from typing import Any
 
 import numpy as np
 
-from jaxid.data.dataset import Dataset, DatasetError, ModelSpec, ParameterPrior, Problem
+from jaxid.data.dataset import Dataset, ModelSpec, ParameterPrior
 from jaxid.data.io import save_dataset
-from jaxid.errors import nearest
+from jaxid.errors import DatasetError, nearest, Problem
 
 
 _RESOLUTION = 5.0e-8  # m, the position encoder of the benchmark

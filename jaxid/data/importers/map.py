@@ -15,7 +15,6 @@ from typing import Any
 
 import numpy as np
 
-from jaxid.data.dataset import DatasetError, Problem
 from jaxid.data.importers.arrays import Arrays
 from jaxid.data.importers.runs import held, Paths, paths_of, refused, role_of, Run, runs_of, save_runs
 from jaxid.data.importers.source import find_column, numbers_of, parts_of, read_source, series_of, Source, stated_rate, times_of
@@ -23,7 +22,7 @@ from jaxid.data.importers.text import Stated
 from jaxid.data.patterns import captures_of, joint_numbers
 from jaxid.data.time_axis import PER_SECOND
 from jaxid.data.units import conversion, UnitError
-from jaxid.errors import nearest, UsageError
+from jaxid.errors import DatasetError, nearest, Problem, UsageError
 
 
 ROLES = ("input", "output", "auxiliary")

@@ -13,12 +13,12 @@ from pathlib import Path
 
 import numpy as np
 
-from jaxid.data.dataset import DatasetError, Problem
 from jaxid.data.importers.lerobot import import_lerobot as import_lerobot
 from jaxid.data.importers.map import import_table
 from jaxid.data.importers.ros import import_ros
 from jaxid.data.importers.runs import Paths, paths_of, refused, Run, runs_of, save_runs
 from jaxid.data.table import ragged_rows, read_table, Table
+from jaxid.errors import DatasetError, Problem
 
 
 def import_ur_rtde_csv(files: Paths, out: str | os.PathLike[str], *, overwrite: bool = False) -> Path:
@@ -40,7 +40,7 @@ def import_rosbag(
     command_joints: Sequence[str] = (),
     overwrite: bool = False,
 ) -> Path:
-    """Joint states of ROS 2 bags (folders), one run a bag; needs the package `rosbags`. See `jaxid.data.importers.ros.import_ros`.
+    """Joint states of ROS 2 bags (folders), one run a bag; needs the package `rosbags`. See `ros.import_ros`.
 
     `effort` becomes tau1 …, in N m as ROS has it; drivers that put a current there need the unit corrected in dataset.toml.
     """
@@ -68,7 +68,7 @@ def import_mcap(
 
 
 def import_csv(files: Paths, out: str | os.PathLike[str], *, channels: Sequence[str] = (), overwrite: bool = False) -> Path:
-    """Any table by a map of channels `NAME=COLUMN:UNIT:ROLE`, and `t=COLUMN:UNIT` the time; see `jaxid.data.importers.map.import_table`.
+    """Any table by a map of channels `NAME=COLUMN:UNIT:ROLE`, and `t=COLUMN:UNIT` the time; see `map.import_table`.
 
     ROLE (input, output, auxiliary) may lack for names by convention: q, position … are outputs; tau, force, …_cmd inputs.
     """

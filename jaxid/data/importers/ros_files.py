@@ -12,9 +12,8 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
-from jaxid.data.dataset import DatasetError
 from jaxid.data.importers.runs import first_line, needed, refused
-from jaxid.errors import UsageError
+from jaxid.errors import DatasetError, UsageError
 
 
 STATES = ("JointState", "LowState", "JointTrajectoryControllerState")

@@ -15,10 +15,10 @@ from typing import Any
 
 import numpy as np
 
-from jaxid.data.dataset import Dataset, DatasetError, DatasetWarning, ModelSpec, Problem
+from jaxid.data.dataset import Dataset, ModelSpec
 from jaxid.data.io import save_dataset
 from jaxid.data.records import MINIMUM_SAMPLES
-from jaxid.errors import UsageError
+from jaxid.errors import DatasetError, DatasetWarning, Problem, UsageError
 
 
 Paths = str | os.PathLike[str] | Sequence[str | os.PathLike[str]]

@@ -10,12 +10,12 @@ from typing import Any
 
 import numpy as np
 
-from jaxid.data.dataset import DatasetError, Problem
 from jaxid.data.importers.arrays import Arrays, kind_of, read_arrays
 from jaxid.data.importers.runs import refused
 from jaxid.data.importers.text import read_text, Stated
 from jaxid.data.table import read_table, Table
 from jaxid.data.time_axis import impossible, PER_SECOND, since_start
+from jaxid.errors import DatasetError, Problem
 
 
 _RATES = ("hz", "rate", "fs", "fps", "sample_rate", "sampling_rate", "samplerate")

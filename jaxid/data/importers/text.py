@@ -14,11 +14,10 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
-from jaxid.data.dataset import DatasetError
 from jaxid.data.importers.runs import refused
 from jaxid.data.table import csv_columns, Table
 from jaxid.data.units import conversion, UnitError
-from jaxid.errors import UsageError
+from jaxid.errors import DatasetError, UsageError
 
 
 SEPARATORS = {",": "commas", ";": "semicolons", "\t": "tabs", "|": "bars", " ": "spaces"}

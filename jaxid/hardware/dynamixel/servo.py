@@ -10,11 +10,11 @@ from typing import Any
 
 import numpy as np
 
+from jaxid.data.limits import Limits
 from jaxid.errors import UsageError
 from jaxid.hardware.device import approach, Measured, News, Plan, Sample
 from jaxid.hardware.dynamixel import registers as x
 from jaxid.hardware.errors import HardwareError
-from jaxid.hardware.limits import Limits
 from jaxid.hardware.link import Driver
 from jaxid.hardware.pauses import kept_from_running, waited
 from jaxid.hardware.recorder import Column, COMMANDS, Stream

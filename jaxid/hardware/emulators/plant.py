@@ -51,8 +51,8 @@ class Ideal:
 
 
 class Modelled:
-    """Joints stepped by `jaxid.dynamics.chain`: one model of one joint for each of them, or one model for all (such as `ur10`), whose
-    joints then know of each other."""
+    """Joints stepped by `jaxid.dynamics.chain`: one model of one joint for each of them, or one model for all (such as `ur10`),
+    whose joints then know of each other."""
 
     def __init__(self, model: str, parameters: Sequence[Mapping[str, float]], effects: Sequence[Mapping[str, Any]]):
         """`parameters` of each joint (of a model for all: `F_v` of joint 3 is its `F_v3`); an effect is `{"effect", "parameters",
@@ -65,7 +65,8 @@ class Modelled:
         import numpy as np
 
         from jaxid import catalogue
-        from jaxid.dynamics.chain import Chain, Command
+        from jaxid.dynamics.chain import Chain
+        from jaxid.dynamics.effect import Command
         from jaxid.dynamics.parameter_vector import Layout
         from jaxid.numerics.precision import float64
 

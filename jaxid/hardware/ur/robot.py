@@ -9,10 +9,10 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from jaxid.data.limits import Limits
 from jaxid.errors import UsageError
 from jaxid.hardware.device import approach, Measured, News, Plan, Sample
 from jaxid.hardware.errors import HardwareError
-from jaxid.hardware.limits import Limits
 from jaxid.hardware.link import Driver, ENDS
 from jaxid.hardware.pauses import kept_from_running, waited
 from jaxid.hardware.recorder import Column, Stream

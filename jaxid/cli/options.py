@@ -1,0 +1,100 @@
+"""Options that commands share, and how they begin."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import click
+
+from jaxid.catalogue import RESIDUALS
+from jaxid.cli import terminal
+from jaxid.cli.output import writable_folder
+
+
+def names(_ctx, _param, value: str | None) -> tuple[str, ...] | None:
+    """A list written with commas."""
+    return None if value is None else tuple(name for name in (part.strip() for part in value.split(",")) if name)
+
+
+def output_options(command: Callable) -> Callable:
+    command = click.option("--quiet", is_flag=True, help="Print nothing but errors.")(command)
+    return click.option("--json", "as_json", is_flag=True, help="Print the result as JSON and nothing else.")(command)
+
+
+DATASET = click.argument("dataset", type=click.Path())
+
+
+OUT = click.option("--out", required=True, type=click.Path(path_type=Path), metavar="DIR", help="Folder for results.")
+
+
+WITHOUT = click.option(
+    "--without", callback=names, metavar="E,…", help="Built-in effects to leave out; each becomes a candidate."
+)
+
+
+RESIDUAL = click.option("--residual", metavar="R", type=click.Choice(RESIDUALS), help=f"{', '.join(RESIDUALS)}.")
+
+
+SEED = click.option("--seed", type=click.IntRange(0, 2**31 - 1), default=0, show_default=True, help="Random seed.")
+
+
+def start(dataset: str, out: Path) -> tuple[Any, Any]:
+    """Loads the dataset, then makes sure that results can be written, before any long work."""
+    from jaxid import runtime
+
+    runtime.prepare()
+    import jaxid
+
+    data = jaxid.load_dataset(dataset)
+    writable_folder(out)
+    return jaxid, data
+
+
+def foretell(work: str, model: str | None, data: Any, quiet: bool) -> None:
+    """Says on standard error what long work will take."""
+    from jaxid.data.capacity import foreseen
+
+    if not quiet and (wanted := foreseen(work, model, data)).large:
+        terminal.complain(wanted)
+
+
+def read_parameters(path: Path) -> dict[str, Any]:
+    """The content of a FIT.json; only `parameters` is needed."""
+    from jaxid.errors import UsageError
+    from jaxid.storage.small_files import read_small, TooLarge
+
+    wanted = 'it needs {"parameters": {"inertia": {"value": 0.08}}, "effects": []}'
+    try:
+        content = json.loads(read_small(path).decode())
+    except TooLarge as error:
+        raise UsageError(f"--parameters {path}: {error}; {wanted}") from error
+    except OSError as error:
+        raise UsageError(f"--parameters {path}: cannot be read ({error.strerror})") from error
+    except json.JSONDecodeError as error:
+        raise UsageError(
+            f"--parameters {path}: not JSON, line {error.lineno} column {error.colno}: {error.msg}; {wanted}"
+        ) from error
+    except UsageError:
+        raise
+    except (ValueError, RecursionError) as error:
+        raise UsageError(f"--parameters {path}: not JSON text; {wanted}") from error
+    if not isinstance(content, dict) or not isinstance(content.get("parameters"), dict):
+        raise UsageError(f"--parameters {path}: no object `parameters` in it; {wanted}")
+    groups = [("parameters", content["parameters"])]
+    effects = content.get("effects", [])
+    if not isinstance(effects, list):
+        raise UsageError(f"--parameters {path}: `effects` is not a list; {wanted}")
+    for i, effect in enumerate(effects):
+        inside = effect.get("parameters", {}) if isinstance(effect, dict) else None
+        if not isinstance(inside, dict) or not isinstance(effect.get("effect"), str):
+            raise UsageError(f"--parameters {path}: effects[{i}] needs an `effect`, a `location` and `parameters`")
+        groups.append((f"effects[{i}].parameters", inside))
+    for group, parameters in groups:
+        for name, entry in parameters.items():
+            value = entry.get("value") if isinstance(entry, dict) else None
+            if isinstance(value, bool) or not isinstance(value, int | float) or not abs(value) < float("inf"):
+                raise UsageError(f'--parameters {path}: {group}.{name} needs a finite number, as in {{"value": 0.08}}')
+    return content

@@ -1,0 +1,124 @@
+"""Limits of a motion: position, speed, acceleration, torque."""
+
+from __future__ import annotations
+
+import math
+import os
+import tomllib
+from collections.abc import Sequence
+from dataclasses import dataclass, fields, replace
+from pathlib import Path
+
+from jaxid.errors import nearest, UsageError
+from jaxid.storage.small_files import read_small
+
+
+@dataclass(frozen=True)
+class Limits:
+    """Bounds of each joint, one number a joint or one for all; None is no bound.
+
+    `lower`, `upper` rad; `speed` rad/s; `acceleration` rad/s^2; `current` A; `temperature` K. `step` is the largest change from
+    one command to the next (rad, rad/s or A, as the command is). `tracking` is how far (rad) a joint may be from where it is
+    told to be. `data_age` s is how long anything may be silent while something moves: the measurements, the recording process,
+    and the driver, for the watchdog of the device itself.
+    """
+
+    lower: tuple[float, ...] | None = None
+    upper: tuple[float, ...] | None = None
+    speed: tuple[float, ...] | None = None
+    acceleration: tuple[float, ...] | None = None
+    current: tuple[float, ...] | None = None
+    temperature: tuple[float, ...] | None = None
+    step: tuple[float, ...] | None = None
+    tracking: tuple[float, ...] | None = None
+    data_age: float = 0.1
+
+    def __post_init__(self):
+        if isinstance(self.data_age, int | float) and not 0.02 <= self.data_age <= 2.0:
+            raise UsageError(f"limit data_age is {self.data_age!r} s; write 0.02 to 2")
+        for f in fields(self):
+            value = getattr(self, f.name)
+            if value is None:
+                continue
+            numbers = [value] if f.name == "data_age" or isinstance(value, int | float) else list(value)
+            if not numbers or any(isinstance(v, bool) or not isinstance(v, int | float) or math.isnan(v) for v in numbers):
+                raise UsageError(f"limit {f.name} is {value!r}; write a number, or one number a joint")
+            if f.name not in ("lower", "upper") and min(numbers) <= 0:
+                raise UsageError(f"limit {f.name} is {value!r}; write numbers above 0")
+            object.__setattr__(self, f.name, float(numbers[0]) if f.name == "data_age" else tuple(map(float, numbers)))
+
+    @classmethod
+    def read(cls, path: str | os.PathLike[str]) -> Limits:
+        """From a TOML file whose keys are the fields, as in `speed = [1.0, 1.0, 1.5]`; raises `UsageError`."""
+        path = Path(path)
+        try:
+            content = tomllib.loads(read_small(path).decode())
+        except OSError as error:
+            raise UsageError(f"limits {path}: cannot be read ({error.strerror})") from error
+        except ValueError as error:
+            raise UsageError(f"limits {path}: not readable as TOML: {error}") from error
+        known = [f.name for f in fields(cls)]
+        for name in content:
+            if name not in known:
+                raise UsageError(f"limits {path}: there is no limit {name!r}{nearest(name, known)}")
+        try:
+            return cls(**content)
+        except (TypeError, UsageError) as error:
+            raise UsageError(f"limits {path}: {error}") from error
+
+    def widened(self, joints: int) -> Limits:
+        """The same with one number for each joint; raises `UsageError` where a list has another length."""
+        wide = {}
+        for f in fields(self):
+            value = getattr(self, f.name)
+            if f.name == "data_age" or value is None:
+                continue
+            if len(value) not in (1, joints):
+                raise UsageError(f"limit {f.name} has {len(value)} numbers for {joints} joints; write 1 or {joints}")
+            wide[f.name] = value * joints if len(value) == 1 else value
+        return replace(self, **wide)
+
+    def within(self, device: Limits, joints: int) -> Limits:
+        """These limits where they are tighter, else those of the device."""
+        own, other = self.widened(joints), device.widened(joints)
+        merged = {}
+        for f in fields(self):
+            a, b = getattr(own, f.name), getattr(other, f.name)
+            if f.name == "data_age":
+                continue
+            if a is None or b is None:
+                merged[f.name] = a if b is None else b
+            else:
+                merged[f.name] = tuple((max if f.name == "lower" else min)(x, y) for x, y in zip(a, b, strict=True))
+        return replace(own, **merged)
+
+    def violation(
+        self, q: Sequence[float], qd: Sequence[float], current: Sequence[float] = (), temperature: Sequence[float] = ()
+    ) -> str | None:
+        """One sentence on the first measurement beyond its limit, or None; rad, rad/s, A, K.
+
+        Positions may pass theirs by one percent and speeds and currents by ten, for measurements are noisy.
+        """
+        hot = self._violation("temperature", temperature, None, self.temperature, "K", 0.0)
+        if hot is not None:
+            return hot
+        return self._violation("q", q, self.lower, self.upper, "rad", 0.01) or next(
+            (
+                text
+                for name, values, top, unit in (("qd", qd, self.speed, "rad/s"), ("current", current, self.current, "A"))
+                if (text := self._violation(name, values, top and tuple(-v for v in top), top, unit, 0.1))
+            ),
+            None,
+        )
+
+    @staticmethod
+    def _violation(name, values, lower, upper, unit: str, margin: float) -> str | None:
+        for j, value in enumerate(values):
+            number = str(j + 1) if len(values) > 1 else ""
+            if not math.isfinite(value):
+                return f"measured {name}{number} is {value}"
+            if upper is not None and value > upper[j] + margin * max(abs(upper[j]), 1e-3):
+                return f"measured {name}{number} = {value:.4g} {unit} is above its limit of {upper[j]:.4g} {unit}"
+            if lower is not None and value < lower[j] - margin * max(abs(lower[j]), 1e-3):
+                return f"measured {name}{number} = {value:.4g} {unit} is below its limit of {lower[j]:.4g} {unit}"
+        return None

@@ -1,0 +1,265 @@
+"""What a diagnosis returns: plain data that prints and saves itself as JSON."""
+
+from __future__ import annotations
+
+from dataclasses import asdict, dataclass, field
+from pathlib import Path
+from typing import Any, TYPE_CHECKING
+
+import numpy as np
+
+from jaxid.conventions.finding import as_data, DataFinding
+from jaxid.fitting.result import EffectEstimate, Fit, Trace
+from jaxid.numerics.versions import versions
+from jaxid.serialise import SCHEMA
+from jaxid.storage import frames
+
+
+if TYPE_CHECKING:
+    import pandas
+    from matplotlib.axes import Axes
+
+    from jaxid.diagnosis.breakdown import Share
+    from jaxid.diagnosis.unseen import Unseen
+    from jaxid.excitation.discriminate import Rivals
+    from jaxid.excitation.result import Excitation
+
+
+@dataclass(frozen=True)
+class Finding:
+    """One place where the gap lies. `times_noise_floor` is the missing signal there over what noise would show there."""
+
+    channel: str
+    location: str
+    regime: str
+    window_s: tuple[float, float]
+    share_of_gap: float
+    times_noise_floor: float
+    text: str
+
+    def to_dict(self) -> dict[str, Any]:
+        return {
+            "channel": self.channel,
+            "location": self.location,
+            "regime": self.regime,
+            "window_s": list(self.window_s),
+            "share_of_gap": self.share_of_gap,
+            "times_noise_floor": self.times_noise_floor,
+            "text": self.text,
+        }
+
+
+@dataclass(frozen=True)
+class Regime:
+    """Strength of the missing force in one regime of one joint, against what noise alone would give."""
+
+    joint: str
+    regime: str
+    ratio: float  # rms of the missing force in this regime / rms over all samples
+    null: tuple[float, float]  # the same ratio for a perfect model, 2.5 % and 97.5 %
+    samples: int
+    supplied: float | None = None  # the same ratio for the force that named effects supply, which has no noise
+
+    @property
+    def strength(self) -> float:
+        """The ratio, without noise where that is known."""
+        return self.ratio if self.supplied is None else self.supplied
+
+    @property
+    def stands_out(self) -> bool:
+        """Whether the force is clearly stronger here than elsewhere, and than chance makes it."""
+        return self.strength > 1.1 * (max(1.0, self.null[1]) if self.supplied is None else 1.0)
+
+
+@dataclass(frozen=True)
+class MissingForce:
+    """Generalised force that the model lacks at one joint, along one experiment (torque residual, filtered)."""
+
+    joint: str
+    unit: str  # of the force
+    q_unit: str
+    qd_unit: str
+    experiment: str
+    t: np.ndarray
+    q: np.ndarray
+    qd: np.ndarray
+    load: np.ndarray
+    before: np.ndarray
+    after: np.ndarray
+    floor: np.ndarray  # one standard deviation of what noise alone would show at each sample
+
+    def plot(self, after: bool = False, ax: Axes | None = None) -> Axes:
+        """Draws the motion in the phase plane, coloured by the missing force: a band along an axis is a law of velocity or
+        position. `after`: what is still missing with the effect, in the same colours."""
+        from jaxid.report import figures
+
+        return figures.missing_force(self, after, ax)
+
+
+@dataclass(frozen=True)
+class Ranked:
+    """One candidate after its refit: gaps in multiples of the noise on validation data, and the evidence for it."""
+
+    effect: str
+    location: str
+    validation_gap: float
+    bic: float
+    evidence: float  # validation log-likelihood gained over the nominal model, per independent block
+    text: str
+
+    def to_dict(self) -> dict[str, Any]:
+        return asdict(self)
+
+
+@dataclass(frozen=True)
+class Which:
+    verdict: str  # named | partly | none | unknown
+    effects: tuple[EffectEstimate, ...]
+    confusable_with: tuple[EffectEstimate, ...]
+    ranking: tuple[Ranked, ...]
+    text: str = ""
+
+    def to_dict(self) -> dict[str, Any]:
+        return {
+            "verdict": self.verdict,
+            "effects": [e.to_dict() for e in self.effects],
+            "confusable_with": [{"effect": e.effect, "location": e.location} for e in self.confusable_with],
+            "ranking": [r.to_dict() for r in self.ranking],
+            "text": self.text,
+        }
+
+
+@dataclass(frozen=True)
+class ChannelGap:
+    unit: str
+    rmse_before: float
+    rmse_retuned: float
+    rmse_after: float
+    noise: float
+    noise_source: str
+
+    def to_dict(self) -> dict[str, Any]:
+        return asdict(self)
+
+
+@dataclass(frozen=True)
+class HowFar:
+    """Gaps on report data, as multiples of the noise floor (1 = down to the noise; nan, null in JSON, where these stand still).
+
+    `shrinkage` is that of all report data; `shrinkage_interval_95` that of one further run like them, made of `interval_from`:
+    "runs", or "blocks" of fewer than eight runs, which do not know how runs differ.
+    """
+
+    gap_before: float
+    gap_retuned: float
+    gap_after: float
+    noise_floor: float
+    shrinkage: float | None
+    shrinkage_interval_95: tuple[float, float] | None
+    interval_reason: str
+    per_channel: dict[str, ChannelGap]
+    text: str = ""
+    per_run: tuple[Share, ...] = ()
+    per_regime: tuple[Share, ...] = ()
+    interval_from: str = ""
+    split: str = "report"  # of the data: "validation" where none is kept for the report
+
+    def to_dict(self) -> dict[str, Any]:
+        return {
+            "gap_before": self.gap_before,
+            "gap_retuned": self.gap_retuned,
+            "gap_after": self.gap_after,
+            "noise_floor": self.noise_floor,
+            "shrinkage": self.shrinkage,
+            "shrinkage_interval_95": None if self.shrinkage_interval_95 is None else list(self.shrinkage_interval_95),
+            "interval_reason": self.interval_reason,
+            "interval_from": self.interval_from,
+            "split": self.split,
+            "per_channel": {k: v.to_dict() for k, v in self.per_channel.items()},
+            "per_experiment": [s.to_dict() for s in self.per_run],
+            "per_regime": [s.to_dict() for s in self.per_regime],
+            "text": self.text,
+        }
+
+
+@dataclass(frozen=True)
+class Diagnosis:
+    """Where the simulator is wrong, which effect is missing, how far the gap shrinks once it is added."""
+
+    model: str
+    dataset: str
+    dataset_sha256: str
+    seed: int
+    residual: str
+    where: tuple[Finding, ...]
+    which: Which
+    how_far: HowFar
+    next_experiment: str
+    wall_time_s: float
+    nominal: Fit
+    final: Fit
+    traces: tuple[Trace, ...] = ()
+    missing_force: tuple[MissingForce, ...] = ()
+    regimes: tuple[Regime, ...] = ()
+    notes: tuple[str, ...] = ()
+    unseen: tuple[Unseen, ...] = ()
+    rivals: Rivals | None = field(default=None, repr=False, compare=False)
+    data: tuple[DataFinding, ...] = ()  # what the recording says about itself
+
+    def next_run(self, **settings: Any) -> Excitation:
+        """What to record next: the input that best tells the two leading hypotheses apart, within what the recorded runs reached,
+        as a dataset to play: `.save(folder)`, then `jaxid record --play`. Settings: see `jaxid.excitation.discriminate.separate`.
+
+        Raises `UsageError` where no second hypothesis is left, or no input can be designed.
+        """
+        from jaxid.excitation.discriminate import separate
+
+        return separate(self.rivals, **settings)
+
+    def to_frame(self) -> pandas.DataFrame:
+        """A row for each candidate that was refitted, best first. Raises `UsageError` without pandas."""
+        return frames.of_diagnosis(self)
+
+    def to_dict(self) -> dict[str, Any]:
+        return {
+            "schema": SCHEMA,
+            "kind": "diagnosis",
+            "model": self.model,
+            "dataset": self.dataset,
+            "dataset_sha256": self.dataset_sha256,
+            "seed": self.seed,
+            "residual": self.residual,
+            "where": [f.to_dict() for f in self.where],
+            "which": self.which.to_dict(),
+            "how_far": self.how_far.to_dict(),
+            "next_experiment": self.next_experiment,
+            "unseen": [u.to_dict() for u in self.unseen],
+            "parameters": {k: v.to_dict() for k, v in self.final.parameters.items()},
+            "stated": [s.to_dict() for s in self.final.stated],
+            "wall_time_s": self.wall_time_s,
+            "notes": list(self.notes),
+            "versions": versions(),
+            **as_data(self.data),
+        }
+
+    def report(self, path: str | Path) -> Path:
+        """Writes the report page (one self-contained HTML file) and returns its path."""
+        from jaxid.report import write_diagnosis
+
+        return write_diagnosis(self, Path(path))
+
+    def plot(self, ax: Axes | None = None) -> Axes:
+        """Draws the gap before, after retuning and with the missing effect, on new axes or the given ones."""
+        from jaxid.report import figures
+
+        return figures.diagnosis(self, ax)
+
+    def __repr__(self) -> str:
+        from jaxid.report.text import diagnosis_text
+
+        return diagnosis_text(self)
+
+    def _repr_html_(self) -> str:
+        from jaxid.report import diagnosis_fragment
+
+        return diagnosis_fragment(self)

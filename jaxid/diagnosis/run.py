@@ -1,0 +1,457 @@
+"""The diagnosis from beginning to end."""
+
+from __future__ import annotations
+
+import dataclasses
+import time
+from collections.abc import Iterable, Sequence
+
+import jax
+import numpy as np
+
+from jaxid import catalogue
+from jaxid.data.capacity import need, shortened
+from jaxid.data.dataset import Dataset
+from jaxid.data.time_stamps import scattered_stamps, with_scatter
+from jaxid.diagnosis import how_far as shrinking, jitter as timing, where as location
+from jaxid.diagnosis.believable import doubts
+from jaxid.diagnosis.evidence import held_out, inflation, knowledge, worth
+from jaxid.diagnosis.hypothesis import Candidate, candidates, check_asked, Hypothesis, possible, Search
+from jaxid.diagnosis.next_experiment import advice, rivals_of
+from jaxid.diagnosis.result import Diagnosis, HowFar, Ranked, Which
+from jaxid.diagnosis.search import Searcher
+from jaxid.diagnosis.selection import WHITE
+from jaxid.diagnosis.unseen import Look, Looker
+from jaxid.diagnosis.verdict import astray, judge, not_reached, SEEN, standing_still, upheld, withheld
+from jaxid.dynamics.effect import Effect
+from jaxid.errors import UsageError
+from jaxid.fitters import LevenbergMarquardt
+from jaxid.fitting.assemble import assemble
+from jaxid.fitting.covariance import covariance
+from jaxid.fitting.fitter import Minimum, Progress
+from jaxid.fitting.least_squares import descend
+from jaxid.fitting.problem_builder import Bench, default_residual, estimate_starts, start_values
+from jaxid.fitting.result import EffectEstimate, Fit
+from jaxid.fitting.run import by_torque, DIVERGES
+from jaxid.fitting.scores import free_runs, make_traces, torque_traces
+from jaxid.problem.binding import bind, Binding, JITTER, resolve_model
+from jaxid.problem.residual import InverseDynamics, MultipleShooting, OutputError, Residual
+from jaxid.runtime import Interrupted
+from jaxid.storage.interim import Interim
+from jaxid.wording import number, percent, times
+
+
+#: Free runs in which a difference at the start (rad, m) grows by more than this are not trusted where they find no answer, or one
+#: that leaves so many times the noise.
+SENSITIVE, DIFFERENCE, REMAINDER = 50.0, 1e-7, 10.0
+
+
+#: Verdict by free runs that are not trusted -> verdicts by windows that take its place.
+PREFERRED = {"unknown": ("none", "partly", "named"), "partly": ("named",), "named": ("unknown", "partly", "named")}
+
+
+@dataclasses.dataclass(frozen=True)
+class Question:
+    """What is asked of which data, by which residual."""
+
+    binding: Binding
+    residual: Residual
+    allowed: tuple[str, ...]  # names of effects
+    max_effects: int
+    seed: int
+    progress: Progress | None
+    known: Interim  # is told what is known before the end
+    still: tuple[str, ...] = ()  # of "validation" and "report": what stands still, so that nothing can be judged on it
+
+
+class Diverged(UsageError):
+    """No free run of the nominal model stays finite; `by_torque` says whether it can be compared without one."""
+
+    def __init__(self, message: str, by_torque: bool):
+        super().__init__(message)
+        self.by_torque = by_torque
+
+
+def run_diagnosis(
+    model: object,
+    dataset: Dataset,
+    max_effects: int,
+    effects: Iterable[str | Effect | type[Effect]] | None,
+    without: Iterable[str],
+    residual: Residual | None,
+    seed: int,
+    progress: Progress | None,
+) -> Diagnosis:
+    """See `jaxid.diagnose`. On Ctrl-C `Interrupted` carries what is known."""
+    asked = None if effects is None else tuple(catalogue.enrolled(e) for e in effects)
+    known, without = Interim(), tuple(without)
+    try:
+        return _run(model, dataset, max_effects, asked, without, residual, seed, progress, known)
+    except Interrupted:
+        raise
+    except Diverged as error:
+        if residual is not None or not error.by_torque:
+            raise
+        torque = InverseDynamics()
+        found = run_diagnosis(model, dataset, max_effects, asked, without, torque, seed, progress)
+        return dataclasses.replace(found, notes=(*found.notes, DIVERGES))
+    except KeyboardInterrupt as stop:  # what is finished is a result too
+        raise Interrupted(known.latest()) from stop
+
+
+def _run(
+    model: object,
+    dataset: Dataset,
+    max_effects: int,
+    asked: tuple[str, ...] | None,
+    without: tuple[str, ...],
+    residual: Residual | None,
+    seed: int,
+    progress: Progress | None,
+    known: Interim,
+) -> Diagnosis:
+    began = time.perf_counter()
+    allowed = catalogue.effect_names() if asked is None else asked
+    nominal = resolve_model(model, dataset, without)
+    check_asked(nominal, asked or (), residual.name if residual else "")
+    library = possible(nominal, allowed)
+    places = sum(len(nominal.offers(k)) for k in library)
+    dataset = shortened(dataset, need("diagnose", dataset, nominal.nq, places)) if dataset.experiments else dataset
+    binding = bind(model, dataset, without=without, candidates=library)
+    if not binding.dataset.experiments:
+        raise UsageError("a diagnosis needs recorded runs; this dataset holds frequency responses alone: fit it")
+    own = residual or default_residual(binding)
+    still = standing_still(binding)
+    stamps = {}
+    if any(k.name == JITTER for k in library):
+        names = [n for n, _ in binding.chain.signature.outputs]
+        stamps = {c: s for c, s in scattered_stamps(binding.dataset, binding.noise).items() if c in names}
+    if stamps and not still and not isinstance(own, InverseDynamics):
+        scatter = timing.Scatter(stamps, binding)
+        readings = with_scatter(dataset, stamps, binding.noise)
+        stamped = bind(model, readings, without=without, candidates=library).with_stamps(stamps)
+        others = tuple(n for n in allowed if n != JITTER)
+        found, _ = _diagnosed(Question(stamped, own, others, max_effects, seed, progress, known), scatter)
+        if found.which.verdict == "named":
+            return dataclasses.replace(found, wall_time_s=time.perf_counter() - began)
+    question = Question(binding, own, allowed, max_effects, seed, progress, known, still)
+    found, grown = _diagnosed(question)
+    verdict = found.which.verdict
+    doubtful = verdict in ("unknown", "partly") or (verdict == "named" and found.how_far.gap_after > REMAINDER)
+    if residual is None and grown > SENSITIVE and doubtful and not still:
+        known.tell(found)
+        try:
+            again, _ = _diagnosed(dataclasses.replace(question, residual=MultipleShooting(), known=Interim(silent=True)))
+        except Interrupted as stop:
+            raise Interrupted(found) from stop
+        if again.which.verdict in PREFERRED[verdict]:
+            note = (
+                f"a difference at the start of a run grows {grown:.2g} times within it, and by free runs the answer was "
+                f"{verdict} with {times(found.how_far.gap_after)} times the noise left: models are compared over windows, each "
+                "with its own start"
+            )
+            found = dataclasses.replace(again, notes=(*again.notes, note))
+    notes = (*found.notes, *(s.text for s in stamps.values()))
+    return dataclasses.replace(found, notes=notes, wall_time_s=time.perf_counter() - began)
+
+
+def _diagnosed(question: Question, scatter: timing.Scatter | None = None) -> tuple[Diagnosis, float]:
+    """The answer; and how much a difference at the start of a run grows within it. `scatter`: what the time stamps do."""
+    began = time.perf_counter()
+    binding, residual, seed, progress = question.binding, question.residual, question.seed, question.progress
+    if progress:
+        progress("nominal fit", 0, 1, binding.chain.mechanism.name)
+
+    bench, nominal_fit, search, compile_time = _search(question)
+    chosen = search.chosen
+    verdict, text = judge(search)
+    stamps = ()
+    if scatter:
+        verdict, text = scatter.verdict(verdict, text)
+        stamps = scatter.effects() if verdict in ("named", "partly") else ()
+    named = (*stamps, *chosen.effects) if verdict in ("named", "partly") else ()
+    final = chosen if named else search.nominal
+    if progress:
+        progress("how far", 0, 1, "report data")
+
+    repeated = any(n.source == "repeatability" for n in binding.noise.values())
+    before, note = _before(binding, search.nominal)
+    alike = scatter.bench(bench) if scatter else bench
+
+    def measure(verdict: str, after: np.ndarray) -> HowFar:
+        return shrinking.measure(bench, residual, before, search.nominal.theta, after, verdict, note, alike, question.still)
+
+    how_far = measure(verdict, final.theta)
+    if "validation" in question.still:
+        verdict, text = "unknown", withheld(question.still)
+    elif named and binding.experiments("report") and "report" not in question.still:
+        judged, judged_text = verdict, text
+        far = how_far
+        verdict, text = upheld(verdict, text, far.gap_retuned, far.gap_after, search.several, far.gap_before)
+        # Unless the model follows the fit runs and what they leave open can account for it, where it is not better without; what
+        # is `partly` there has to hold as it is.
+        if judged == "named" and verdict != judged and far.gap_retuned > SEEN:
+            told = [knowledge(h.path) for h in (search.nominal, final)]
+            follow = [None, final.path if final.fit_loss <= WHITE else None]
+            seen = held_out(bench, "report", [search.nominal.theta, final.theta], residual, told, follow)
+            gaps = [float(np.sqrt(max(held.loss, 0.0))) for held in seen]
+            verdict, text = upheld(judged, judged_text, gaps[0], gaps[1], search.several, far.gap_before)
+            if verdict == judged:
+                text += (
+                    f" The report data are {times(far.gap_after)} times the noise away, but go where fit and validation data "
+                    "leave numbers of the model open; within what is known of these it holds there too."
+                )
+            if verdict == judged and far.gap_after >= min(far.gap_retuned, far.gap_before):
+                verdict, text = upheld(judged, judged_text, far.gap_retuned, far.gap_after, search.several, far.gap_before)
+        if verdict == "unknown":
+            named, final = (), search.nominal
+            verdict, plain = judge(Search(final, final))
+            if verdict == "none":  # the gap was one next to the noise
+                text = (
+                    f"{plain} {' and '.join(map(str, chosen.effects))} would follow fit and validation data more closely, but "
+                    f"leaves {times(far.gap_after)} times the noise of the report data, {times(far.gap_retuned)} without: not "
+                    "claimed."
+                )
+        how_far = how_far if verdict == judged else measure(verdict, final.theta)
+    if verdict == "none" and binding.experiments("report") and "report" not in question.still:
+        if astray(how_far.per_run, how_far.per_regime, how_far.gap_retuned):
+            # Scatter between repeated runs is taken up whole by a refit to report runs: that would show nothing.
+            follow = [None if repeated else final.path]
+            within = held_out(bench, "report", [final.theta], residual, [knowledge(final.path)], follow)[0]
+            places = astray(*shrinking.parts(bench, residual, "report", within), within.gap_settled)
+            if places or within.gap_settled > SEEN:
+                verdict, text = "unknown", not_reached(places, how_far.gap_retuned)
+                how_far = measure(verdict, final.theta)
+    estimates = _effect_estimates(binding, final, named)
+    if verdict == "named" and (against := doubts(estimates)):
+        verdict, text = "partly", f"{text} It is not to be believed as it stands: {'; '.join(against)}."
+    final_fit = _fit(bench, final, residual, seed, compile_time, time.perf_counter() - began)
+    mates = search.confusable if named else []
+    findings, pictures, rows = _where(bench, search.nominal, final, verdict, named, seed)
+    ranking = (*(scatter.ranked(bench, residual, search.nominal) if scatter else ()), *_ranked(search))
+    by_torque = isinstance(residual, InverseDynamics)
+    looked, pair, stopped = Look(), search.rivals, None
+    if verdict in ("none", "unknown") and not question.still:
+        pool = candidates(bench, question.allowed, by_torque) if verdict == "none" else []
+        try:
+            looked = Looker(bench, residual, search.nominal).look([c for c in pool if c.effect != JITTER])
+        except KeyboardInterrupt as stop:
+            stopped, text = stop, f"{text} Stopped before it was known what these recordings would not show."
+        text = " ".join((text, *looked.signs))
+    if verdict == "none":
+        pair = (search.nominal, looked.rival) if looked.rival else None
+    rivals = None if by_torque or pair is None else rivals_of(bench, pair)
+    which = Which(verdict, estimates if named else (), tuple(EffectEstimate(c.effect, c.location) for c in mates), ranking, text)
+    advised = advice(
+        verdict, [c.effect for c in named], [c.effect for c in mates], rivals, looked.unseen, repeated, question.still
+    )
+    found = Diagnosis(
+        binding.chain.mechanism.name, binding.dataset.name, binding.dataset.sha256, seed, residual.name, findings, which,
+        how_far, advised, time.perf_counter() - began,
+        nominal_fit, final_fit, _traces(bench, residual, search.nominal, final, named), pictures, rows,
+        (*binding.dataset.notes, *_notes(binding, final_fit, compile_time)),
+        looked.unseen, rivals,
+    )  # fmt: skip
+    if stopped:
+        raise Interrupted(found) from stopped
+    return found, growth(bench, search.nominal.theta) if isinstance(residual, OutputError) else 0.0
+
+
+def growth(bench: Bench, theta: np.ndarray) -> float:
+    """How much a small difference of the joints' positions at the start of a free run has grown where it is largest, over the
+    runs that are fitted and those that choose; 0 where joints are not measured, or have inner states."""
+    b = bench.binding
+    names = [n for n, _ in b.chain.signature.outputs]
+    seen = [names.index(j) for j in b.chain.signature.joints if j in names]
+    if not b.motions or b.chain.mechanism.hidden_states or not seen:
+        return 0.0
+    largest, n = 0.0, b.chain.nq
+    for split in ("fit", "validation"):
+        if not b.experiments(split):
+            continue
+        start = estimate_starts(bench, split, [theta])[0]
+        starts = np.repeat(start[None], n + 1, 0)
+        starts[np.arange(n) + 1, :, np.arange(n)] += DIFFERENCE
+        base, *moved = free_runs(bench, split, [theta] * (n + 1), starts)
+        apart = [np.abs(y[:, seen] - y0[:, seen]).max() for run in moved for y, y0 in zip(run, base, strict=True)]
+        largest = max(largest, float(np.nanmax(apart)) / DIFFERENCE)
+    return largest
+
+
+def _search(question: Question) -> tuple[Bench, Fit, Search, float]:
+    """Nominal fit and search, and the bench whose steps no longer matter."""
+    began = time.perf_counter()
+    binding, residual, seed, progress = question.binding, question.residual, question.seed, question.progress
+    # Hundreds of models, each simulated a few times: tangents would compile longer. By torque nothing is simulated, and numbers
+    # that the motion hardly determines need exact ones.
+    bench = Bench(binding, differences=0 if isinstance(residual, InverseDynamics) else 1)
+    engine = bench.runs(residual, "fit").engine
+    engine.compile_ahead("outputs" if bench.differences else "tangents", binding.theta, binding.free)
+    guesses = start_values(bench, binding.free, seed)
+    engine.read_ahead()  # while the nominal model is fitted
+    problem = bench.problem(residual, "fit", binding.free, guesses[0])
+    fitter = LevenbergMarquardt()
+    nominal, log = fitter.path(problem, [problem.z(g) for g in guesses], jax.random.key(seed), progress)
+    if not np.isfinite(nominal.cost):
+        raise Diverged(
+            "the nominal model cannot be fitted: the simulation diverges at every candidate; give other start values or bounds",
+            by_torque(binding),
+        )
+    converged, stopped = nominal.converged, nominal.stopped
+    nominal = descend([(problem, nominal.z)], 3, 1e-9)[0]
+
+    def minimum(z: np.ndarray, loss: float) -> Minimum:
+        return Minimum(z, loss, converged, stopped, log.evaluations, log.history)
+
+    def first() -> Fit:
+        spent = time.perf_counter() - began
+        return assemble(bench, problem, minimum(nominal.z, nominal.loss), residual, fitter.name, seed, 0.0, spent)
+
+    searcher = Searcher(bench, residual, nominal, progress)
+    offer = lambda search: question.known.offer(lambda: _so_far(question, bench, first(), search, began))
+    offer(Search(searcher.nominal, searcher.nominal))
+    blind = "validation" in question.still  # nothing to choose by
+    pool = [] if blind else candidates(bench, question.allowed, searcher.by_torque)
+    search = searcher.run(pool, 0 if blind else question.max_effects, offer)
+    bench = searcher.bench
+    compile_time = sum(b.compile_time() for b in (*searcher.benches, bench))
+    path = search.nominal.path
+    spent = time.perf_counter() - began
+    found = minimum(path.z, search.nominal.fit_loss)
+    return bench, assemble(bench, path.problem, found, residual, fitter.name, seed, compile_time, spent), search, compile_time
+
+
+def _so_far(question: Question, bench: Bench, nominal: Fit, search: Search, began: float) -> Diagnosis:
+    """What is known while effects are still compared: where the gap lies and how wide it is; nothing is claimed yet."""
+    binding, residual = question.binding, question.residual
+    before, note = _before(binding, search.nominal)
+    how_far = shrinking.measure(bench, residual, before, search.nominal.theta, search.nominal.theta, "unknown", note, bench)
+    findings, pictures, rows = _where(bench, search.nominal, search.nominal, "unknown", (), question.seed)
+    ranking = tuple(_ranked(search))
+    text = f"Stopped before the effects of the library were compared: {len(ranking) or 'none'} had been."
+    return Diagnosis(
+        binding.chain.mechanism.name, binding.dataset.name, binding.dataset.sha256, question.seed, residual.name, findings,
+        Which("unknown", (), (), ranking, text), how_far, "Let the diagnosis run to its end.", time.perf_counter() - began,
+        nominal, nominal, _traces(bench, residual, search.nominal, search.nominal, ()), pictures, rows, binding.dataset.notes,
+    )  # fmt: skip
+
+
+def _before(binding: Binding, nominal: Hypothesis) -> tuple[np.ndarray, str]:
+    """The model before anything was fitted: the values that the dataset states; what it does not state is re-tuned."""
+    theta = nominal.theta.copy()
+    stated = [i for i in binding.free if i in binding.stated]
+    if not stated:
+        return theta, "The dataset states no parameter values, so the gap before is that of the re-tuned model."
+    theta[stated] = binding.theta[stated]
+    return theta, ""
+
+
+def _effect_estimates(binding: Binding, h: Hypothesis, named: Sequence[Candidate]) -> tuple[EffectEstimate, ...]:
+    from jaxid.fitting.assemble import estimates
+
+    if not named:
+        return ()
+    cov = covariance(h.path.problem, h.path.z)
+    found = estimates(binding, h.path.problem, h.path.z, cov)
+    return tuple(
+        EffectEstimate(c.effect, c.location, {binding.layout.entries[i].field: found[i] for i in c.index}) for c in named
+    )
+
+
+def _fit(bench: Bench, h: Hypothesis, residual: Residual, seed: int, compile_time: float, wall_time: float) -> Fit:
+    problem = h.path.problem
+    minimum = Minimum(h.path.z, h.fit_loss, h.path.converged, h.path.stopped, h.path.linearisations)
+    return assemble(bench, problem, minimum, residual, "lm", seed, compile_time, wall_time)
+
+
+def _starts(bench: Bench, h: Hypothesis) -> np.ndarray | None:
+    """Starts of the fit runs; None where nothing is simulated."""
+    problem = h.path.problem
+    if problem.runs.setting is not None:
+        return None
+    if list(problem.records) == list(bench.runs(OutputError(), "fit").records):
+        return problem.starts(h.path.z)
+    return estimate_starts(bench, "fit", [h.theta])[0]
+
+
+def _where(bench: Bench, nominal: Hypothesis, final: Hypothesis, verdict: str, named, seed: int):
+    """Findings, pictures and regime table; no finding where there is no gap."""
+    starts = _starts(bench, nominal)
+    joints = bench.binding.chain.signature.joints
+    inputs = [n for n, _ in bench.binding.chain.signature.inputs]
+    places: dict[str, str] = {}
+    for c in named:
+        joint = c.location if c.location in joints else None
+        if joint is None and c.location in inputs and inputs.index(c.location) < len(joints):
+            joint = joints[inputs.index(c.location)]
+        if joint is not None:
+            places.setdefault(joint, c.location)
+    only = tuple(places) if verdict == "named" else ()  # else what is left may lie anywhere
+    before = location.missing_forces(bench, nominal.theta, starts, seed)
+    found, rows, pictures = [], [], []
+    if before:
+        after = location.missing_forces(bench, final.theta, _starts(bench, final), seed, draws=0)
+        forces = {j: location.supplied(before, after, joints.index(j)) for j in only}
+        given = {j: force for j, force in forces.items() if force is not None}
+        rows = location.table(before, joints, given)
+        pictures = location.pictures(bench, before, after)
+        if verdict != "none":
+            found = location.findings(bench, before, rows, places, only, given)
+    if not found and verdict != "none" and starts is not None:  # not measured, or too weak to be seen through derivatives
+        found = location.output_findings(bench, nominal.theta, starts, places, only)
+    return tuple(found), tuple(pictures), tuple(rows)
+
+
+def _ranked(search: Search) -> list[Ranked]:
+    """Every hypothesis that was refitted, best validation gap first; those with several effects name the last one added."""
+    out, seen = [], set()
+    nominal = search.nominal
+    for h in sorted([*search.tried, search.chosen], key=lambda h: h.validation.loss):
+        key = frozenset(str(c) for c in h.effects)
+        if key in seen or not h.effects:
+            continue
+        seen.add(key)
+        last: Candidate = h.effects[-1]
+        gap = float(np.sqrt(max(h.validation.loss, 0.0)))
+        evidence = worth(h.validation, nominal.validation, inflation(h.validation))
+        beside = f" beside {' and '.join(str(c) for c in h.effects[:-1])}" if len(h.effects) > 1 else ""
+        share = shrinking.closed(nominal.validation.loss, h.validation.loss)
+        words = "closes nothing of the gap" if not share else f"closes {percent(share)} of the gap"
+        out.append(
+            Ranked(
+                last.effect,
+                last.location,
+                gap,
+                float(h.bic),
+                float(evidence),
+                f"{last}{beside}: {words} on validation data",
+            )
+        )
+    return out
+
+
+def _traces(bench: Bench, residual: Residual, nominal: Hypothesis, final: Hypothesis, named):
+    """Measured and simulated series of every split, for the report; of the torque where that is what was compared."""
+    out = []
+    thetas = [nominal.theta] + ([final.theta] if named else [])
+    labels = ["nominal model, re-tuned"] + (["with " + " and ".join(str(c) for c in named)] if named else [])
+    for split in ("report", "validation", "fit"):
+        if not bench.binding.experiments(split):
+            continue
+        if isinstance(residual, InverseDynamics):
+            out += torque_traces(bench, residual, split, dict(zip(labels, thetas, strict=True)))
+            continue
+        if split == "fit":
+            starts = np.array([_starts(bench, h) for h in (nominal, final)[: len(thetas)]])
+        else:
+            starts = estimate_starts(bench, split, thetas)
+        predictions = free_runs(bench, split, thetas, starts)
+        out += make_traces(bench.binding, split, dict(zip(labels, predictions, strict=True)))
+    return tuple(out)
+
+
+def _notes(binding: Binding, fit: Fit, compile_time: float) -> list[str]:
+    own = [n for n in fit.notes if n not in binding.dataset.notes]
+    friction = "tanh(qd / v) with v = " + f"{binding.chain.smoothing_velocity:g}"
+    law = "true sticking" if binding.chain.smoothing_velocity == 0 else friction
+    return [*own, f"Coulomb friction: {law}", f"compilation took {number(compile_time)} s"]

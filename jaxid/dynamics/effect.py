@@ -1,0 +1,147 @@
+"""What a model can lack: the places where an effect acts, and what each kind may change."""
+
+from __future__ import annotations
+
+import abc
+from collections.abc import Callable
+from typing import Any, ClassVar, NamedTuple
+
+import equinox as eqx
+import numpy as np
+from jaxtyping import Array, Float
+
+from jaxid.dynamics.mechanism import Mechanism, Signature
+from jaxid.dynamics.parameter import Quantity
+
+
+class Command(NamedTuple):
+    """What arrives from the data at one step: `u` the mean input over the step under the channel's stated hold, `other`
+    the same under the other hold (zero-order against linear), `delayed(d)` the mean input a time d earlier."""
+
+    t: Array
+    h: Array
+    u: Float[Array, " nu"]
+    other: Float[Array, " nu"]
+    delayed: Callable[[Float[Array, " nu"]], Float[Array, " nu"]]
+
+
+class Signals(NamedTuple):
+    """What an effect may look at: the predicted middle of the step."""
+
+    t: Array
+    q: Float[Array, " nq"]
+    qd: Float[Array, " nq"]
+    load: Float[Array, " nq"]  # torque that arrives at the joint
+    h: Array
+    command: Command
+    qd0: Float[Array, " nq"]  # joint speed at the step's beginning
+
+
+class Effect(eqx.Module):
+    """Abstract: one physical effect at one port.
+
+    Class attributes of a final class: `name`, `equation`, `signature` (what it looks like in a residual), `source`,
+    `excitation` (what to record to see it), `refines` (the effect without which it is not added, or ""), and `probes`:
+    finite strengths for the screen, since some effects have zero derivative at their neutral value.
+    """
+
+    name: eqx.AbstractClassVar[str]
+    equation: eqx.AbstractClassVar[str]
+    signature: eqx.AbstractClassVar[str]
+    source: eqx.AbstractClassVar[str]
+    excitation: eqx.AbstractClassVar[str]
+    probes: eqx.AbstractClassVar[tuple[dict[str, Quantity | float], ...]]
+    refines: ClassVar[str] = ""
+    contains: ClassVar[tuple[str, ...]] = ()  # other effects that it comprises
+    location: eqx.AbstractClassVar[str]  # "input" | "joint" | "output": the kind of place its parameters are counted by
+
+    def transfer(self, omega: Float[Array, " lines"]) -> tuple[Float[Array, "lines n"], Float[Array, "lines n"]] | None:
+        """Real and imaginary part of what a linear effect at an input or output does to its n channels at omega, rad/s; None:
+        nothing."""
+        return None
+
+    #: Effects of one port act in the order of their stage, then as they were given: what happens to the command before it
+    #: reaches the drive comes first, what edits a mechanism before what wraps it.
+    stage: ClassVar[int] = 1
+    #: Whether its torque at one joint depends on the speed of another.
+    couples: ClassVar[bool] = False
+    #: What it is a law of, where the name of its file does not say: laws of a family at one place stand in for each other.
+    family: ClassVar[str] = ""
+    #: Effects that it may equal at some strength on some mechanism, however different they begin: one is compared with the other.
+    resembles: ClassVar[tuple[str, ...]] = ()
+    #: At which of its places it makes sense on a mechanism; None: at all.
+    offered: ClassVar[Callable[[Mechanism, Signature], tuple[str, ...]] | None] = None
+
+
+def drives(mechanism: Mechanism, signature: Signature) -> tuple[str, ...]:
+    """The inputs that are no mere switches or shares."""
+    return tuple(name for name, unit in signature.inputs if unit != "1")
+
+
+class InputEffect(Effect):
+    """Between command and joint: (u, signals, state) -> u, state."""
+
+    location: ClassVar[str] = "input"
+    offered: ClassVar = staticmethod(drives)
+
+    @abc.abstractmethod
+    def __call__(self, u: Float[Array, " nu"], s: Signals, z: Any) -> tuple[Float[Array, " nu"], Any]: ...
+
+    @abc.abstractmethod
+    def start(self, u: Float[Array, " nu"]) -> Any:
+        """State after the input `u` has been held for long; () for an effect without state."""
+
+
+class JointEffect(Effect):
+    """At the joint: (signals, state) -> smooth opposing torque, dry levels (minus, plus) >= 0, state."""
+
+    location: ClassVar[str] = "joint"
+
+    #: Start values (field -> number) read off the force that a measured motion (q, qd, force, each [samples]) lacks at its joint;
+    #: None: the probes are start enough.
+    read_off: ClassVar[Callable[[np.ndarray, np.ndarray, np.ndarray], dict[str, float]] | None] = None
+
+    @abc.abstractmethod
+    def __call__(self, s: Signals, z: Any) -> tuple[Any, Any, Any, Any]: ...
+
+    @abc.abstractmethod
+    def start(self, q: Float[Array, " nq"]) -> Any: ...
+
+
+class BodyEffect(Effect):
+    """Wraps or edits the mechanism: mechanism -> mechanism."""
+
+    location: ClassVar[str] = "joint"
+
+    @abc.abstractmethod
+    def __call__(self, mechanism: Mechanism) -> Mechanism: ...
+
+
+class OutputEffect(Effect):
+    """Between mechanism and record: (y, signals, state) -> y, state."""
+
+    location: ClassVar[str] = "output"
+
+    @abc.abstractmethod
+    def __call__(self, y: Float[Array, " ny"], s: Signals, z: Any) -> tuple[Float[Array, " ny"], Any]: ...
+
+    @abc.abstractmethod
+    def start(self, y: Float[Array, " ny"], rate: Float[Array, " ny"]) -> Any:
+        """State where the outputs have run straight for long, up to y, with this rate of change."""
+
+
+class RecordEffect(Effect):
+    """Between sensor and file: (times [time], series [time ny], the step's length where all are equal, rate of change before the
+    series begins [ny]) -> series. The motion knows nothing of it."""
+
+    location: ClassVar[str] = "output"
+
+    @abc.abstractmethod
+    def __call__(
+        self, t: Float[Array, " time"], y: Float[Array, "time ny"], h: Float[Array, ""] | None, rate: Float[Array, " ny"]
+    ) -> Float[Array, "time ny"]: ...
+
+
+def neutral(kind: Callable[..., Effect]) -> Effect:
+    """An effect that does nothing: every parameter at its default."""
+    return kind()

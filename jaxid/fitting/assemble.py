@@ -1,0 +1,163 @@
+"""From a minimum to a `Fit`."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from jaxid.dynamics.chain import Chain
+from jaxid.fitting.covariance import Covariance, covariance
+from jaxid.fitting.ending import ending
+from jaxid.fitting.fitter import Minimum
+from jaxid.fitting.own_simulation import own_simulation, simulated_scores, SIMULATIONS
+from jaxid.fitting.problem_builder import Bench, estimate_starts
+from jaxid.fitting.result import EffectEstimate, Estimate, Fit, Score, Trace
+from jaxid.fitting.scores import free_runs, make_traces, response_scores, scores, torque_scores
+from jaxid.fitting.stated import Stated, stated_numbers
+from jaxid.problem.binding import Binding
+from jaxid.problem.frequency_response import FrequencyResponseError
+from jaxid.problem.problem import Problem
+from jaxid.problem.residual import InverseDynamics, MultipleShooting, Residual
+from jaxid.robots import yardstick
+from jaxid.robots.match import is_robot
+
+
+def estimates(binding: Binding, problem: Problem, z: np.ndarray, cov: Covariance) -> dict[int, Estimate]:
+    """Layout position -> estimate of each fitted number, and of those that the recording tells."""
+    theta, slope = problem.theta(z), problem.dtheta(z)
+    out = {}
+    for k, i in enumerate(problem.free):
+        std = cov.std[k] * slope[k]
+        out[int(i)] = Estimate(
+            float(theta[i]),
+            float(std) if np.isfinite(std) else None,
+            binding.layout.entries[i].unit,
+            float(binding.lower[i]),
+            float(binding.upper[i]),
+            bool(cov.at_bound[k]),
+            bool(cov.identifiable[k]),
+        )
+    for i, std in binding.read.items():
+        out[i] = Estimate(float(theta[i]), std, binding.layout.entries[i].unit, float(binding.lower[i]), float(binding.upper[i]))
+    return out
+
+
+def named_estimates(binding: Binding, found: dict[int, Estimate]) -> tuple[dict[str, Estimate], tuple[EffectEstimate, ...]]:
+    """Estimates of the model's own parameters by id, and of added effects by effect and location."""
+    builtin = {kind.name for kind, _ in binding.chain.mechanism.builtin}
+    own: dict[str, Estimate] = {}
+    added: dict[tuple[str, str], dict[str, Estimate]] = {}
+    for i, estimate in found.items():
+        e = binding.layout.entries[i]
+        effect = None if e.owner < 0 else binding.chain.effects[e.owner].name
+        if effect is None or effect in builtin:
+            own[e.name] = estimate
+        if effect is not None and (effect not in builtin or is_candidate(binding, effect)):
+            added.setdefault((effect, e.location), {})[e.field] = estimate
+    return own, tuple(EffectEstimate(e, where, p) for (e, where), p in added.items())
+
+
+def is_candidate(binding: Binding, effect: str) -> bool:
+    """Whether an effect is not part of the nominal model but was put into the chain afterwards."""
+    entries = binding.layout.of_effect(effect)
+    return not any(i in binding.nominal for i in entries)
+
+
+def assemble(
+    bench: Bench,
+    problem: Problem,
+    result: Minimum,
+    residual: Residual,
+    fitter: str,
+    seed: int,
+    compile_time: float,
+    wall_time: float,
+    notes: Sequence[str] = (),
+) -> Fit:
+    """A `Fit` from a minimum: uncertainty, scores, traces, notes."""
+    binding = bench.binding
+    theta = problem.theta(result.z)
+    notes = [*binding.dataset.notes, f"residual: {problem.runs.statement}", *solver_notes(binding), *notes]
+    if result.failed:
+        return Fit(
+            binding.chain.mechanism.name, (), fitter, residual.name, problem.loss_name, seed, False, True,
+            result.stopped_because, result.loss, {}, {}, {}, result.evaluations, wall_time, compile_time,
+            binding.dataset.name, binding.dataset.sha256, tuple(notes), history=tuple(result.history), theta=theta,
+            solver=solver_name(binding),
+        )  # fmt: skip
+    cov = getattr(result, "covariance", None) or covariance(problem, result.z)
+    found = estimates(binding, problem, result.z, cov)
+    own, added = named_estimates(binding, found)
+    names = problem.names
+    groups = tuple(tuple(names[i] for i in g) for g in cov.groups)
+    notes.append(cov.statement)
+    notes += [f"{binding.layout.names[i]} ended at its bound ({e.value:.4g} {e.unit})" for i, e in found.items() if e.at_bound]
+    notes += binding.said
+    notes += [f"noise of {n.text}" for n in binding.noise.values()]
+
+    table: dict[str, dict[str, Score]] = {}
+    traces: list[Trace] = []
+    free: dict[str, dict[str, Score]] = {}
+    windowed: dict[str, Score] = {}
+    for split in ("fit", "validation", "report"):
+        experiments = residual.select(binding.dataset, split)
+        if not experiments:
+            continue
+        if isinstance(residual, FrequencyResponseError):
+            table[split] = response_scores(bench, residual, split, problem, result.z)
+            if not table[split]:
+                notes.append(f"the {split} data show no line of a frequency response: only their course over time is compared")
+        if not binding.experiments(split):
+            continue
+        if isinstance(residual, InverseDynamics):
+            table[split] = torque_scores(bench, residual, split, theta, problem.free)
+            continue
+        if split == "fit" and not isinstance(residual, MultipleShooting) and len(problem.records) == len(experiments):
+            starts = problem.starts(result.z)[None]
+        else:
+            starts = estimate_starts(bench, split, [theta])
+        predictions = free_runs(bench, split, [theta], starts)[0]
+        table[split] = {**table.get(split, {}), **scores(bench, split, predictions)}
+        if SIMULATIONS.get(residual.name) in ("windows", "closed_loop"):
+            inside, z = own_simulation(bench, residual, split, problem, result.z)
+            free[split], table[split] = table[split], simulated_scores(inside, z)
+            if inside.runs.channels == binding.chain.signature.outputs and len(inside.records) == len(experiments):
+                predictions = inside.predictions(z)
+        traces += make_traces(binding, split, {"fit": predictions})
+        if split == "fit" and isinstance(residual, MultipleShooting):
+            windowed = table[split]
+    joints: tuple[dict, ...] = ()
+    if is_robot(binding.chain.mechanism):
+        rows = yardstick.stated(binding, found)
+        notes += yardstick.sentences(rows, binding.chain.mechanism.tree.tree)  # type: ignore[attr-defined]
+        joints = () if isinstance(residual, InverseDynamics) else yardstick.per_joint(bench, table)
+        stated = tuple(Stated(**row) for row in rows)
+    else:
+        stated = stated_numbers(binding, found)
+    end = ending(problem, result, cov, [] if windowed else [t for t in traces if t.split == "fit"])
+    return Fit(
+        binding.chain.mechanism.name, added, fitter, residual.name, problem.loss_name, seed, end.state == "converged",
+        end.state == "failed", end.because, result.loss, own, table, windowed, result.evaluations, wall_time, compile_time,
+        binding.dataset.name, binding.dataset.sha256, tuple(notes), groups, tuple(result.history), tuple(traces), theta,
+        end.state == "stalled", SIMULATIONS.get(residual.name, "free_run"), free, stated, joints,
+        fitted_chain(binding, theta, added), solver_name(binding),
+    )  # fmt: skip
+
+
+def fitted_chain(binding: Binding, theta: np.ndarray, added: Sequence[EffectEstimate]) -> Chain:
+    """The model with these numbers, without candidates that were not taken."""
+    kept = {e.effect for e in added}
+    gone = [e.name for e in binding.chain.effects if e.name not in kept and is_candidate(binding, e.name)]
+    return binding.layout.model(theta).without(*gone)
+
+
+def solver_notes(binding: Binding) -> tuple[str, ...]:
+    """What is to be said of a solver that is not jaxid's own stepping."""
+    s = binding.layout.solver
+    return () if s is None else (f"simulated by {s} (rtol {s.rtol:g}, atol {s.atol:g}), not by jaxid's own stepping",)
+
+
+def solver_name(binding: Binding) -> str:
+    """What simulates the runs of a binding."""
+    return "own" if binding.layout.solver is None else str(binding.layout.solver)

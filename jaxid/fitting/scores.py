@@ -1,0 +1,126 @@
+"""Errors of a model on data that were and were not fitted."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from jaxid.data.dataset import Experiment
+from jaxid.fitting.problem_builder import Bench
+from jaxid.fitting.result import Score, Trace
+from jaxid.problem.binding import Binding
+from jaxid.problem.frequency_response import FrequencyResponseError
+from jaxid.problem.problem import Problem
+from jaxid.problem.residual import OutputError, Residual
+from jaxid.simulation import sample_buffers as samples
+
+
+def free_runs(bench: Bench, split: str, thetas: Sequence[np.ndarray], starts: np.ndarray) -> list[list[np.ndarray]]:
+    """Free runs of several parameter vectors: per theta and experiment the outputs at the samples [samples ny]."""
+    runs = bench.runs(OutputError(), split)
+    n = len(runs.records)
+    theta = np.repeat(np.array(thetas), n, 0)
+    record = np.tile(np.array(runs.records), len(thetas))
+    y = runs.engine.outputs(theta, starts.reshape(len(theta), -1), record)
+    out = [runs.sample_prediction(r, row) for r, row in zip(record, y, strict=True)]
+    return [out[k * n : (k + 1) * n] for k in range(len(thetas))]
+
+
+def scored(e: Experiment, split: str) -> np.ndarray:
+    """Which samples of a run count in its score: those that estimated the start of a run that was not fitted do not."""
+    from jaxid.problem.residual import head_samples
+
+    keep = np.ones(len(e.t), bool)
+    if split != "fit" and not e.at_rest and e.initial is None:
+        keep[: head_samples(e)] = False
+    return keep
+
+
+def scores(bench: Bench, split: str, predictions: Sequence[np.ndarray]) -> dict[str, Score]:
+    """rmse, nrmse, relative error per channel of the free runs of a split."""
+    b = bench.binding
+    out = {}
+    _, iy = samples.columns(b.dataset, b.chain)
+    for c, (name, unit) in enumerate(b.chain.signature.outputs):
+        y, e = [], []
+        for experiment, prediction in zip(b.experiments(split), predictions, strict=True):
+            keep = scored(experiment, split) & experiment.read[:, iy[c]]
+            y.append(experiment.y[keep, iy[c]])
+            e.append(prediction[keep, c] - y[-1])
+        out[name] = score(np.concatenate(y), np.concatenate(e), unit)
+    return out
+
+
+def score(y: np.ndarray, error: np.ndarray, unit: str) -> Score:
+    rmse = float(np.sqrt(np.mean(error**2)))
+    return Score(rmse, rmse / max(float(np.std(y)), 1e-300), rmse / max(float(np.sqrt(np.mean(y**2))), 1e-300), unit)
+
+
+def response_scores(
+    bench: Bench, residual: FrequencyResponseError, split: str, problem: Problem, z: np.ndarray
+) -> dict[str, Score]:
+    """Distance of the modelled from the measured response over the lines of a split, |error| as a root mean square.
+
+    Empty where the records of the split show no line: their inputs hold nothing in the band.
+    """
+    own = problem if split == "fit" else bench.problem(residual, split, problem.free, problem.theta(z))
+    (name, unit), *_ = own.runs.channels
+    error, target = [], []
+    for number, p in zip(own.records, own.predictions(z if split == "fit" else own.z(problem.theta(z))), strict=True):
+        at = own.runs.record(number).samples
+        lines = own.runs.weights[at, 0] > 0
+        target.append(own.runs.targets[at, 0][lines])
+        error.append(p[lines, 0] - target[-1])
+    if not sum(map(len, target)):
+        return {}
+    per_line = 1.0 if residual.magnitude else np.sqrt(2.0)
+    return {name: score(per_line * np.concatenate(target), per_line * np.concatenate(error), unit)}
+
+
+def torque_scores(
+    bench: Bench, residual: Residual, split: str, theta: np.ndarray, free: Sequence[int] | np.ndarray
+) -> dict[str, Score]:
+    """The same for inverse dynamics: filtered torque against what the model needs for the measured motion."""
+    problem = bench.problem(residual, split, free, theta)
+    runs = problem.runs
+    out = {}
+    missing = np.concatenate(problem.predictions(problem.z(theta)))
+    from jaxid.problem.torque_filter import measured_torque
+
+    drive = measured_torque(bench.binding.dataset, runs, theta)
+    for c, (name, unit) in enumerate(runs.channels):
+        out[name] = score(drive[:, c], missing[:, c], unit)
+    return out
+
+
+def torque_traces(bench: Bench, residual: Residual, split: str, thetas: dict[str, np.ndarray]) -> list[Trace]:
+    """Measured torque of each joint, filtered, and what each of the models (label -> numbers) needs for the measured motion."""
+    from jaxid.problem.torque_filter import measured_torque
+
+    runs = bench.runs(residual, split)
+    drive = measured_torque(bench.binding.dataset, runs, list(thetas.values())[-1])
+    problems = {label: bench.problem(residual, split, [], theta) for label, theta in thetas.items()}
+    missing = {label: p.predictions(p.z(thetas[label])) for label, p in problems.items()}
+    out, first = [], 0
+    for k, number in enumerate(runs.records):
+        record = runs.record(number)
+        e = runs.experiments[record.experiment]
+        own = drive[first : first + len(record.samples)]
+        first += len(record.samples)
+        for c, (name, unit) in enumerate(runs.channels):
+            series = {label: own[:, c] + p[k][:, c] for label, p in missing.items()}
+            t = e.t[record.samples - record.first]
+            out.append(Trace(e.name, split, name, unit, t, own[:, c], series, float(runs.noise[c])))
+    return out
+
+
+def make_traces(binding: Binding, split: str, predictions: dict[str, Sequence[np.ndarray]]) -> list[Trace]:
+    """Traces of a split, one per experiment and channel; `predictions` label -> outputs per experiment."""
+    out = []
+    _, iy = samples.columns(binding.dataset, binding.chain)
+    for k, e in enumerate(binding.experiments(split)):
+        for c, (name, unit) in enumerate(binding.chain.signature.outputs):
+            series = {label: p[k][:, c] for label, p in predictions.items()}
+            out.append(Trace(e.name, split, name, unit, e.t, e.y[:, iy[c]], series, float(binding.sigma[c])))
+    return out

@@ -1,0 +1,42 @@
+"""Results as JSON."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from jaxid.storage.atomic_files import replace_files
+
+
+SCHEMA = 1
+
+
+def save_json(result: Any, path: str | Path) -> Path:
+    """Writes a result as JSON, whole or not at all; raises `NotSaved`."""
+    path = Path(path)
+    return replace_files(path.parent, {path.name: json_bytes(result)}) / path.name
+
+
+def json_bytes(result: Any) -> bytes:
+    """A result as its JSON file holds it."""
+    return (json.dumps(finite(result.to_dict()), indent=1, allow_nan=False) + "\n").encode()
+
+
+def finite(value: Any) -> Any:
+    """The same nested data as JSON can hold: NumPy numbers become Python's, a number that is not finite becomes null."""
+    if isinstance(value, dict):
+        return {str(k): finite(v) for k, v in value.items()}
+    if isinstance(value, list | tuple):
+        return [finite(v) for v in value]
+    if isinstance(value, np.ndarray):
+        return finite(value.tolist())
+    if isinstance(value, bool | np.bool_):
+        return bool(value)
+    if isinstance(value, int | np.integer):
+        return int(value)
+    if isinstance(value, float | np.floating):
+        return float(value) if np.isfinite(value) else None
+    return value

@@ -1,0 +1,92 @@
+"""How numbers, lists and names are written, the same wherever they stand."""
+
+from __future__ import annotations
+
+import math
+import shutil
+import textwrap
+import unicodedata
+from collections.abc import Iterable, Sequence
+
+
+# Format characters that turn the direction of text around or hide it; control characters are category Cc.
+_INVISIBLE = {"Cc", "Cf", "Zl", "Zp", "Cs"}
+
+
+def one_line(text: object) -> str:
+    """The text with every control and direction character (names from files may hold escape sequences) as `?`."""
+    return "".join("?" if unicodedata.category(c) in _INVISIBLE else c for c in str(text))
+
+
+def clean(text: object) -> str:
+    """Like `one_line`, keeping line breaks."""
+    return "\n".join(one_line(line) for line in str(text).split("\n"))
+
+
+def number(value: float | None, digits: int = 3) -> str:
+    """A number with `digits` significant digits; a dash where there is none."""
+    if value is None or not math.isfinite(value):
+        return "–"
+    if value == 0:
+        return "0"
+    if 1e-4 <= abs(value) < 1e5:
+        decimals = max(0, digits - 1 - math.floor(math.log10(abs(value))))
+        return f"{value:.{decimals}f}"
+    return f"{value:.{digits - 1}e}"
+
+
+def short(value: float | None) -> str:
+    """A number that is exact as written (a bound, a time): no zeros at its end."""
+    return "–" if value is None or math.isnan(value) else f"{value:.4g}".replace("inf", "∞")
+
+
+def times(multiple: float | None) -> str:
+    """A multiple of the noise, as exact as a person reads it."""
+    if multiple is None or not math.isfinite(multiple):
+        return "–"
+    return f"{multiple:.2f}" if abs(multiple) < 2 else f"{multiple:.1f}" if abs(multiple) < 9.95 else number(multiple, 2)
+
+
+def percent(fraction: float | None) -> str:
+    """A fraction in percent, with the digits that still tell 99.8 from 99.98 and 0.1 from 0.01."""
+    if fraction is None or not math.isfinite(fraction):
+        return "–"
+    if fraction < -1:
+        return "below −100 %"
+    if fraction > 10:
+        return f"{number(100 * fraction)} %"
+    rest = min(abs(fraction), abs(1 - abs(fraction)))
+    if 0 < rest < 5e-5 and fraction > 0.5:
+        return "over 99.99 %" if fraction < 1 else "100 %"
+    decimals = 0 if rest > 0.05 or rest == 0 else 1 if rest >= 1e-3 else 2
+    return f"{100 * fraction:.{decimals}f} %"
+
+
+def listed(names: Iterable[str]) -> str:
+    """`a`, `a and b`, `a, b and c`."""
+    names = list(names)
+    return names[0] if len(names) == 1 else f"{', '.join(names[:-1])} and {names[-1]}" if names else ""
+
+
+def regime_words(regime: str) -> str:
+    return one_line(regime).replace("_", " ")
+
+
+def table(header: Sequence[str], rows: Sequence[Sequence[str]]) -> str:
+    """Left-aligned columns, two spaces apart."""
+    cells = [[one_line(c) for c in row] for row in (header, *rows)]
+    widths = [max(len(row[i]) for row in cells) for i in range(len(header))]
+    return "\n".join("  ".join(c.ljust(w) for c, w in zip(row, widths, strict=True)).rstrip() for row in cells)
+
+
+def paragraph(label: str, sentences: Iterable[str]) -> str:
+    """Sentences wrapped to the terminal, each on a line of its own behind one label."""
+    lines = []
+    for sentence in filter(None, sentences):
+        lines.append(wrapped(sentence, f"{'' if lines else label:10}", " " * 10))
+    return "\n".join(lines)
+
+
+def wrapped(sentence: str, first: str = "", others: str = "") -> str:
+    width = max(40, min(shutil.get_terminal_size((100, 24)).columns, 110))
+    return "\n".join(textwrap.wrap(one_line(sentence), width, initial_indent=first, subsequent_indent=others))

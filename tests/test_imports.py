@@ -1,0 +1,131 @@
+"""Which way imports point: from what is built on, never back up. The lists of exceptions only shrink."""
+
+from __future__ import annotations
+
+import ast
+from collections.abc import Iterator
+from pathlib import Path
+
+
+ROOT = Path(__file__).parents[1]
+
+#: From the ground up. What stands in one line may import each other.
+LAYERS = (
+    ("errors", "lazy", "numerics", "runtime", "serialise", "storage", "wording"),
+    ("data",),
+    ("dynamics", "models", "robots"),
+    ("catalogue",),
+    ("simulation",),
+    ("problem",),
+    ("conventions",),
+    ("fitting",),
+    ("fitters",),
+    ("identification",),
+    ("excitation",),
+    ("diagnosis",),
+    ("report",),
+    ("api",),
+    ("hardware", "study"),
+    ("cli",),
+)
+LEVEL = {name: level for level, names in enumerate(LAYERS) for name in names}
+#: A result shows itself: the one kind of import that may point up, when it is called.
+DISPLAY = {"report", "plot", "__repr__", "_repr_html_", "export"}
+
+#: Imports at the head of a module that still point up: (module, package).
+MODULE_LEVEL = {
+    ("catalogue", "fitting"),
+    ("data.assemble", "dynamics"),
+    ("fitting.run", "fitters"),
+    ("fitting.simulate", "api"),
+    ("fitting.stated", "report"),
+    ("numerics.program_cache", "cli"),
+    ("problem.make", "fitting"),
+    ("robots.drives", "simulation"),
+    ("robots.limbs", "fitting"),
+    ("simulation.diffrax_solver", "problem"),
+}
+#: Imports inside functions that still point up: (module, package).
+INSIDE_FUNCTIONS = {
+    ("catalogue", "fitters"),
+    ("conventions.checking", "fitters"),
+    ("conventions.checking", "fitting"),
+    ("data.assemble", "catalogue"),
+    ("data.assemble", "dynamics"),
+    ("data.assemble", "robots"),
+    ("data.capacity", "problem"),
+    ("numerics.export_cache", "fitters"),
+    ("numerics.export_cache", "models"),
+    ("problem.closed_loop", "fitting"),
+    ("problem.make", "api"),
+    ("robots.yardstick", "fitting"),
+    ("storage.result_files", "report"),
+}
+
+
+def modules() -> Iterator[tuple[str, ast.Module]]:
+    for top in ("jaxid", "models", "fitters"):
+        for file in sorted((ROOT / top).rglob("*.py")):
+            parts = file.relative_to(ROOT).with_suffix("").parts
+            yield ".".join(parts[1:] if top == "jaxid" else parts), ast.parse(file.read_text())
+
+
+def imported(node: ast.AST) -> Iterator[str]:
+    """The packages of jaxid that an import statement names."""
+    if isinstance(node, ast.Import):
+        names = [a.name for a in node.names]
+    elif isinstance(node, ast.ImportFrom) and not node.level:
+        names = [f"{node.module}.{a.name}" if node.module == "jaxid" else str(node.module) for a in node.names]
+    else:
+        return
+    for name in names:
+        parts = name.split(".")
+        if parts[0] == "jaxid" and len(parts) > 1 and parts[1] in LEVEL:
+            yield parts[1]
+
+
+def statements(node: ast.AST, inside: str | None = None) -> Iterator[tuple[ast.AST, str | None]]:
+    """Import statements and the function that they stand in; those for type checkers alone are left out."""
+    for child in ast.iter_child_nodes(node):
+        if isinstance(child, ast.If) and "TYPE_CHECKING" in ast.unparse(child.test):
+            continue
+        if isinstance(child, ast.Import | ast.ImportFrom):
+            yield child, inside
+        name = child.name if isinstance(child, ast.FunctionDef) and inside is None else inside
+        yield from statements(child, name)
+
+
+def upward() -> Iterator[tuple[str, str, str | None]]:
+    for module, tree in modules():
+        own = LEVEL.get(module.split(".")[0])
+        if own is None:
+            continue
+        for node, inside in statements(tree):
+            for package in imported(node):
+                if LEVEL[package] > own:
+                    yield module, package, inside
+
+
+def test_every_package_has_a_layer():
+    known = {m.split(".")[0] for m, _ in modules()} - {"__init__"}
+    assert known - set(LEVEL) == set()
+
+
+def test_no_module_imports_what_stands_on_it():
+    assert {(m, p) for m, p, inside in upward() if inside is None} == MODULE_LEVEL
+
+
+def test_functions_import_upward_only_to_show_a_result():
+    assert {(m, p) for m, p, inside in upward() if inside is not None and inside not in DISPLAY} == INSIDE_FUNCTIONS
+
+
+def test_no_private_name_is_imported():
+    found = {
+        (module, alias.name)
+        for module, tree in modules()
+        for node in ast.walk(tree)
+        if isinstance(node, ast.ImportFrom) and node.module and (node.module.startswith("jaxid") or node.level)
+        for alias in node.names
+        if alias.name.startswith("_") and not alias.name.startswith("__")
+    }
+    assert found == set()
