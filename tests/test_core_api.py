@@ -58,7 +58,7 @@ def data() -> jaxid.Dataset:
 
 @pytest.fixture(scope="module")
 def problem(data) -> Problem:
-    return jaxid.problem.make("pendulum", data)
+    return jaxid.make_problem("pendulum", data)
 
 
 def central(f: Any, z: Any, h: float = 1e-6) -> np.ndarray:

@@ -31,7 +31,7 @@ Vector = Float[Array, " size"]
 
 
 class Problem(eqx.Module):
-    """Free numbers of a model and what they make of the recorded runs. Made by `jaxid.problem.make`; frozen, and a pytree: every
+    """Free numbers of a model and what they make of the recorded runs. Made by `jaxid.make_problem`; frozen, and a pytree: every
     number and every array of the data is a leaf.
 
     z [size] holds the free parameters, those that may span decades by their logarithm, then the starts of runs that are not

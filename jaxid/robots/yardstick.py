@@ -95,14 +95,15 @@ def as_it_stands(binding: Any) -> tuple[np.ndarray, str]:
 
 def per_joint(bench: Any, scores: Mapping[str, Mapping[str, Any]]) -> tuple[dict[str, Any], ...]:
     """Each joint's free-run error (root mean square) with the file as it stands and re-tuned, on every split that was scored."""
-    from jaxid.fitting import problem_builder as estimation, scores
+    from jaxid.fitting.problem_builder import estimate_starts
+    from jaxid.fitting.scores import free_runs, scores as scored
 
     binding = bench.binding
     theta, text = as_it_stands(binding)
     out = []
     for split, table in scores.items():
-        starts = estimation.estimate_starts(bench, split, [theta])
-        before = scores.scores(bench, split, scores.free_runs(bench, split, [theta], starts)[0])
+        starts = estimate_starts(bench, split, [theta])
+        before = scored(bench, split, free_runs(bench, split, [theta], starts)[0])
         out += [
             {
                 "joint": j,
