@@ -206,13 +206,23 @@ def test_status_of_mutated_studies(tmp_path, capsys):
 
 
 def test_nothing_in_the_package_runs_what_it_reads():
-    """No pickle, eval, exec, YAML or shell in the package; arrays are read without pickles."""
+    """No pickle, eval, exec, YAML or shell in the package; arrays are read without pickles. Files of PyTorch are pickles: the one
+    module that reads them knows tensors alone (its own tests hold it to that)."""
+    tensors = ROOT / "jaxid/data/importers/torch.py"
     for top in ("jaxid", "models", "fitters"):
         for path in (ROOT / top).rglob("*.py"):
             for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
                 if isinstance(node, ast.Import | ast.ImportFrom):
                     names = {getattr(node, "module", "") or "", *(alias.name for alias in node.names)}
-                    assert not names & {"pickle", "cPickle", "dill", "cloudpickle", "marshal", "shelve", "yaml"}, path
+                    assert path == tensors or not names & {
+                        "pickle",
+                        "cPickle",
+                        "dill",
+                        "cloudpickle",
+                        "marshal",
+                        "shelve",
+                        "yaml",
+                    }, path
                 if isinstance(node, ast.Call):
                     called = node.func.id if isinstance(node.func, ast.Name) else ""
                     assert called not in ("eval", "exec", "compile"), path

@@ -50,7 +50,9 @@ class ODE(eqx.Module):
                     f"{e.name} acts on a recorded series and has no differential equation: chain.without({e.name!r})"
                 )
         self.parameters = _ready(chain)
-        self.names = tuple(Layout(chain).names)
+        # The numbers themselves may be traced: their names are not.
+        named = jax.tree.map(lambda a: np.zeros(a.shape) if isinstance(a, jax.core.Tracer) else a, chain)
+        self.names = tuple(Layout(named).names)
 
     def __call__(self, t: Any, y: Any, args: tuple[Any, Callable[[Any], Array]]) -> Any:
         chain, body = self._numbers(args)
