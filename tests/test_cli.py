@@ -9,6 +9,7 @@ import subprocess
 import sys
 from dataclasses import replace
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -38,6 +39,7 @@ def calls(monkeypatch):
 
         monkeypatch.setattr(jaxid, name, function, raising=False)
 
+    monkeypatch.setattr("jaxid.data.capacity.foreseen", lambda *_: SimpleNamespace(large=False))  # the dataset is none
     answer("load_dataset", "the dataset")
     answer("fit", sample_fit(samples=200))
     answer("diagnose", sample_diagnosis(200))
