@@ -188,8 +188,9 @@ def test_ctrl_c_keeps_what_was_finished(tmp_path, monkeypatch, capsys):
     count.clear()
     monkeypatch.setattr(jaxid, "load_dataset", lambda *_: data_of("joint"), raising=False)
     assert cli.main(["compare", "x", "--out", str(tmp_path), "--fitters", "lm", "--seeds", "5", "--budget", "300"]) == 130
-    assert "2 runs" in capsys.readouterr().err
-    assert len(json.loads((tmp_path / "comparison.json").read_text())["runs"]) == 2
+    assert "partial" in capsys.readouterr().err
+    assert len(json.loads((tmp_path / "partial" / "comparison.json").read_text())["runs"]) == 2
+    assert not (tmp_path / "comparison.json").exists()
 
 
 def test_command(tmp_path, monkeypatch, capsys):
