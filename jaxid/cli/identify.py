@@ -43,22 +43,22 @@ if TYPE_CHECKING:
     "--gain-std", type=click.FloatRange(0, 1), default=0.0, show_default=True, metavar="S",
     help="Relative standard deviation of the drive gains, for the payload's interval.",
 )  # fmt: skip
-@click.option("--tip", metavar="LINK", help="Last link of the chain in the URDF that --model names.")
 @click.option("--root", metavar="LINK", help="First link of the chain in the URDF that --model names.")
 @AS_RECORDED
 @output_options
 def identify(
-    dataset, out, model, method, friction, cutoff, motion_cutoff, reference, gain_std, tip, root, as_recorded, as_json, quiet
+    dataset, out, model, method, friction, cutoff, motion_cutoff, reference, gain_std, root, as_recorded, as_json, quiet
 ) -> int:
     """Identify a serial arm: base parameters, friction, payload.
 
     Writes identification.json and report.html into DIR.
     """
     jaxid, data = start(dataset, out)
-    if tip is not None or root is not None:
-        if model is None or not model.endswith(".urdf"):
-            raise jaxid.UsageError("--tip and --root name links of a URDF: give it as --model arm.urdf")
-        model = jaxid.models.SerialArm.from_urdf(model, tip, root)
+    tip = getattr(model, "tip", None)
+    if root is not None and (model is None or not model.endswith(".urdf")):
+        raise jaxid.UsageError("--root names a link of a URDF: give it as --model arm.urdf")
+    if model is not None and model.endswith(".urdf") and (tip is not None or root is not None):
+        model = jaxid.models.SerialArm.from_urdf(str(model), tip, root)
 
     foretell("identify", model, data, quiet)
     from jaxid.report.text import identification_text  # with matplotlib

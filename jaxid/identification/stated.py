@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from jaxid.dynamics.base_parameters import BaseParameters
-from jaxid.identification.regression import full_rows, Law, Run
+from jaxid.identification.regression import Law, Run, torques
 
 
 #: Standard deviations from which a difference is worth a sentence.
@@ -44,7 +44,7 @@ def beside_the_file(arm: Any, base: BaseParameters, law: Law, runs: Sequence[Run
         )  # fmt: skip
     joints = []
     for run in runs:
-        predicted = full_rows(run, law, np.ones(n)) @ theta
+        predicted = torques(run, [(law, theta, np.ones(n))])[0][0]
         size = np.maximum(np.linalg.norm(run.tau, axis=0), 1e-300)
         before = np.linalg.norm(run.tau - predicted, axis=0) / size
         after = next(e for e in result.experiments if e.file == run.name).relative_error_per_joint
