@@ -151,7 +151,12 @@ def test_a_limit_of_the_address_space_counts(monkeypatch):
 
 def test_samples_that_are_seconds_apart_are_refused():
     t = 5.0 * np.arange(2000)
-    data = jaxid.Dataset.from_arrays(t, {"tau": np.sin(t)}, {"q": np.cos(t)}, model="pendulum")
+    with pytest.raises(jaxid.DatasetError, match=r"step of 5 s: is t in ms\?"):
+        jaxid.Dataset.from_arrays(t, {"tau": np.sin(t)}, {"q": np.cos(t)}, model="pendulum")
+    data = recording(2000)
+    data = dataclasses.replace(
+        data, experiments=tuple(dataclasses.replace(e, t=5.0 * np.arange(len(e.t))) for e in data.experiments)
+    )
     with pytest.raises(jaxid.UsageError, match=r"step 5 s: is t in ms\?"):
         jaxid.fit(None, data)
     samples.refuse_endless(data.experiments, 1.0)  # of a step of 1 s five from one to the next
@@ -167,7 +172,7 @@ def test_a_file_is_measured_before_it_is_read(tmp_path, monkeypatch, kind):
 
 
 def test_parameters_have_a_largest_size(monkeypatch, tmp_path, capsys):
-    monkeypatch.setattr(cli, "LARGEST_JSON", 1000)
+    monkeypatch.setattr("jaxid.storage.small_files.LARGEST_BYTES", 1000)
     (tmp_path / "fit.json").write_text(" " * 1001)
     words = ["simulate", "nowhere", "--parameters", str(tmp_path / "fit.json"), "--out", str(tmp_path / "o")]
     assert cli.main(words) == errors.BAD_INPUT

@@ -108,6 +108,8 @@ def _part(binding: Binding, e: Any, count: int, number: int) -> Motion | None:
     if len(t) < 60:
         return None
     joints = [iy[k] for k in chain.joint_outputs]
+    if not joints:  # speeds alone: the samples speak for themselves
+        return None
     sigma = e.noise_rms(binding.sigma, iy)
     cutoff = max(content_cutoff(t, y[:, i], sigma[k]) for i, k in zip(joints, chain.joint_outputs, strict=True))
     q, qd, qdd, _ = differentiate(t, y[:, joints], cutoff)

@@ -3,8 +3,9 @@
 Not a safety function: limits protect against mistakes in a trajectory. Keep the emergency stop in reach.
 """
 
-from importlib import import_module as _import_module
 from typing import TYPE_CHECKING as _TYPE_CHECKING
+
+from jaxid.lazy import attach as _attach
 
 
 if _TYPE_CHECKING:
@@ -18,24 +19,17 @@ if _TYPE_CHECKING:
     from jaxid.hardware.ur.robot import UR as UR
 
 
-_HOME = {
-    "Dynamixel": "dynamixel",
-    "HardwareError": "errors",
-    "Limits": "limits",
-    "Recording": "finishing",
-    "SensorSpec": "sensor",
-    "Trajectory": "trajectory",
-    "UR": "ur",
-    "record": "session",
-    "recover": "session",
-}
-
-__all__ = list(_HOME)  # pyright: ignore[reportUnsupportedDunderAll]
-
-
-def __getattr__(name: str):
-    if name not in _HOME:
-        raise AttributeError(f"module 'jaxid.hardware' has no attribute {name!r}")
-    value = getattr(_import_module(f"jaxid.hardware.{_HOME[name]}"), name)
-    globals()[name] = value
-    return value
+__getattr__, __dir__, __all__ = _attach(
+    __name__,
+    {
+        "Dynamixel": "jaxid.hardware.dynamixel.servo",
+        "HardwareError": "jaxid.hardware.errors",
+        "Limits": "jaxid.data.limits",
+        "Recording": "jaxid.hardware.finishing",
+        "SensorSpec": "jaxid.hardware.sensor",
+        "Trajectory": "jaxid.hardware.trajectory",
+        "UR": "jaxid.hardware.ur.robot",
+        "record": "jaxid.hardware.session",
+        "recover": "jaxid.hardware.session",
+    },
+)
