@@ -14,11 +14,13 @@ import numpy as np
 
 #: Models whose candidates are shown: the first that offers an effect shows it.
 MODELS = ("pendulum", "planar_arm", "flexible_link", "space_manipulator")
+#: What the missing force is computed by.
+FORCE = ("dynamics/chain.py", "dynamics/effect.py", "dynamics/dry_friction.py", "problem/torque_filter.py", "diagnosis/where.py")
 
 
 def key(root: Path) -> str:
     """Changes whenever code changes that the pictures show."""
-    used = (root / "jaxid" / name for name in ("chain.py", "joint.py", "torque.py", "diagnosis/where.py"))
+    used = (root / "jaxid" / name for name in FORCE)
     files = [Path(__file__), *sorted((root / "models").rglob("*.py")), *used]
     return hashlib.sha256(b"".join(f.read_bytes() for f in files)).hexdigest()[:16]
 
