@@ -254,7 +254,7 @@ def _mended(x: Any, state: Any, aux: Any) -> tuple[Any, Any, Any]:
 
 def _programs(problem, fitter, solver, fn, options, f_struct, aux_struct, tags) -> tuple[Callable, ...]:
     """init, step and terminate of a solver, compiled once for all starts of problems of one structure."""
-    key = "optimistix", repr(fitter), problem.loss_name, problem.size, str(f_struct)
+    key = "optimistix", type(fitter), repr(fitter), problem.loss_name, problem.size, str(f_struct)
     if key not in problem.programs:
         rest = {"options": options, "tags": tags}
         init = lambda x, args: _spanned(solver, x, solver.init(fn, x, args, options, f_struct, aux_struct, tags))
