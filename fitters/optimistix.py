@@ -118,6 +118,8 @@ class AbstractOptimistix(AbstractFitter):
     def _better(self, problem: AbstractProblem, best: Run, z: np.ndarray, log: Log) -> Run:
         """The lower one of the best so far and of a descent from z."""
         found = self._descent(problem, Run(np.inf, z, ""), log, best.loss)
+        if found.loss < best.loss and best.done and gain(problem, best.loss, found.loss) <= MATERIAL / 100:
+            return best._replace(loss=found.loss, z=found.z)  # the same minimum once more
         return found if found.loss < best.loss else best
 
     def _descent(self, problem: AbstractProblem, best: Run, log: Log, rival: float) -> Run:
