@@ -13,6 +13,7 @@ from jaxid.fitting.fitter import AbstractFitter, Log, Minimum, Progress
 from jaxid.fitting.least_squares import descend
 from jaxid.fitting.population import AbstractPopulation
 from jaxid.fitting.result import Trace
+from jaxid.problem.objective import AbstractProblem
 from jaxid.problem.problem import Problem
 
 
@@ -38,7 +39,7 @@ class Ending(NamedTuple):
     because: str
 
 
-def gain(problem: Problem, before: float, after: float) -> float:
+def gain(problem: AbstractProblem, before: float, after: float) -> float:
     """By how many variances of a residual the sum of squares is lower; for other losses a share of a thousandth counts as one."""
     if problem.loss_name != "sum_of_squares":
         return 1000 * (before - after) / max(before, 1e-300)
