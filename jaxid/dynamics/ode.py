@@ -51,7 +51,7 @@ class ODE(eqx.Module):
                 )
         self.parameters = _ready(chain)
         # The numbers themselves may be traced: their names are not.
-        named = jax.tree.map(lambda a: np.zeros(a.shape) if isinstance(a, jax.core.Tracer) else a, chain)
+        named = jax.tree.map(lambda a: np.zeros(np.shape(a)), chain)
         self.names = tuple(Layout(named).names)
 
     def __call__(self, t: Any, y: Any, args: tuple[Any, Callable[[Any], Array]]) -> Any:
