@@ -182,7 +182,7 @@ def slow(*_, **__):
 
 jaxid.diagnose = slow
 if DEAF:
-    from jaxid import stopping
+    from jaxid.storage import stopping
     import threading
     class Deaf(threading.Event().__class__):
         def wait(self, timeout=None):

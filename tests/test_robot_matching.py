@@ -181,7 +181,7 @@ def test_faults_of_a_robot_stand_with_their_line(tmp_path):
             ('[model]\nrobot = "../arm.xml"', "outside the folder"),
             ('[model]\nrobot = "arm.xml"\n[model.joints]\nlift = "lft"', "'lft'"),
             ('[model]\nrobot = "arm.xml"\n[model.base]\nkind = "free"', "fixed or prescribed"),
-            ('[model]\nname = "pendulum"\n[model.joints]\nq1 = "lift"', "belong to a robot"),
+            ('[model]\nname = "pendulum"\n[model.base]\nroll = 0.1', "belongs to a robot"),
         )
     ):
         folder = write(tmp_path / str(number), model)

@@ -135,7 +135,7 @@ def _bound(model: object, data: Dataset, without: tuple[str, ...]) -> tuple[Bind
 
 def _by_model(binding: Binding, data: Dataset, as_recorded: bool, confirm: bool) -> tuple[list[DataFinding], Dataset]:
     """What the model tells, confirmed by a simulation, applied."""
-    motion = measured(binding) if len(binding.free) <= MOST_NUMBERS else None
+    motion = measured(binding) if 0 < len(binding.free) <= MOST_NUMBERS else None
     if motion is None:
         return [], data
     shown = list(judged(binding, ForceFit(binding, motion), motion))
