@@ -167,7 +167,8 @@ def test_a_full_disk_prints_the_answer(data, tmp_path, monkeypatch, capfd, optio
 STOPPED = """
 import sys, time
 import jaxid
-from jaxid import cli, interim
+from jaxid.cli import app as cli
+from jaxid.storage import interim
 from test_results_kept import undrawn
 
 def slow(*_, **__):
