@@ -16,7 +16,6 @@ import pytest
 import jaxid
 from jaxid import catalogue
 from jaxid.data.dataset import ModelSpec, ParameterPrior
-from jaxid.diagnosis import judge, upheld
 from jaxid.diagnosis.evidence import held_out, HeldOut, inflation, knowledge, memory, shifted
 from jaxid.diagnosis.how_far import interval_of_further_run, shrink
 from jaxid.diagnosis.hypothesis import candidates, Hypothesis, Search
@@ -25,6 +24,7 @@ from jaxid.diagnosis.proposals import exchanged
 from jaxid.diagnosis.run import growth
 from jaxid.diagnosis.search import Searcher, THOROUGH
 from jaxid.diagnosis.selection import not_borne_out, outweighed, simpler
+from jaxid.diagnosis.verdict import judge, upheld
 from jaxid.fitting.least_squares import descend
 from jaxid.fitting.problem_builder import Bench, start_values
 from jaxid.problem.binding import bind
