@@ -149,7 +149,7 @@ def telling(how_far: HowFar) -> list[str]:
 def interval(how_far: HowFar) -> str:
     """What a further run like the report runs is to show."""
     assert how_far.shrinkage_interval_95 is not None
-    low, high = (percent(min(x, 1.0)) for x in how_far.shrinkage_interval_95)
+    low, high = ("below 0 %" if x < 0 else percent(min(x, 1.0)) for x in how_far.shrinkage_interval_95)
     doubt = "; how runs differ is not known from fewer than eight" if how_far.interval_from == "blocks" else ""
     return f"{low} to {high}, with 95 % probability{doubt}"
 
