@@ -315,7 +315,7 @@ def test_the_end_of_the_recorder_stops_the_servo(servo, tmp_path, number):
 def test_the_end_of_the_driver_leaves_the_watchdog_of_the_servo(servo, tmp_path):
     process = run_cli(servo, tmp_path)
     children = Path(f"/proc/{process.pid}/task/{process.pid}/children").read_text().split()
-    (driver,) = [int(c) for c in children if "dynamixel_bus" in Path(f"/proc/{c}/cmdline").read_text()]
+    (driver,) = [int(c) for c in children if "dynamixel.driver" in Path(f"/proc/{c}/cmdline").read_text()]
     sent = time.monotonic()
     os.kill(driver, signal.SIGKILL)
     servo.wait_for(lambda log: any(e["what"] == "watchdog" and e["at"] >= sent for e in log), 3.0)

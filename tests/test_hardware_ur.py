@@ -213,7 +213,7 @@ def test_a_killed_recorder_stops_the_robot_and_loses_at_most_a_second(robot, tmp
 
 def driver_of(process: subprocess.Popen) -> int:
     children = Path(f"/proc/{process.pid}/task/{process.pid}/children").read_text().split()
-    (child,) = [int(c) for c in children if "ur_motion" in Path(f"/proc/{c}/cmdline").read_text()]
+    (child,) = [int(c) for c in children if "ur.driver" in Path(f"/proc/{c}/cmdline").read_text()]
     return child
 
 
