@@ -155,6 +155,7 @@ class Answer:
     how_far: Any
     notes: tuple[str, ...] = ()
     wall_time_s: float = 0.0
+    data: tuple[Any, ...] = ()
 
 
 @pytest.mark.parametrize(
