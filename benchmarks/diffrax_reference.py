@@ -1,6 +1,6 @@
 """The fixed-step scan against diffrax on the same smoothed model, and smoothed friction against true sticking.
 
-`Chain.vector_field` is a plain ODE; diffrax integrates it adaptively (Tsit5, or Kvaerno5 where tanh makes it stiff) between the
+`Chain.ode` is a plain ODE; diffrax integrates it adaptively (Tsit5, or Kvaerno5 where tanh makes it stiff) between the
 samples of a held command.
 """
 

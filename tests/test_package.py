@@ -168,12 +168,21 @@ print(sum(n - before.get(t, 0) > 50 for t, n in switches().items()))
     assert run(code) == "0"
 
 
+#: Files to be parted, and the lines that they have; they may only shrink.
+LONG = {
+    "jaxid/diagnosis/run.py": 457,
+    "jaxid/diagnosis/search.py": 452,
+    "jaxid/identification/run.py": 483,
+    "jaxid/problem/problem.py": 463,
+}
+
+
 def test_files_stay_readable():
     long = {
-        str(p.relative_to(ROOT)): n
+        name: n
         for top in ("jaxid", "models", "fitters")
         for p in (ROOT / top).rglob("*.py")
-        if (n := len(p.read_text(encoding="utf-8").splitlines())) > 490  # 400, once these are parted
+        if (n := len(p.read_text(encoding="utf-8").splitlines())) > LONG.get(name := p.relative_to(ROOT).as_posix(), 450)
     }
     assert long == {}
     assert len((ROOT / "CONTRIBUTING.md").read_text().splitlines()) <= 60
