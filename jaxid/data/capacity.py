@@ -22,8 +22,8 @@ LONGEST_S = 3600.0
 BASE = 0.7e9
 #: Below these no word is said.
 SMALL_BYTES, SMALL_S = 1.5e9, 120.0
-#: Rough, to be measured by benchmarks/memory.py: numbers a row in memory for each channel, joint and parameter, and seconds for each sample and
-#: parameter of a fit, of one core.
+#: Rough, to be measured by benchmarks/memory.py: numbers a row in memory for each channel, joint and parameter, and seconds for
+#: each sample and parameter of a fit, of one core.
 FIT_CHANNEL, FIT_JOINT, FIT_NUMBER = 12, 8, 8
 SECONDS = 6e-6
 #: A diagnosis refits each candidate, from more than one start.
