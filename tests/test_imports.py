@@ -38,7 +38,6 @@ MODULE_LEVEL = {
     ("data.assemble", "dynamics"),
     ("fitting.run", "fitters"),
     ("fitting.simulate", "api"),
-    ("fitting.stated", "report"),
     ("numerics.program_cache", "cli"),
     ("problem.pure_problem", "fitting"),
     ("robots.drives", "simulation"),
