@@ -13,9 +13,8 @@ from jaxid.wording import percent
 ROOT = Path(__file__).resolve().parents[1]
 README = (ROOT / "README.md").read_text()
 OWN_MODEL, FROM_PYTHON = re.findall(r"```python\n(.*?)```", README, re.S)
-OWN_EFFECT = next(
-    b for b in re.findall(r"```python\n(.*?)```", (ROOT / "docs/extending.md").read_text(), re.S) if "JointEffect" in b
-)
+EXTENDING = re.findall(r"```python\n(.*?)```", (ROOT / "docs" / "extending.md").read_text(), re.S)
+OWN_EFFECT = next(block for block in EXTENDING if "JointEffect" in block)
 (ANSWER,) = re.findall(r"```text\n(.*?)```", README, re.S)
 #: A number, and how near one that another machine computed has to be.
 NUMBER, NEAR = re.compile(r"\d+(?:\.\d+)?(?:e[+-]?\d+)?"), 0.05

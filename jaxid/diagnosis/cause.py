@@ -5,6 +5,8 @@ from __future__ import annotations
 from collections.abc import Callable
 from typing import TYPE_CHECKING
 
+import numpy as np
+
 from jaxid import catalogue
 from jaxid.wording import number, percent
 
@@ -18,9 +20,11 @@ class Amount:
 
     def __init__(self, estimate: Estimate):
         self.value, self.unit = estimate.value, "" if estimate.unit in ("", "1") else f" {estimate.unit}"
+        known = abs(estimate.value) / estimate.std if estimate.std and estimate.value else 100.0
+        self.digits = int(np.clip(round(np.log10(known)) + 1, 1, 4)) if np.isfinite(known) else 3
 
     def __format__(self, form: str) -> str:
-        return percent(self.value) if form == "%" else number(self.value, 4) + self.unit
+        return percent(self.value) if form == "%" else number(self.value, self.digits) + self.unit
 
 
 def words(effect: EffectEstimate, field: str) -> str:
