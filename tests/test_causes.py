@@ -36,7 +36,7 @@ def test_every_effect_speaks(name):
 
 def test_numbers_bear_as_many_digits_as_are_known():
     known = lambda value, std: words(estimate("dead_zone", value, std), "plain")
-    for value, std, told in ((0.2969, 0.0026, "0.297"), (0.31, 0.15, "0.3"), (0.0999951, 7e-6, "0.1000"), (0.25, None, "0.2500")):
+    for value, std, told in ((0.2969, 0.0026, "0.297"), (0.31, 0.15, "0.3"), (0.0999951, 7e-6, "0.1000"), (0.25, None, "0.250")):
         assert f"needs {told} N m" in known(value, std)
 
 

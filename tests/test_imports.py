@@ -61,20 +61,6 @@ INSIDE_FUNCTIONS = {
     ("robots.yardstick", "fitting"),
     ("storage.result_files", "report"),
 }
-#: Private names of other modules that are still imported: (module, name).
-PRIVATE = {
-    ("fitters.linear", "_long_run"),
-    ("fitters.linear", "_null_directions"),
-    ("fitters.linear", "_whiteness"),
-    ("identification.estimators", "_long_run"),
-    ("identification.estimators", "_null_directions"),
-    ("identification.estimators", "_whiteness"),
-    ("identification.online", "_refuse_forgetting"),
-    ("problem.closed_loop", "_record"),
-    ("problem.frequency_response", "_record"),
-    ("study.plan", "_entry"),
-    ("study.plan", "_plain"),
-}
 
 
 def modules() -> Iterator[tuple[str, ast.Module]]:
@@ -142,4 +128,4 @@ def test_no_private_name_is_imported():
         for alias in node.names
         if alias.name.startswith("_") and not alias.name.startswith("__")
     }
-    assert found == PRIVATE
+    assert found == set()

@@ -101,8 +101,8 @@ def upheld(
     if retuned <= SEEN and (after < retuned or not (room or after**2 > ALIKE * retuned**2)):
         if verdict == "named" and room and closed < PARTLY:
             return "unknown", (
-                f"{text} On the report data, {times(retuned)} times the noise away without it, {times(after)} are left with it: "
-                "not most of what little there is, so it is not claimed."
+                f"{text.replace('The model lacks', 'Nearest comes', 1)} On the report data {times(after)} times the noise is "
+                f"left with it, {times(retuned)} without: that is not most of what little there is, so it is not claimed."
             )
         return verdict, text
     if after >= without:
