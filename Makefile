@@ -4,7 +4,7 @@ VENV ?= .venv
 BIN := $(VENV)/bin
 PYTEST := OPENBLAS_NUM_THREADS=1 $(BIN)/python -m pytest -q
 
-.PHONY: demo test test-core test-all test-versions lint format notebooks docs benchmark benchmark-blind benchmark-reliability clean
+.PHONY: demo test test-core test-all test-versions lint format notebooks lab docs benchmark benchmark-blind benchmark-reliability clean
 
 demo: $(VENV)/installed
 	$(BIN)/jaxid diagnose examples/servo_pendulum --out out/demo
@@ -52,6 +52,12 @@ benchmark-reliability: $(VENV)/installed-dev
 notebooks: $(VENV)/installed-dev
 	$(PYTEST) -n auto --maxprocesses 2 --dist worksteal tests/test_notebooks.py $(ARGS)
 	$(PYTEST) tests/test_hardware_end_to_end.py $(ARGS)
+
+# The notebooks, which are kept as text, as .ipynb files beside them, opened in JupyterLab.
+lab: $(VENV)/installed
+	$(BIN)/python -m pip install --quiet --disable-pip-version-check jupyterlab jupytext
+	$(BIN)/jupytext --quiet --to ipynb notebooks/*.py
+	$(BIN)/jupyter lab notebooks
 
 # The site with all notebooks executed in full; warnings are errors. Outputs are kept in out/docs_cache until a notebook
 # or the budgets change; for those of changed library code `make clean` first.

@@ -20,7 +20,7 @@ import numpy as np
 from jaxid.data.noise import noise_floor
 from jaxid.dynamics.controller import law_of
 from jaxid.errors import UsageError
-from jaxid.fitting.covariance import _long_run, _null_directions, _whiteness, Covariance
+from jaxid.fitting.covariance import Covariance, long_run, null_directions, whiteness
 from jaxid.fitting.fitter import AbstractFitter, Minimum
 from jaxid.fitting.recursive_least_squares import replay
 from jaxid.fitting.settings import option
@@ -348,14 +348,14 @@ def sandwich(problem: Problem, z: np.ndarray, blocks: Blocks, instruments: Block
     scale = np.sqrt(np.sum(W**2, 0))
     seen = scale > 1e-150
     scale = np.where(seen, scale, 1.0)
-    identifiable, groups = _null_directions(W.T @ W / scale / scale[:, None], seen)
+    identifiable, groups = null_directions(W.T @ W / scale / scale[:, None], seen)
     identifiable &= seen
-    white, memory = _whiteness([column for r in residuals for column in r.T])
+    white, memory = whiteness([column for r in residuals for column in r.T])
     dof = max(1, count - n)
     s2 = float(sum(np.sum(r**2) for r in residuals)) / dof
     columns = list(range(n))
     scores = [(columns, np.einsum("tc,tck->tk", r, A * slope)) for r, A in zip(residuals, instruments.W, strict=True)]
-    S = Z.T @ Z * s2 if white else _long_run(scores, n, memory) * count / dof
+    S = Z.T @ Z * s2 if white else long_run(scores, n, memory) * count / dof
     matrix = np.full((n, n), np.nan)
     for kept in (~at_bound & seen, seen):  # those at a bound get their own figures from the full matrix
         index = np.flatnonzero(kept)

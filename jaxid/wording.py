@@ -7,6 +7,7 @@ import shutil
 import textwrap
 import unicodedata
 from collections.abc import Iterable, Sequence
+from typing import Protocol
 
 
 # Format characters that turn the direction of text around or hide it; control characters are category Cc.
@@ -30,9 +31,40 @@ def number(value: float | None, digits: int = 3) -> str:
     if value == 0:
         return "0"
     if 1e-4 <= abs(value) < 1e5:
-        decimals = max(0, digits - 1 - math.floor(math.log10(abs(value))))
-        return f"{value:.{decimals}f}"
+        exponent = int(f"{value:.{digits - 1}e}".split("e")[1])  # of the rounded number: 0.09999 has that of 0.1
+        return f"{value:.{max(0, digits - 1 - exponent)}f}"
     return f"{value:.{digits - 1}e}"
+
+
+class Measured(Protocol):
+    """A number with its standard deviation (None where there is none) and its unit."""
+
+    @property
+    def value(self) -> float: ...
+    @property
+    def std(self) -> float | None: ...
+    @property
+    def unit(self) -> str: ...
+
+
+#: A standard deviation below this share of its number is said as that: four digits tell the number.
+CLOSE = 1e-4
+
+
+def value_with_std(estimate: Measured, unit: bool = True) -> str:
+    """`0.0812 ± 0.0004 kg m^2`, rounded to two digits of the standard deviation; four digits where it is known better."""
+    value, std = estimate.value, estimate.std
+    tail = f" {one_line(estimate.unit)}" if unit and estimate.unit not in ("", "1") else ""
+    if std is None or not math.isfinite(std) or std <= 0 or not math.isfinite(value):
+        return number(value) + tail
+    if std < CLOSE * abs(value):
+        return f"{number(value, 4)}{tail} (± under 0.01 %)"
+    exponent = math.floor(math.log10(std)) - 1
+    if -7 <= exponent <= 3 and abs(value) < 1e6:
+        decimals = max(0, -exponent)
+        return f"{value:.{decimals}f} ± {std:.{decimals}f}{tail}"
+    digits = 2 if value == 0 else max(2, math.floor(math.log10(abs(value))) - exponent + 1)
+    return f"{value:.{min(digits, 15) - 1}e} ± {std:.1e}{tail}"
 
 
 def short(value: float | None) -> str:

@@ -193,3 +193,29 @@ def test_effects_that_cannot_be_believed_are_said_so():
     ]
     assert len(doubts([off, nothing, pushed, *sound])) == 3
     assert not doubts(sound)
+
+
+@pytest.fixture(scope="module")
+def recorded_arm() -> jaxid.Dataset:
+    folder = CASES.parent / "data" / "ur10e"
+    if not folder.is_dir():
+        pytest.skip(f"no recording of a UR10e at {folder}: set JAXID_DATA")
+    return jaxid.load_dataset(folder)
+
+
+@pytest.mark.parametrize(
+    ("fault", "kind", "line"),
+    [
+        (Mending(), None, ""),
+        (Mending({"tau2": {"scale": -1.0}}), "sign", "scale = -13.26"),
+        (Mending({"q3": {"scale": -1.0}}), "sign", "scale = -1"),
+        (Mending({"q2": {"scale": 180 / pi}}), "scale", 'unit = "deg"'),
+        (Mending(exchanged=(("tau4", "tau5"),)), "swapped_channels", 'column = "i5"  # of tau4\ncolumn = "i4"  # of tau5'),
+    ],
+)
+@pytest.mark.filterwarnings("ignore::jaxid.errors.DatasetWarning")
+def test_faults_of_an_arm_with_many_numbers(recorded_arm, fault, kind, line):
+    """Six joints, 58 numbers: by the torque of the joints that stand out, in about a second each."""
+    findings = [f for f in jaxid.check(None, mended(recorded_arm, fault)).findings if f.kind != "glitch"]
+    assert [f.kind for f in findings] == ([kind] if kind else [])
+    assert not kind or (findings[0].decisive and findings[0].line == line and findings[0].channel in line + str(fault))

@@ -38,7 +38,6 @@ MODULE_LEVEL = {
     ("data.assemble", "dynamics"),
     ("fitting.run", "fitters"),
     ("fitting.simulate", "api"),
-    ("fitting.stated", "report"),
     ("numerics.program_cache", "cli"),
     ("problem.pure_problem", "fitting"),
     ("robots.drives", "simulation"),
@@ -61,20 +60,6 @@ INSIDE_FUNCTIONS = {
     ("problem.pure_problem", "api"),
     ("robots.yardstick", "fitting"),
     ("storage.result_files", "report"),
-}
-#: Private names of other modules that are still imported: (module, name).
-PRIVATE = {
-    ("fitters.linear", "_long_run"),
-    ("fitters.linear", "_null_directions"),
-    ("fitters.linear", "_whiteness"),
-    ("identification.estimators", "_long_run"),
-    ("identification.estimators", "_null_directions"),
-    ("identification.estimators", "_whiteness"),
-    ("identification.online", "_refuse_forgetting"),
-    ("problem.closed_loop", "_record"),
-    ("problem.frequency_response", "_record"),
-    ("study.plan", "_entry"),
-    ("study.plan", "_plain"),
 }
 
 
@@ -143,4 +128,4 @@ def test_no_private_name_is_imported():
         for alias in node.names
         if alias.name.startswith("_") and not alias.name.startswith("__")
     }
-    assert found == PRIVATE
+    assert found == set()

@@ -113,8 +113,8 @@ def test_identification_by_stretches(monkeypatch, method):
     assert np.allclose(a.theta, b.theta, rtol=1e-6, atol=1e-6 * np.abs(a.theta).max())
     assert np.allclose(a.std(), b.std(), rtol=1e-6, equal_nan=True)
     for one, other in zip(a.experiments, b.experiments, strict=True):
-        assert one.relative_error == pytest.approx(other.relative_error, rel=1e-9)
-        assert one.unfiltered_relative_error == pytest.approx(other.unfiltered_relative_error, rel=1e-9)
+        assert one.relative_error == pytest.approx(other.relative_error, rel=1e-6)
+        assert one.unfiltered_relative_error == pytest.approx(other.unfiltered_relative_error, rel=1e-6)
 
 
 def test_what_does_not_fit_is_refused_before_anything_is_computed(monkeypatch):

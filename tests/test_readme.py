@@ -11,16 +11,40 @@ from jaxid.wording import percent
 
 
 ROOT = Path(__file__).resolve().parents[1]
-BLOCKS = re.findall(r"```python\n(.*?)```", (ROOT / "README.md").read_text(), re.S)
+README = (ROOT / "README.md").read_text()
+OWN_MODEL, FROM_PYTHON = re.findall(r"```python\n(.*?)```", README, re.S)
+EXTENDING = re.findall(r"```python\n(.*?)```", (ROOT / "docs" / "extending.md").read_text(), re.S)
+OWN_EFFECT = next(block for block in EXTENDING if "JointEffect" in block)
+(ANSWER,) = re.findall(r"```text\n(.*?)```", README, re.S)
+#: A number, and how near one that another machine computed has to be.
+NUMBER, NEAR = re.compile(r"\d+(?:\.\d+)?(?:e[+-]?\d+)?"), 0.05
+
+
+def test_it_is_short():
+    assert len(README.splitlines()) <= 160
+
+
+def told_alike(lines: str, told: str) -> None:
+    """The same words, and numbers that differ by no more than computers do."""
+    words = lambda s: re.sub(r"\s+", " ", NUMBER.sub("#", s)).strip()
+    assert words(lines) in words(told)
+    numbers = lambda s: [float(x) for x in NUMBER.findall(s)]
+    for part in re.split(r"\n(?=[A-Z])", lines.strip()):
+        (label,) = re.findall(r"^[A-Z ]{4,8}(?=  )", part)
+        other = next(p for p in re.split(r"\n(?=[A-Z])", told) if p.startswith(label))
+        for a, b in zip(numbers(part), numbers(other), strict=False):
+            assert abs(a - b) <= NEAR * max(abs(a), abs(b)) or label.strip() == "WHERE", part
 
 
 def test_first_block_goes_from_data_to_a_diagnosis(tmp_path, monkeypatch, capsys):
     shutil.copytree(ROOT / "examples" / "servo_pendulum", tmp_path / "my_robot")
     monkeypatch.chdir(tmp_path)
     made: dict = {}
-    exec(BLOCKS[0], made)
+    exec(FROM_PYTHON, made)
     told = capsys.readouterr().out
     assert "named" in told and "dead_zone" in told
+    kept = [line for line in told.splitlines() if "rms error" not in line]  # a line for each channel
+    told_alike(ANSWER, "\n".join(kept))
     assert (tmp_path / "report.html").stat().st_size > 10_000
     the_picture_shows(made["diagnosis"])
 
@@ -38,7 +62,7 @@ def the_picture_shows(diagnosis: jaxid.Diagnosis) -> None:
 
 def test_the_recipes_for_a_model_and_an_effect_fit():
     made: dict = {}
-    for block in BLOCKS[1:]:
+    for block in (OWN_MODEL, OWN_EFFECT):
         exec(block, made)
     t = np.arange(600) / 100
     rng = np.random.default_rng(0)

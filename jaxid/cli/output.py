@@ -74,6 +74,8 @@ class Output:
             print(json.dumps(finite(result.to_dict()), indent=1, allow_nan=False))
         elif not quiet:
             terminal.say(text(result))
+            if (page := self.out / "report.html").is_file() and self.kept is None:
+                terminal.say(f"The report with pictures: {page}")
 
     def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, trace: Any) -> None:
         self._progress.stop()

@@ -28,7 +28,7 @@ from jaxid.problem.binding import bind, Binding
 
 #: Evaluations of each of the two fits that confirm a finding, and the share of the gap that has to go.
 BUDGET, GONE = 400, 0.7
-#: Numbers of a model beyond which its readings are not gone through: an arm with many joints takes minutes for them.
+#: Numbers of a model beyond which only readings of the joints that stand out are gone through: each takes most of a second.
 MOST_NUMBERS = 30
 #: Kinds that a model tells, and that its simulation has to confirm.
 BY_MODEL = ("sign", "zero", "scale", "swapped_channels", "row_shift", "clock")
@@ -139,14 +139,15 @@ def _bound(model: object, data: Dataset, without: tuple[str, ...]) -> tuple[Bind
 def _by_model(binding: Binding, data: Dataset, as_recorded: bool, confirm: bool) -> tuple[list[DataFinding], Dataset]:
     """What the model tells, confirmed by a simulation, applied."""
     driven = bool(binding.dataset.inputs)  # along a free motion every reading fits with another scale
-    motion = measured(binding) if driven and 0 < len(binding.free) <= MOST_NUMBERS else None
+    motion = measured(binding) if driven and binding.free else None
     if motion is None:
         return [], data
-    shown = list(judged(binding, ForceFit(binding, motion), motion))
+    many = len(binding.free) > MOST_NUMBERS
+    shown = list(judged(binding, ForceFit(binding, motion), motion, many))
     total = Mending()
     for s in shown:
         total = total.then(s.mending)
-    if total and confirm:
+    if total and confirm and not many:  # the free run of an arm that was held by its controller says nothing
         shown = _confirmed(binding, data, total, shown)
     out, change = [], Mending()
     for s in shown:

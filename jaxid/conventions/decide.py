@@ -39,6 +39,8 @@ CLEAR = 0.2
 #: What is missing is known to about that share of the drive: filters, friction near rest.
 FLOOR = 0.01
 MOST = 4
+#: Of a model with many numbers a joint is asked about where that share of its drive is not explained.
+STANDS_OUT = 0.25
 
 
 @dataclass(frozen=True)
@@ -53,29 +55,34 @@ class Judged:
         return self.fitted.worst + FLOOR
 
 
-def judged(binding: Binding, fit: ForceFit, motion: Motion) -> Iterator[Shown]:
-    """Findings that need the model, one after another: each is looked for in what the decisive ones before it leave."""
+def judged(binding: Binding, fit: ForceFit, motion: Motion, many: bool = False) -> Iterator[Shown]:
+    """Findings that need the model, one after another: each is looked for in what the decisive ones before it leave. `many`: the
+    model has so many numbers that only readings of joints whose drive it does not explain are asked for, and no times."""
     names, m = Names(binding), motion
     for _ in range(MOST):
-        shown, changed = _next(binding, fit, m, names)
+        shown, changed = _next(binding, fit, m, names, many)
         if shown is not None:
             yield shown
         if changed is None:
             break
         m = changed
-    if fit.driven:
+    if fit.driven and not many:
         yield from _timed(binding, fit, m, names)
         if (found := _unsigned(binding, fit, m, names)) is not None:
             yield found
 
 
-def _next(binding: Binding, fit: ForceFit, m: Motion, names: Names) -> tuple[Shown | None, Motion | None]:
-    plain, laws = fit.fit(m, laws=False), fit.fit(m)
+def _next(binding: Binding, fit: ForceFit, m: Motion, names: Names, many: bool = False) -> tuple[Shown | None, Motion | None]:
+    plain = fit.fit(m, laws=False)
     before = plain.worst + FLOOR
+    out = _standing_out(plain, m, names) if many else None
+    if out is not None and not out:
+        return None, None
+    laws = fit.fit(m)
     if before <= 2 * FLOOR or before <= ALIKE * (fit.noise(plain, binding) + FLOOR):
         return None, None
     tried: list[Judged] = []
-    for readings in _readings(names, before, fit.driven):
+    for readings in _readings(names, before, fit.driven) if out is None else _of(out, names):
         tried += [Judged(r, fit.fit(r.change(m), laws=False, hopeless=before)) for r in readings]
         tried = sorted((t for t in tried if np.isfinite(t.left)), key=lambda t: t.left)
         if tried and tried[0].left <= CLEAR * before:
@@ -125,11 +132,27 @@ def _next(binding: Binding, fit: ForceFit, m: Motion, names: Names) -> tuple[Sho
     return Shown(finding, mending if decisive else Mending()), (change(m) if decisive else None)
 
 
+def _standing_out(plain: Fitted, m: Motion, names: Names) -> set[str]:
+    """Channels of the joints of whose drive a fit leaves most: a channel that says something else leaves its own joint's."""
+    left = np.sqrt(np.sum(plain.residual**2, 0) / np.maximum(1, np.count_nonzero(m.weight, 0)))
+    worst = np.flatnonzero(left > max(STANDS_OUT, SHARE * float(left.max())))
+    inputs = names.inputs if len(names.inputs) == len(names.joints) else []
+    return {channel[j] for j in worst for channel in (names.joints, inputs) if channel}
+
+
 def _readings(names: Names, before: float, driven: bool) -> Iterator[list[Reading]]:
     """Those that could close a gap of this size, the many last: a wrong unit leaves no small one."""
     yield [*(signs(names) if driven else ()), *(exchanges(names) if driven else ()), *zeros(names)]
     if before > 0.1:
         yield list(scales(names))
+
+
+def _of(channels: set[str], names: Names) -> Iterator[list[Reading]]:
+    """Readings of these channels, inputs first: they leave the motion as it is."""
+    own = [r for r in (*signs(names), *exchanges(names), *zeros(names)) if set(r.channels) & channels]
+    yield [r for r in own if set(r.channels) <= set(names.inputs)]
+    yield [r for r in own if not set(r.channels) <= set(names.inputs)]
+    yield [r for r in scales(names) if set(r.channels) & channels]
 
 
 def _refined(fit: ForceFit, m: Motion, best: Judged, names: Names):

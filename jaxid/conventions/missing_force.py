@@ -180,6 +180,7 @@ class ForceFit:
         self.program = _program(binding.layout)
         self.free = [i for i in binding.free if np.isfinite(binding.theta[i])]
         self.nq = binding.chain.nq
+        self._known: tuple[np.ndarray, np.ndarray, np.ndarray] | None = None
         self.driven = motion.u.shape[1] > 0 and bool(np.any(motion.u))
         if not self.driven and self.free:  # without a drive nothing says how large the inertia is: one number is held
             self.free = self.free[1:]
@@ -195,6 +196,28 @@ class ForceFit:
         with float64():
             found = self.program(thetas, *(pad(a) for a in (m.q, m.qd, m.qdd, m.u)))
         return np.nan_to_num(np.asarray(found)[:, :count], nan=1e12, posinf=1e12, neginf=-1e12)
+
+    def slopes(self, theta: np.ndarray, h: np.ndarray, here: np.ndarray, m: Motion) -> np.ndarray:
+        """The force [free rows nq] by each free number, by differences h; those of a model that is linear in its numbers are the
+        same wherever they stand, and whatever the inputs are."""
+        if self._known is not None and self._known[0] is m.q and self._known[1] is m.qd:
+            return self._known[2]
+        thetas = np.repeat(theta[None], len(h), 0)
+        thetas[np.arange(len(h)), self.free] += h
+        found = (self.all_missing(thetas, m) - here) / h[:, None, None]
+        if self.linear:
+            self._known = (m.q, m.qd, found)
+        return found
+
+    @cached_property
+    def linear(self) -> bool:
+        """Whether the force is linear in the free numbers, as an arm's is: two steps make their sum."""
+        rng, b = np.random.default_rng(0), self.binding
+        steps = np.zeros((2, len(b.theta)))
+        steps[:, self.free] = rng.uniform(0.1, 1.0, (2, len(self.free))) * np.maximum(b.scale[self.free], 1e-9)
+        thetas = b.theta + np.stack([0 * steps[0], steps[0], steps[1], steps[0] + steps[1]])
+        none, one, other, both = self.all_missing(thetas, self.motion)
+        return bool(np.allclose(both - none, one + other - 2 * none, rtol=0, atol=1e-9 * (np.abs(both).max() + 1e-300)))
 
     def norm(self, m: Motion) -> np.ndarray:
         """What the force is measured by, [nq]: the drive where it is measured, else what the motion takes at start values."""
@@ -255,10 +278,7 @@ class ForceFit:
             moved = m if more is None else more(x[p : p + k])
             here = self.missing(theta, moved)
             if p:
-                thetas = np.repeat(theta[None], p, 0)
-                thetas[np.arange(p), free] += h[:p]
-                slopes = (self.all_missing(thetas, moved) - here) / h[:p, None, None]
-                J[..., :p] = np.moveaxis(slopes * weight, 0, -1)
+                J[..., :p] = np.moveaxis(self.slopes(theta, h[:p], here, moved) * weight, 0, -1)
             for i in range(p, p + k):
                 J[..., i] = (residual(x + h[i] * (np.arange(x.size) == i)) - r) / h[i]
             A = (J[train] * scale).reshape(-1, x.size)

@@ -26,7 +26,7 @@ class _Strict(BaseModel):
     model_config = ConfigDict(extra="forbid", strict=True, allow_inf_nan=False)
 
 
-def _plain(text: str) -> str:
+def plain_text(text: str) -> str:
     if not text.strip():
         raise ValueError("is empty")
     if any(ord(c) < 32 or ord(c) == 127 for c in text):
@@ -46,12 +46,12 @@ class Header(_Strict):
     time: Column = "t"
     time_unit: Literal["s", "ms", "us", "ns"] | None = None
 
-    _name = field_validator("name")(_plain)
+    _name = field_validator("name")(plain_text)
 
     @field_validator("time")
     @classmethod
     def _time(cls, value: str | int) -> str | int:
-        return _plain(value) if isinstance(value, str) else value
+        return plain_text(value) if isinstance(value, str) else value
 
 
 class ChannelEntry(_Strict):
@@ -133,7 +133,7 @@ class ExperimentEntry(_Strict):
     @field_validator("name", "repeat_of")
     @classmethod
     def _name(cls, value: str | None) -> str | None:
-        return value if value is None else _plain(value)
+        return value if value is None else plain_text(value)
 
     @field_validator("rows", "window_s")
     @classmethod
@@ -244,7 +244,7 @@ class ModelEntry(_Strict):
     @classmethod
     def _joints(cls, value: dict[str, str]) -> dict[str, str]:
         for channel, joint in value.items():
-            _plain(joint)
+            plain_text(joint)
             if sum(joint == other for other in value.values()) > 1:
                 raise ValueError(f"{channel!r}: two channels are of joint {joint!r}; one joint has one position")
         return value
@@ -320,7 +320,7 @@ def read_document(raw: Mapping[str, Any], places: Places) -> Document:
             document.sound.add(name)
             sections[name] = value
     head = {k: v for k, v in raw.items() if k not in tables}
-    document.header = _entry(Header, head, (), places, document, "header", allowed)
+    document.header = entry_of(Header, head, (), places, document, "header", allowed)
     for name, value in (sections.get("channels") or {}).items():
         if not re.fullmatch(r"[A-Za-z_][A-Za-z0-9_]*(\*[A-Za-z0-9_]*)?", name) or name == "t":
             why = "is the name of the time" if name == "t" else "is not a name of letters, digits and underscores"
@@ -329,7 +329,7 @@ def read_document(raw: Mapping[str, Any], places: Places) -> Document:
             )
             document.sound.discard("channels")
             continue
-        entry = _entry(ChannelEntry, value, ("channels", name), places, document, "channels")
+        entry = entry_of(ChannelEntry, value, ("channels", name), places, document, "channels")
         if entry is not None:
             document.channels[name] = entry
     for index, value in enumerate(sections.get("experiments") or []):
@@ -339,13 +339,13 @@ def read_document(raw: Mapping[str, Any], places: Places) -> Document:
                 places.problem((*key, "file"), "'file' is missing", "State 'file', or 'files' with a pattern")
             )
             document.sound.discard("experiments")
-        entry = _entry(ExperimentEntry, value, key, places, document, "experiments")
+        entry = entry_of(ExperimentEntry, value, key, places, document, "experiments")
         if entry is not None and (entry.file or entry.files) and not any(_selects(k) for k in document.faulty.get(key, ())):
             document.experiments[index] = entry
     if sections.get("model") is not None:
-        document.model = _entry(ModelEntry, sections["model"], ("model",), places, document, "model")
+        document.model = entry_of(ModelEntry, sections["model"], ("model",), places, document, "model")
     if sections.get("controller") is not None:
-        document.controller = _entry(ControllerEntry, sections["controller"], ("controller",), places, document, "controller")
+        document.controller = entry_of(ControllerEntry, sections["controller"], ("controller",), places, document, "controller")
     return document
 
 
@@ -358,7 +358,7 @@ def _selects(key: str | int | None) -> bool:
     return bool(close) and close[0] not in harmless
 
 
-def _entry(
+def entry_of(
     cls: type[Entry],
     raw: Any,
     key: tuple[str | int, ...],

@@ -9,6 +9,7 @@ from typing import Any, TYPE_CHECKING
 import numpy as np
 
 from jaxid.conventions.finding import as_data, DataFinding
+from jaxid.diagnosis.cause import words
 from jaxid.fitting.result import EffectEstimate, Fit, Trace
 from jaxid.numerics.versions import versions
 from jaxid.serialise import SCHEMA
@@ -27,7 +28,8 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class Finding:
-    """One place where the gap lies. `times_noise_floor` is the missing signal there over what noise would show there."""
+    """One place where the gap lies. `times_noise_floor` is the missing signal there over what noise would show there; `variable`
+    what the force is a law of (or what tells the regime), `range` where in it (None: an open end)."""
 
     channel: str
     location: str
@@ -36,6 +38,8 @@ class Finding:
     share_of_gap: float
     times_noise_floor: float
     text: str
+    variable: str = ""
+    range: tuple[float | None, float | None] | None = None
 
     def to_dict(self) -> dict[str, Any]:
         return {
@@ -45,6 +49,8 @@ class Finding:
             "window_s": list(self.window_s),
             "share_of_gap": self.share_of_gap,
             "times_noise_floor": self.times_noise_floor,
+            "variable": self.variable,
+            "range": None if self.range is None else list(self.range),
             "text": self.text,
         }
 
@@ -106,9 +112,15 @@ class Ranked:
     bic: float
     evidence: float  # validation log-likelihood gained over the nominal model, per independent block
     text: str
+    beside: tuple[str, ...] = ()  # effects that had been added before it
+
+    @property
+    def round(self) -> int:
+        """In which round it was asked: 1 with nothing beside it."""
+        return 1 + len(self.beside)
 
     def to_dict(self) -> dict[str, Any]:
-        return asdict(self)
+        return {**asdict(self), "beside": list(self.beside), "round": self.round}
 
 
 @dataclass(frozen=True)
@@ -122,7 +134,7 @@ class Which:
     def to_dict(self) -> dict[str, Any]:
         return {
             "verdict": self.verdict,
-            "effects": [e.to_dict() for e in self.effects],
+            "effects": [{**e.to_dict(), "text": words(e, "plain"), "check": words(e, "check")} for e in self.effects],
             "confusable_with": [{"effect": e.effect, "location": e.location} for e in self.confusable_with],
             "ranking": [r.to_dict() for r in self.ranking],
             "text": self.text,

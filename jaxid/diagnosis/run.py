@@ -227,7 +227,7 @@ def _diagnosed(question: Question, scatter: timing.Scatter | None = None) -> tup
         verdict, text = "partly", f"{text} It is not to be believed as it stands: {'; '.join(against)}."
     final_fit = _fit(bench, final, residual, seed, compile_time, time.perf_counter() - began)
     mates = search.confusable if named else []
-    findings, pictures, rows = _where(bench, search.nominal, final, verdict, named, seed)
+    findings, pictures, rows = _where(bench, search.nominal, final, verdict, estimates, seed)
     ranking = (*(scatter.ranked(bench, residual, search.nominal) if scatter else ()), *_ranked(search))
     by_torque = isinstance(residual, InverseDynamics)
     looked, pair, stopped = Look(), search.rivals, None
@@ -374,18 +374,20 @@ def _starts(bench: Bench, h: Hypothesis) -> np.ndarray | None:
     return estimate_starts(bench, "fit", [h.theta])[0]
 
 
-def _where(bench: Bench, nominal: Hypothesis, final: Hypothesis, verdict: str, named, seed: int):
+def _where(bench: Bench, nominal: Hypothesis, final: Hypothesis, verdict: str, named: Sequence[EffectEstimate], seed: int):
     """Findings, pictures and regime table; no finding where there is no gap."""
     starts = _starts(bench, nominal)
     joints = bench.binding.chain.signature.joints
     inputs = [n for n, _ in bench.binding.chain.signature.inputs]
-    places: dict[str, str] = {}
-    for c in named:
-        joint = c.location if c.location in joints else None
-        if joint is None and c.location in inputs and inputs.index(c.location) < len(joints):
-            joint = joints[inputs.index(c.location)]
+    causes: dict[str, EffectEstimate] = {}
+    for e in named:
+        joint = e.location if e.location in joints else None
+        if joint is None and e.location in inputs and inputs.index(e.location) < len(joints):
+            joint = joints[inputs.index(e.location)]
         if joint is not None:
-            places.setdefault(joint, c.location)
+            causes.setdefault(joint, e)
+    places = {joint: e.location for joint, e in causes.items()}
+    own = causes if verdict == "named" else {}
     only = tuple(places) if verdict == "named" else ()  # else what is left may lie anywhere
     before = location.missing_forces(bench, nominal.theta, starts, seed)
     found, rows, pictures = [], [], []
@@ -396,9 +398,9 @@ def _where(bench: Bench, nominal: Hypothesis, final: Hypothesis, verdict: str, n
         rows = location.table(before, joints, given)
         pictures = location.pictures(bench, before, after)
         if verdict != "none":
-            found = location.findings(bench, before, rows, places, only, given)
+            found = location.findings(bench, before, rows, places, only, given, causes=own)
     if not found and verdict != "none" and starts is not None:  # not measured, or too weak to be seen through derivatives
-        found = location.output_findings(bench, nominal.theta, starts, places, only)
+        found = location.output_findings(bench, nominal.theta, starts, places, only, own)
     return tuple(found), tuple(pictures), tuple(rows)
 
 
@@ -425,6 +427,7 @@ def _ranked(search: Search) -> list[Ranked]:
                 float(h.bic),
                 float(evidence),
                 f"{last}{beside}: {words} on validation data",
+                tuple(str(c) for c in h.effects[:-1]),
             )
         )
     return out

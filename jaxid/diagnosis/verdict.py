@@ -97,7 +97,13 @@ def upheld(
     (`several` of them) and the one as stated leave so many times the noise."""
     room = retuned**2 > ALIKE  # beyond what is known of the noise
     without = min(retuned, before)
+    closed = shrinking.closed(retuned**2, after**2)
     if retuned <= SEEN and (after < retuned or not (room or after**2 > ALIKE * retuned**2)):
+        if verdict == "named" and room and closed < PARTLY:
+            return "unknown", (
+                f"{text.replace('The model lacks', 'Nearest comes', 1)} On the report data {times(after)} times the noise is "
+                f"left with it, {times(retuned)} without: that is not most of what little there is, so it is not claimed."
+            )
         return verdict, text
     if after >= without:
         stated = f", {times(before)} as it was stated" if before < np.inf and times(before) != times(retuned) else ""
@@ -105,7 +111,6 @@ def upheld(
             f"{text} On the report data that model is {times(after)} times the noise away, {times(retuned)} without{stated}: it "
             "is not claimed."
         )
-    closed = shrinking.closed(retuned**2, after**2)
     if verdict == "named" and several and after > LEFT:
         return "partly", f"{text} On the report data {times(after)} times the noise is left."
     if verdict == "named" and (closed < PARTLY or (closed < NAMED and after > LEFT)):

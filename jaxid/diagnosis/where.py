@@ -8,21 +8,23 @@ missing, the force that they supply along the same motion is looked at in its pl
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
 from jaxid.data.dataset import Experiment
 from jaxid.data.splits import LATE
+from jaxid.diagnosis.cause import span, variable, words
 from jaxid.diagnosis.result import Finding, MissingForce, Regime
 from jaxid.dynamics.joint_readings import joint_motion, stated_positions
 from jaxid.fitting.problem_builder import Bench
+from jaxid.fitting.result import EffectEstimate
 from jaxid.fitting.scores import free_runs
 from jaxid.problem.problem import Problem
 from jaxid.problem.residual import InverseDynamics, OutputError, Runs
 from jaxid.simulation import sample_buffers as samples
-from jaxid.wording import number, percent, times
+from jaxid.wording import number, percent
 
 
 #: Simulated repetitions for the null of every regime.
@@ -166,22 +168,27 @@ def _last_nonzero(sign: np.ndarray) -> np.ndarray:
     return sign[np.maximum.accumulate(index)]
 
 
+#: Each regime in words, and what tells it.
 _WORDS = {
-    "standstill": "while standing still",
-    "breakaway": "at breakaway",
-    "velocity_reversal": "around velocity reversals",
-    "low_speed": "at low speed",
-    "high_speed": "at high speed",
-    "forward": "while moving forwards",
-    "backward": "while moving backwards",
-    "high_acceleration": "under high acceleration",
-    "upper_travel": "at the upper end of travel",
-    "lower_travel": "at the lower end of travel",
-    "early": "in the first third of the run",
-    "late": "in the last third of the run",
-    "high_load": "under high load",
-    "low_load": "under low load",
+    "everywhere": ("is alike in all situations", ""),
+    "standstill": ("lies while standing still", "speed"),
+    "breakaway": ("lies at breakaway", "speed"),
+    "velocity_reversal": ("lies around velocity reversals", "speed"),
+    "low_speed": ("lies at low speed", "speed"),
+    "high_speed": ("lies at high speed", "speed"),
+    "forward": ("lies while moving forwards", "speed"),
+    "backward": ("lies while moving backwards", "speed"),
+    "high_acceleration": ("lies under high acceleration", "acceleration"),
+    "upper_travel": ("lies at the upper end of travel", "position"),
+    "lower_travel": ("lies at the lower end of travel", "position"),
+    "early": ("lies in the first third of the run", "time"),
+    "late": ("lies in the last third of the run", "time"),
+    "high_load": ("lies under high load", "load"),
+    "low_load": ("lies under low load", "load"),
 }
+
+#: What a named effect supplies lies in a regime if that share of it does; else it lies wherever the effect acts.
+NEARLY_ALL = 0.9
 
 
 def supplied(found: Sequence[Missing], after: Sequence[Missing], joint: int) -> list[np.ndarray] | None:
@@ -239,9 +246,11 @@ def findings(
     only: Sequence[str],
     given: dict[str, list[np.ndarray]],
     most: int = 3,
+    causes: Mapping[str, EffectEstimate] | None = None,
 ) -> list[Finding]:
     """The places that hold most of the gap, worst first; `locations` joint -> location of the effect blamed there, `only`: joints
-    to look at (all, if empty), `given`: what named effects supply there, in place of what is missing."""
+    to look at (all, if empty), `given`: what named effects supply there, in place of what is missing; `causes`: the effect named
+    at a joint, in whose terms its place is then told."""
     b = bench.binding
     joints, outputs = b.chain.signature.joints, [n for n, _ in b.chain.signature.outputs]
     unit = b.chain.signature.unit("{F}")
@@ -261,7 +270,7 @@ def findings(
             inside = [regimes(m, j).get(row.regime, np.zeros(len(m.force), bool)) for m in found]
             energy = energy_of(j, inside)
             lift = row.ratio / max(row.null[1], 1e-9) if row.supplied is None else row.supplied
-            if row.stands_out and energy > 0.05 * total:
+            if row.stands_out and energy > (NEARLY_ALL * energy_of(j, None) if joint in given else 0.05 * total):
                 # Elsewhere there may be less than noise, which is no reason to see more than all of it here.
                 share = min(1.0, energy / total)
                 scored_rows.append((lift * np.sqrt(share), share, row.regime, inside))
@@ -271,23 +280,35 @@ def findings(
             share = energy_of(j, None) / total
             if share > 0.2:
                 scored_rows = [(0.0, share, "everywhere", every)]
-        for _, share, regime, inside in scored_rows[:most]:
+        cause = (causes or {}).get(joint)
+        for _, share, regime, inside in scored_rows[: 1 if cause else most]:
             values = np.concatenate([f[k] for f, k in zip(force, inside, strict=True)])
             strength = float(np.sqrt(np.mean(values**2)))
-            above = strength / max(floor_of(found, j, inside), 1e-300)
+            floor = floor_of(found, j, inside)
+            above = strength / max(floor, 1e-300)
             if above < 1 and joint not in given:
                 continue  # no more than noise
             window, experiment = _window(found, force, inside)
-            place = locations.get(joint, joint)
-            spread = "is alike in all situations" if regime == "everywhere" else f"lies {_WORDS[regime]}"
-            noise = f"{times(above)} times what noise would show there{', yet it adds up' if above < 1 else ''}"
-            text = (
-                f"{joint}: {percent(share)} of the missing force {spread} ({number(strength)} {unit} rms, {noise}); "
-                f"worst {when(window, found, experiment)}"
-            )
+            spread, told_by = _WORDS[regime]
+            size = f"{number(strength)} {unit} rms; noise of a sample {number(floor)}"
+            seen = f"{joint}: {percent(share)} of the missing force {spread}"
+            if cause and words(cause, "seen"):
+                seen, told_by = f"{joint}: {words(cause, 'seen')}", variable(cause)
+            text = f"{seen} ({size}); strongest {when(window, found, experiment)}"
             channel = joint if joint in outputs else outputs[min(j, len(outputs) - 1)]
-            out.append(Finding(channel, place, regime, window, float(share), above, text))
+            limits = (span(cause) if cause else None) or _range(found, j, told_by, inside)
+            place = locations.get(joint, joint)
+            out.append(Finding(channel, place, regime, window, float(share), above, text, told_by, limits))
     return sorted(out, key=lambda f: -f.share_of_gap * f.times_noise_floor)[:most]
+
+
+def _range(found: Sequence[Missing], joint: int, name: str, masks: Sequence[np.ndarray]) -> tuple[float, float] | None:
+    """From where to where a variable went inside a regime; None for one that is not recorded by joint."""
+    series = {"speed": "qd", "position": "q", "acceleration": "qdd", "load": "load", "command": "load"}.get(name)
+    if series is None:
+        return None
+    inside = np.concatenate([getattr(m, series)[k, joint] for m, k in zip(found, masks, strict=True)])
+    return (float(inside.min()), float(inside.max())) if len(inside) else None
 
 
 def _excess(
@@ -323,7 +344,12 @@ def _window(
 
 
 def output_findings(
-    bench: Bench, theta: np.ndarray, starts: np.ndarray, locations: dict[str, str], only: Sequence[str]
+    bench: Bench,
+    theta: np.ndarray,
+    starts: np.ndarray,
+    locations: dict[str, str],
+    only: Sequence[str],
+    causes: Mapping[str, EffectEstimate] | None = None,
 ) -> list[Finding]:
     """Where the force cannot be seen: the window of each channel where the free run is worst."""
     b = bench.binding
@@ -343,8 +369,12 @@ def output_findings(
             share = float(np.clip(strength[k] / energy[-1], 0.0, 1.0)) if np.isfinite(energy[-1]) and energy[-1] > 0 else 0.0
             window = (float(e.t[k]), float(e.t[until[k] - 1]))
             above = rms / float(b.sigma[c])
-            text = f"{name}: the free run is worst {during(window, e)} ({number(rms)} {unit} rms)"
-            out.append(Finding(name, locations.get(name, name), "time_window", window, share, above, text))
+            cause = (causes or {}).get(name)
+            seen = f"{words(cause, 'seen')}; " if cause and words(cause, "seen") else ""
+            text = f"{name}: {seen}the free run is worst {during(window, e)} ({number(rms)} {unit} rms)"
+            told_by = variable(cause) if cause else "time"
+            limits = span(cause) if cause else None
+            out.append(Finding(name, locations.get(name, name), "time_window", window, share, above, text, told_by, limits))
     return sorted(out, key=lambda f: -f.times_noise_floor)[:3]
 
 

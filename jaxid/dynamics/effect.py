@@ -69,6 +69,15 @@ class Effect(eqx.Module):
     family: ClassVar[str] = ""
     #: Effects that it may equal at some strength on some mechanism, however different they begin: one is compared with the other.
     resembles: ClassVar[tuple[str, ...]] = ()
+    #: What it is a law of: speed, position, load, command, acceleration, reading or time.
+    axis: ClassVar[str] = ""
+    #: Where it acts (a clause), what it is in plain words, what to look for at the machine; `{parameter}` is its number with its
+    #: unit, `{parameter:%}` a share.
+    seen: ClassVar[str] = ""
+    plain: ClassVar[str] = ""
+    check: ClassVar[str] = ""
+    #: The range of that variable in which it acts, from its numbers (None: an open end); None: the whole of it.
+    span: ClassVar[Callable[[dict[str, float]], tuple[float | None, float | None]] | None] = None
     #: At which of its places it makes sense on a mechanism; None: at all.
     offered: ClassVar[Callable[[Mechanism, Signature], tuple[str, ...]] | None] = None
 

@@ -75,13 +75,13 @@ def covariance(problem: Problem, z: np.ndarray) -> Covariance:
     scaled = H / scale / scale[:, None]
     blind = (np.diag(H) <= 1e-300) | broken  # no sample reacts to it
     inside = ~(at_bound & (np.arange(n) < problem.free.size)) & ~blind
-    identifiable, groups = _null_directions(scaled, inside)  # what stands at a bound is known there: it frees the others
+    identifiable, groups = null_directions(scaled, inside)  # what stands at a bound is known there: it frees the others
     if (at_bound & ~blind).any():
-        identifiable[at_bound] &= _null_directions(scaled, ~blind)[0][at_bound]
+        identifiable[at_bound] &= null_directions(scaled, ~blind)[0][at_bound]
     identifiable &= ~blind
 
     matrix = np.full((n, n), np.nan)
-    white, memory = _whiteness(series)
+    white, memory = whiteness(series)
     dof = max(1, count - int(inside.sum()))
     s2 = max(S_white / dof, 1e-300)
     noise, widened = (), 1.0
@@ -101,7 +101,7 @@ def covariance(problem: Problem, z: np.ndarray) -> Covariance:
             noise = noise or tuple(autoregressions(own, inverse))
             widened = student(own, noise, len(index))
             cov = inverse @ (score_covariance(own, noise) * widened**2 + known) @ inverse
-            S = _long_run(scores, n, memory)[np.ix_(index, index)]
+            S = long_run(scores, n, memory)[np.ix_(index, index)]
             # Never narrower than white residuals of that size.
             least = inverse @ (max(1.0, s2) * H_data[np.ix_(index, index)] + known) @ inverse
             floor = np.maximum(np.diag(inverse @ (S * count / dof + known) @ inverse), np.diag(least))
@@ -120,7 +120,7 @@ def covariance(problem: Problem, z: np.ndarray) -> Covariance:
     return Covariance(matrix, std, identifiable, at_bound, groups, white, statement, noise, widened, slope, H)
 
 
-def _null_directions(scaled: np.ndarray, kept: np.ndarray) -> tuple[np.ndarray, tuple[tuple[int, ...], ...]]:
+def null_directions(scaled: np.ndarray, kept: np.ndarray) -> tuple[np.ndarray, tuple[tuple[int, ...], ...]]:
     """Which variables take part in no undetermined direction; and groups tied together (correlation above 0.999)."""
     index = np.flatnonzero(kept)
     identifiable = np.ones(len(kept), bool)
@@ -152,7 +152,7 @@ def _pseudo_inverse(a: np.ndarray) -> np.ndarray:
     return (vectors[:, good] / values[good]) @ vectors[:, good].T
 
 
-def _whiteness(series: list[np.ndarray], lags: int = 20) -> tuple[bool, int]:
+def whiteness(series: list[np.ndarray], lags: int = 20) -> tuple[bool, int]:
     """Ljung-Box test at 0.1 %, and the residual's memory in samples (first lag whose correlation is lost in the noise)."""
     from scipy.special import chdtri
 
@@ -174,7 +174,7 @@ def _whiteness(series: list[np.ndarray], lags: int = 20) -> tuple[bool, int]:
     return total == 0 or bool(statistic < chdtri(total, 0.001)), memory
 
 
-def _long_run(scores: list[tuple[list[int], np.ndarray]], n: int, memory: int) -> np.ndarray:
+def long_run(scores: list[tuple[list[int], np.ndarray]], n: int, memory: int) -> np.ndarray:
     """Long-run covariance of the summed scores: Bartlett weights over four times the residual's memory."""
     S = np.zeros((n, n))
     for columns, s in scores:

@@ -94,7 +94,7 @@ def replay_stretches(
 ) -> tuple[np.ndarray, np.ndarray, int | None]:
     """The recursion over recorded rows, stretches of Y [time n p] and torque [time n] in their order: estimate [p], P [p p], and
     the number of samples after which the rule was first met for the `watched` parameters (None: never, or none watched)."""
-    _refuse_forgetting(forgetting)
+    refuse_forgetting(forgetting)
     full = lambda v, k: jnp.asarray(np.broadcast_to(np.asarray(v, np.float64), k))
     with float64():
         zero = jnp.zeros((), jnp.int32)
@@ -110,6 +110,6 @@ def replay_stretches(
         return np.asarray(state.theta), np.asarray(state.P), met
 
 
-def _refuse_forgetting(forgetting: float) -> None:
+def refuse_forgetting(forgetting: float) -> None:
     if not 0 < forgetting <= 1:
         raise UsageError(f"forgetting is {forgetting:g}; it lies above 0 and at most at 1 (1 forgets nothing)")

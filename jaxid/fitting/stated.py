@@ -6,8 +6,7 @@ from collections.abc import Mapping
 from dataclasses import asdict, dataclass
 from typing import Any, TYPE_CHECKING
 
-from jaxid.report.text import value_with_std
-from jaxid.wording import number
+from jaxid.wording import number, value_with_std
 
 
 if TYPE_CHECKING:

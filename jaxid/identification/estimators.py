@@ -15,7 +15,7 @@ import numpy as np
 
 from jaxid.dynamics.base_parameters import BaseParameters
 from jaxid.dynamics.rigid_body import pseudo_inertia
-from jaxid.fitting.covariance import _long_run, _null_directions, _whiteness
+from jaxid.fitting.covariance import long_run, null_directions, whiteness
 
 
 #: A column shorter than this share of the longest shows nothing but rounding.
@@ -133,14 +133,14 @@ def estimate(
     values = np.linalg.svd(W[:, seen] / scale[seen], compute_uv=False)
     plain = np.linalg.svd(W[:, seen], compute_uv=False)
     G = (Z / scale).T @ (W / scale)
-    identifiable, _ = _null_directions((W / scale).T @ (W / scale), seen)
+    identifiable, _ = null_directions((W / scale).T @ (W / scale), seen)
     series, scores = [], []
     index = list(range(W.shape[1]))
     for (A, tau), (C, _), w in zip(blocks, by or blocks, weights, strict=True):
         r = (tau - A @ theta) * w
         series += list(r.T)
         scores.append((index, np.einsum("tj,tjk->tk", r, C * w[:, None]) / scale))
-    white, memory = _whiteness(series)
+    white, memory = whiteness(series)
     count = sum(s.size for s in series)
     n = blocks[0][1].shape[1]
     times = [_correlation_time(s, memory) for s in series]
@@ -154,7 +154,7 @@ def estimate(
             middle += float(np.mean(s**2)) * times[n * k + j] / freedom * (A.T @ A)
     inverse = np.linalg.pinv(G, rcond=WEAK**2)
     cov = inverse @ middle @ inverse.T
-    wide = np.diag(inverse @ _long_run(scores, len(index), memory) @ inverse.T) * count / max(1, count - len(index))
+    wide = np.diag(inverse @ long_run(scores, len(index), memory) @ inverse.T) * count / max(1, count - len(index))
     stretch = np.sqrt(np.maximum(1.0, wide / np.maximum(np.diag(cov), 1e-300)))
     cov = cov * stretch * stretch[:, None] / scale / scale[:, None]
     return Estimate(

@@ -17,7 +17,7 @@ from jaxtyping import Array, Float
 
 from jaxid.dynamics.rigid_body import regressor
 from jaxid.errors import UsageError
-from jaxid.fitting.recursive_least_squares import _refuse_forgetting, Recursion, ridge_rls, Rule
+from jaxid.fitting.recursive_least_squares import Recursion, refuse_forgetting, ridge_rls, Rule
 from jaxid.identification.payload import Payload, payload_of, published_rows
 from jaxid.identification.regression import REST
 from jaxid.numerics.precision import float64
@@ -91,7 +91,7 @@ class OnlineIdentification:
         forgetting: float = 1.0,
         rule: Rule = Rule(),
     ):
-        _refuse_forgetting(forgetting)
+        refuse_forgetting(forgetting)
         self.arm, self.base, self.rule = arm, arm.base(), rule
         n, p = len(arm.prismatic), len(self.base.kept) + 3 * len(arm.prismatic)
         self.names = [*self.base.names, *(f"{k}{j + 1}" for k in ("F_c", "F_v", "offset") for j in range(n))]

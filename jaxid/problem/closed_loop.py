@@ -22,7 +22,7 @@ from jaxid.dynamics.controller import Law, law_of, Memory, Reading
 from jaxid.dynamics.effect import Command
 from jaxid.dynamics.parameter_vector import Layout
 from jaxid.errors import UsageError
-from jaxid.problem.residual import _record, OutputError, overrides, Residual, RESIDUALS, Runs
+from jaxid.problem.residual import OutputError, overrides, record_of, Residual, RESIDUALS, Runs
 from jaxid.simulation import sample_buffers as recorded
 from jaxid.simulation.batch import Engine
 from jaxid.simulation.rollout import Lane, over_time
@@ -143,7 +143,7 @@ class ClosedLoopOutputError(Residual):
             "both": (np.concatenate([samples.y, u], 1), np.concatenate([samples.w, wu], 1)),
         }[self.signals]
         samples = samples._replace(y=y, w=w, x=reference_data(law, experiments, samples, positions))
-        records = [_record(i, e, positions[i], 0, len(e.t), dataset, chain, False) for i, e in enumerate(experiments)]
+        records = [record_of(i, e, positions[i], 0, len(e.t), dataset, chain, False) for i, e in enumerate(experiments)]
         engine = Engine(
             layout,
             samples,

@@ -22,7 +22,7 @@ from jaxid.dynamics.chain import Chain
 from jaxid.dynamics.mechanism import Mechanism
 from jaxid.dynamics.parameter_vector import Layout
 from jaxid.errors import nearest, UsageError
-from jaxid.problem.residual import _record, overrides, Residual, RESIDUALS, Runs
+from jaxid.problem.residual import overrides, record_of, Residual, RESIDUALS, Runs
 from jaxid.simulation import sample_buffers as recorded
 from jaxid.simulation.batch import Engine
 from jaxid.simulation.rollout import EVEN, Lane, simulate_lane
@@ -254,7 +254,7 @@ class FrequencyResponseError(Residual):
             x[rows] = np.repeat(each, 2, 0)
             for c, k in enumerate(timed):
                 y[p, 1 + c], w[p, 1 + c] = e.y[:, iy[k]], e.read[:, iy[k]] / noise[k]
-            record = _record(number, e, p, 0, len(e.t), dataset, chain, False)
+            record = record_of(number, e, p, 0, len(e.t), dataset, chain, False)
             kept = np.flatnonzero((w[p[0] : p[-1] + 1] > 0).any(1)) + p[0]
             records.append(Record(**{**record.__dict__, "samples": kept}))
             lines += bins.size
@@ -302,7 +302,7 @@ class FrequencyResponseError(Residual):
             p = positions[number]
             for c, k in enumerate(timed):
                 y[p, 1 + c], w[p, 1 + c] = e.y[:, iy[k]], e.read[:, iy[k]] / noise[k]
-            record = _record(number, e, p, 0, len(e.t), dataset, chain, False)
+            record = record_of(number, e, p, 0, len(e.t), dataset, chain, False)
             kept = np.flatnonzero((w[p[0] : p[-1] + 1] > 0).any(1)) + p[0]
             records.append(Record(**{**record.__dict__, "samples": kept}))
         most = max(sum(r.omega.size for r in dataset.responses if r.split == s) for s in {r.split for r in dataset.responses})

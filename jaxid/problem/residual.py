@@ -123,7 +123,7 @@ class OutputError(Residual):
             settled = a + (cut - a) // 4  # by then sensors and springs have forgotten how they began
             n = cut + head_samples(own) - settled
             until = lambda b, c, number=number, e=e, p=p, a=a: replace(
-                _record(number, e, p, a, b, dataset, chain, len(e) if remembers else 0), samples=p[c:b]
+                record_of(number, e, p, a, b, dataset, chain, len(e) if remembers else 0), samples=p[c:b]
             )
             records.append(until(len(e), cut))
             heads.append([until(settled + k, settled) for k in dict.fromkeys(max(6, n // k) for k in (1, 2, 4, 8, 16))])
@@ -162,7 +162,7 @@ class MultipleShooting(Residual):
             length = self.window_s or default_window(e)
             edges = np.searchsorted(e.t, np.arange(e.t[0], e.t[-1] - 0.5 * length, length))
             for a, b in zip(edges, [*edges[1:], len(e.t)], strict=True):
-                records.append(_record(number, e, positions[number], int(a), int(b), dataset, layout.chain, memory))
+                records.append(record_of(number, e, positions[number], int(a), int(b), dataset, layout.chain, memory))
         engine = Engine(layout, samples, records, overrides(layout, experiments, records), lane_of(layout))
         every = tuple(range(len(records)))
         return Runs(
@@ -195,7 +195,7 @@ class InverseDynamics(Residual):
             p = positions[number]
             kept = p[setting.ends[number] : len(p) - setting.ends[number] : setting.decimate]
             w[kept] = 1 / setting.noise
-            record = _record(number, e, p, 0, len(e.t), dataset, chain, 0)
+            record = record_of(number, e, p, 0, len(e.t), dataset, chain, 0)
             records.append(Record(**{**record.__dict__, "samples": kept, "free": np.zeros_like(record.free)}))
         samples = samples._replace(y=np.zeros_like(samples.y), w=w)
         lane: Lane = decimated_torque_lane(setting.taps) if setting.decimate > 1 else torque_lane
@@ -245,7 +245,7 @@ def overrides(layout: Layout, experiments: Sequence[Experiment], records: Sequen
     return out
 
 
-def _record(number: int, e: Experiment, p: np.ndarray, a: int, b: int, dataset: Dataset, chain: Chain, burn: int) -> Record:
+def record_of(number: int, e: Experiment, p: np.ndarray, a: int, b: int, dataset: Dataset, chain: Chain, burn: int) -> Record:
     """Samples a ... b of an experiment as a record; its start from the statement of the experiment or its first samples. Up to
     `burn` samples before it effects follow the measured motion."""
     nq = chain.nq

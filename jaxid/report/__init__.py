@@ -43,7 +43,7 @@ def diagnosis_page(diagnosis: Diagnosis) -> str:
         unseen.section(diagnosis.unseen),
         traces.section(diagnosis.traces),
         breakdown.section(diagnosis),
-        missing_force.section(diagnosis.missing_force, diagnosis.regimes),
+        missing_force.section(diagnosis.missing_force, diagnosis.regimes, diagnosis.where),
         ranking.section(diagnosis.which),
         parameters.section(diagnosis.final, diagnosis.nominal if diagnosis.which.effects else None),
         background.of_diagnosis(diagnosis),

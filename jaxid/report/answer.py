@@ -12,7 +12,7 @@ from jaxid.report.page import Section
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
-    from jaxid.diagnosis.result import Diagnosis, HowFar
+    from jaxid.diagnosis.result import Diagnosis, Finding, HowFar
     from jaxid.fitting.result import EffectEstimate
 
 
@@ -23,6 +23,7 @@ def section(diagnosis: Diagnosis) -> Section:
         {
             "diagnosis": diagnosis,
             "headline": headline(diagnosis),
+            "stated": text.stated_sentences(diagnosis.final.stated),
             "where": where_card(diagnosis),
             "which": which_card(diagnosis),
             "far": far_card(diagnosis),
@@ -65,11 +66,20 @@ def where_card(diagnosis: Diagnosis) -> tuple[str, list[str]]:
         return "Nowhere above the noise", ["What the simulation misses is no more than noise."]
     first = diagnosis.where[0]
     sentences = [text.where_sentence(f) for f in diagnosis.where[:2]]
-    if first.text and wording.percent(first.share_of_gap) not in sentences[0]:  # a sentence of its own may leave these out
+    told = diagnosis.which.verdict == "named" or wording.percent(first.share_of_gap) in sentences[0]
+    if first.text and not told:  # a sentence of its own may leave these out
         sentences.insert(
             1, f"{wording.percent(first.share_of_gap)} of the gap, {wording.times(first.times_noise_floor)} times the noise."
         )
-    return f"{first.location}, {wording.regime_words(first.regime)}", sentences
+    return place(first), sentences
+
+
+def place(finding: Finding) -> str:
+    """`q, low speed`; where it lies in no regime, what it is a law of."""
+    how = wording.regime_words(finding.regime)
+    if finding.regime in ("everywhere", "time_window") and finding.variable:
+        how = "always" if finding.variable == "time" else f"by {finding.variable}"
+    return f"{finding.location}, {how}"
 
 
 def which_card(diagnosis: Diagnosis) -> tuple[str, list[str]]:
@@ -80,7 +90,7 @@ def which_card(diagnosis: Diagnosis) -> tuple[str, list[str]]:
         many = f"{len(hidden)} effects" if len(hidden) > 1 else "one effect"
         rest = f"Other motions may show more: {many} could hide in these recordings (below)." if hidden else ""
         return fact, [s for s in (which.text or text.which_sentence(which), rest) if s]
-    sentences = []
+    sentences = text.meaning(which)
     for effect in which.effects:
         prefix = f"{words(effect)}: " if len(which.effects) > 1 else ""
         inside = ", ".join(f"{name} {text.value_with_std(p)}" for name, p in effect.parameters.items())
@@ -88,7 +98,8 @@ def which_card(diagnosis: Diagnosis) -> tuple[str, list[str]]:
             sentences.append(prefix + inside)
     if which.verdict == "partly":
         sentences.append("A clear remainder is left that no known effect explains.")
-    sentences += [text.confusable_sentence(which), which.text]
+    own = which.verdict == "named" and len(which.effects) == 1  # said above
+    sentences += [*text.to_check(which), text.confusable_sentence(which), "" if own else which.text]
     return wording.listed(words(e) for e in which.effects), [s for s in sentences if s]
 
 

@@ -8,26 +8,33 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from jaxid import wording
-from jaxid.report import plot
+from jaxid.report import binned, plot
 from jaxid.report.page import Section
 
 
 if TYPE_CHECKING:
-    from jaxid.diagnosis.result import MissingForce, Regime
+    from jaxid.diagnosis.result import Finding, MissingForce, Regime
 
 
 SHOWN = 6
-DOTS = 900
 #: Parts of an axis over each of which what noise would show is one number.
 PARTS = 30
+#: The field of the motion that shows a law of each variable best.
+FIELDS = {"speed": "qd", "position": "q", "load": "load", "command": "load"}
 
 
-def section(forces: Sequence[MissingForce], regimes: Sequence[Regime]) -> Section | None:
+def section(forces: Sequence[MissingForce], regimes: Sequence[Regime], where: Sequence[Finding] = ()) -> Section | None:
+    """`where`: the findings; the variable that the first of a joint is a law of is drawn first."""
     joints = list(dict.fromkeys(f.joint for f in forces))
+    most = {
+        j: max(float(np.nanstd(plot.series(f.before) - plot.series(f.after))) for f in forces if f.joint == j) for j in joints
+    }
+    joints.sort(key=lambda j: -most[j])
+    told_by = {w.channel: FIELDS.get(w.variable, "") for w in reversed(where)}
     pictures = []
     for i, joint in enumerate(joints[:SHOWN]):
         own = [f for f in forces if f.joint == joint]
-        pictures.append((f"Joint {joint}", picture(own, f"force-{i}")))
+        pictures.append((f"Joint {joint}", picture(own, f"force-{i}", told_by.get(joint, ""))))
     strongest = sorted(regimes, key=lambda r: -r.strength)[:30]
     if not pictures and not strongest:
         return None
@@ -41,57 +48,65 @@ def section(forces: Sequence[MissingForce], regimes: Sequence[Regime]) -> Sectio
     )
 
 
-def picture(forces: Sequence[MissingForce], name: str):
-    """All recordings of one joint; time and spectrum show the longest one."""
+def supplied(force: MissingForce) -> float:
+    """How much the named effects change at a joint: joints without news come last."""
+    return float(np.nanstd(plot.series(force.before) - plot.series(force.after)))
+
+
+def picture(forces: Sequence[MissingForce], name: str, first: str = ""):
+    """All recordings of one joint: the force as means against speed, position and load (`first`: the field that comes first),
+    without and with the named effects; over time and as a spectrum that of the longest recording."""
     longest = max(forces, key=lambda f: len(f.t))
     unit = longest.unit
-
-    def everywhere(field: str) -> np.ndarray:
-        return np.concatenate([plot.series(getattr(f, field)) for f in forces])
-
-    def together(field: str) -> np.ndarray:
-        series = everywhere(field)
-        return series[:: max(1, len(series) // DOTS)]
-
-    before, after = together("before"), together("after")
     against = [
         ("qd", f"velocity ({plot.label(longest.qd_unit, 20)})"),
         ("q", f"position ({plot.label(longest.q_unit, 20)})"),
         ("load", f"load ({plot.label(unit, 20)})"),
     ]
-    against = [(field, title) for field, title in against if np.ptp(together(field)) > 0]
-    bounds = plot.limits(before, after, quantile=0.005)
+    against = [(field, title) for field, title in against if any(np.ptp(getattr(f, field)) > 0 for f in forces)]
+    against.sort(key=lambda a: a[0] != first)
+    added = any(not np.array_equal(f.before, f.after) for f in forces)
+    bounds = plot.limits(*(plot.series(f.before) for f in forces), quantile=0.005)
 
     def draw(figure):
-        grid = figure.add_gridspec(3, 2)
-        panels = [figure.add_subplot(grid[i // 2, i % 2]) for i in range(len(against))]
-        for axes, (field, title) in zip(panels, against, strict=True):
-            x = together(field)
-            plot.dots(axes, x, before, plot.VERMILLION)
-            plot.dots(axes, x, after, plot.BLUE)
-            draw_noise(axes, everywhere(field), everywhere("floor"))
-            axes.set_xlabel(title)
-        spectrum_axes = figure.add_subplot(grid[len(against) // 2, len(against) % 2])
-        draw_spectrum(spectrum_axes, longest)
-        over_time = figure.add_subplot(grid[2, :] if len(against) > 1 else grid[1:, :])
+        rows = figure.add_gridspec(3 if added else 2, 1)
+        for row, which in enumerate(["before", "after"] if added else ["before"]):
+            panels = rows[row].subgridspec(1, max(1, len(against))).subplots(sharey=True, squeeze=False)[0]
+            for axes, (field, title) in zip(panels, against, strict=False):
+                binned.draw(axes, forces, field, which, law=added and which == "before")
+                axes.set_xlabel(title)
+            panels[0].set_ylabel(f"{'still ' if which == 'after' else ''}missing ({plot.label(unit, 20)})")
+            level = plot.limits(*(line.get_ydata() for axes in panels for line in axes.get_lines()), quantile=0.0)
+            if which == "before" and level:
+                panels[0].set_ylim(level)
+                first_level = panels[0].get_ylim()
+            elif level:
+                panels[0].set_ylim(first_level)
+        last = rows[-1].subgridspec(1, 3)
+        over_time, spectrum_axes = figure.add_subplot(last[:2]), figure.add_subplot(last[2])
         over_time.plot(*plot.thin(longest.t, plot.series(longest.before)), color=plot.VERMILLION, linewidth=0.9)
-        over_time.plot(*plot.thin(longest.t, plot.series(longest.after)), color=plot.BLUE, linewidth=0.9)
+        if added:
+            over_time.plot(*plot.thin(longest.t, plot.series(longest.after)), color=plot.BLUE, linewidth=0.9)
         draw_noise(over_time, longest.t, plot.series(longest.floor), 400)
         over_time.set_xlabel(f"time in {plot.label(longest.experiment)} (s)")
+        over_time.set_ylabel(f"missing ({plot.label(unit, 20)})")
         over_time.margins(x=0)
-        for axes in (*panels, over_time):
-            axes.axhline(0.0, color=plot.BLACK, linewidth=0.6)
-            axes.set_ylabel(f"missing force ({plot.label(unit, 20)})")
-            if bounds:
-                axes.set_ylim(bounds)
-        handles = [
-            *over_time.plot([], [], "o", markersize=5, color=plot.VERMILLION, label="missing in the nominal model"),
-            *over_time.plot([], [], "o", markersize=5, color=plot.BLUE, label="still missing with the effect"),
-            over_time.axhspan(0, 0, color=plot.GREY, alpha=0.3, label="what noise alone would show, ±2 standard deviations"),
-        ]
+        if bounds:
+            over_time.set_ylim(bounds)
+        draw_spectrum(spectrum_axes, longest)
+        handles = legend(over_time, added, len(against) > 1)
         figure.legend(handles=handles, loc="outside upper left", ncols=3, fontsize=8.5)
 
-    return plot.svg(name, (9.2, 7.6), draw)
+    return plot.svg(name, (9.2, 7.6 if added else 5.4), draw)
+
+
+def legend(axes, added: bool, both: bool) -> list:
+    mark = lambda style, color, label, **more: axes.plot([], [], style, color=color, label=label, **more)[0]
+    out = [mark("o", plot.VERMILLION, "missing, mean and 95 % interval", ms=5)]
+    out += [mark("^", plot.ORANGE, "the same moving backwards", ms=5)] if both else []
+    if added:
+        out.append(mark("-", plot.BLUE, "supplied by the named effects; below: left over"))
+    return [*out, axes.axhspan(0, 0, color=plot.GREY, alpha=0.3, label="noise, ±2 standard deviations")]
 
 
 def draw_noise(axes, x: np.ndarray, floor: np.ndarray, parts: int = PARTS) -> None:

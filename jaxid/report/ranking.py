@@ -4,6 +4,8 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
+from markupsafe import Markup
+
 from jaxid import wording
 from jaxid.report import plot
 from jaxid.report.page import Section
@@ -23,19 +25,27 @@ def section(which: Which) -> Section | None:
     confusable = {(e.effect, e.location) for e in which.confusable_with}
     kind = lambda key: "named" if key in named else "confusable" if key in confusable else ""
     rows = [(r, kind((r.effect, r.location))) for r in which.ranking]
+    told = lambda r: r.text.split(": ", 1)[-1]
     return Section(
         "ranking.html",
         {
-            "rows": [(r, kind, r.text.removeprefix(f"{r.effect} at {r.location}: ")) for r, kind in rows[:ROWS]],
+            "rows": [(r, kind, told(r)) for r, kind in rows[:ROWS]],
             "hidden": max(0, len(rows) - ROWS),
-            "picture": picture(rows[:BARS]),
-            "bars": min(BARS, len(rows)),
-            "total": len(rows),
+            "rounds": [round_of(rows, number) for number in sorted({r.round for r, _ in rows})],
         },
     )
 
 
-def picture(rows: list[tuple[Ranked, str]]):
+def round_of(rows: list[tuple[Ranked, str]], number: int) -> tuple[str, Markup]:
+    """Caption and picture of the candidates of one round, the named ones first."""
+    own = [row for row in rows if row[0].round == number]
+    shown = sorted(own[:BARS], key=lambda row: row[1] != "named")
+    caption = "Alone" if number == 1 else f"Beside {wording.listed(dict.fromkeys(b for r, _ in own[:1] for b in r.beside))}"
+    caption += f": the best {len(shown)} of {len(own)}" if len(own) > len(shown) else ""
+    return caption, picture(shown, f"ranking-{number}")
+
+
+def picture(rows: list[tuple[Ranked, str]], name: str) -> Markup:
     """Bars of the validation gap; the noise is 1."""
     gaps = [plot.drawable(r.validation_gap) for r, _ in rows]
     logarithmic = max(gaps) > 30 and min(gaps) > 0
@@ -72,4 +82,4 @@ def picture(rows: list[tuple[Ranked, str]]):
         handles = [axes.barh([0], [0], color=palette[kind], label=meaning[kind]) for kind in present]
         figure.legend(handles=handles, loc="outside upper left", ncols=3, fontsize=8.5)
 
-    return plot.svg("ranking", (9.2, 1.0 + 0.27 * len(rows)), draw)
+    return plot.svg(name, (9.2, 1.0 + 0.27 * len(rows)), draw)

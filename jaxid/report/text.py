@@ -3,14 +3,25 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
 from jaxid.conventions.finding import data_lines
-from jaxid.wording import listed, number, one_line, paragraph, percent, regime_words, short, table, times, wrapped
-
-
-if TYPE_CHECKING:
-    from jaxid.identification.run import Identification
+from jaxid.diagnosis.cause import words
+from jaxid.wording import (
+    CLOSE,
+    listed,
+    number,
+    one_line,
+    paragraph,
+    percent,
+    regime_words,
+    short,
+    table,
+    times,
+    value_with_std,
+    wrapped,
+)
 
 
 if TYPE_CHECKING:
@@ -18,20 +29,8 @@ if TYPE_CHECKING:
     from jaxid.fitting.comparison import Comparison, Typical
     from jaxid.fitting.result import EffectEstimate, Estimate, Fit
     from jaxid.fitting.simulation import Simulation
-
-
-def value_with_std(estimate: Estimate, unit: bool = True) -> str:
-    """`0.0812 ± 0.0004 kg m^2`, rounded to two digits of the standard deviation."""
-    value, std = estimate.value, estimate.std
-    tail = f" {one_line(estimate.unit)}" if unit and estimate.unit not in ("", "1") else ""
-    if std is None or not math.isfinite(std) or std <= 0 or not math.isfinite(value):
-        return number(value) + tail
-    exponent = math.floor(math.log10(std)) - 1
-    if -7 <= exponent <= 3 and abs(value) < 1e6:
-        decimals = max(0, -exponent)
-        return f"{value:.{decimals}f} ± {std:.{decimals}f}{tail}"
-    digits = 2 if value == 0 else max(2, math.floor(math.log10(abs(value))) - exponent + 1)
-    return f"{value:.{min(digits, 15) - 1}e} ± {std:.1e}{tail}"
+    from jaxid.fitting.stated import Stated
+    from jaxid.identification.run import Identification
 
 
 def remark(estimate: Estimate) -> str:
@@ -65,6 +64,8 @@ def where_sentence(finding: Finding) -> str:
     )
 
 
+#: So many stated numbers are listed.
+STATED = 6
 #: Up to so many times the noise a gap is near it.
 NEAR = 1.5
 
@@ -72,6 +73,32 @@ NEAR = 1.5
 def measured(how_far: HowFar) -> bool:
     """Whether there is anything on which a gap could be measured."""
     return math.isfinite(how_far.gap_retuned) or not math.isnan(how_far.gap_before)
+
+
+def stated_sentences(stated: Sequence[Stated]) -> list[str]:
+    """Numbers that were stated and that the data refute, worst first: each in a sentence, or all in one where they are many."""
+    refuted = [s for s in stated if s.refuted]
+    if len(refuted) <= 2:
+        return [sentence(s.text) for s in refuted]
+    unit = lambda s: "" if s.unit in ("", "1") else f" {one_line(s.unit)}"
+    shown = [f"{one_line(s.parameter)} {number(s.stated)} → {number(s.fitted, 4)}{unit(s)}" for s in refuted[:STATED]]
+    more = f", and {len(refuted) - STATED} more" if len(refuted) > STATED else ""
+    least = number(min(abs(s.deviation or 0.0) for s in refuted), 2)
+    return [
+        f"{len(refuted)} of {len(stated)} numbers that you stated are not those of the data: {', '.join(shown)}{more}"
+        f" ({least} standard deviations off or more)."
+    ]
+
+
+def meaning(which: Which) -> list[str]:
+    """What the named effects are, in plain words."""
+    return [s for e in which.effects if (s := words(e, "plain"))] if which.verdict in ("named", "partly") else []
+
+
+def to_check(which: Which) -> list[str]:
+    """What to look for at the machine."""
+    told = [words(e, "check") for e in which.effects] if which.verdict in ("named", "partly") else []
+    return [f"At the machine: {check[:1].lower()}{check[1:]}" for check in told if check]
 
 
 def which_sentence(which: Which, how_far: HowFar | None = None) -> str:
@@ -151,7 +178,8 @@ def interval(how_far: HowFar) -> str:
     assert how_far.shrinkage_interval_95 is not None
     low, high = ("below 0 %" if x < 0 else percent(min(x, 1.0)) for x in how_far.shrinkage_interval_95)
     doubt = "; how runs differ is not known from fewer than eight" if how_far.interval_from == "blocks" else ""
-    return f"{low} to {high}, with 95 % probability{doubt}"
+    reach = "as much" if how_far.shrinkage_interval_95[0] > 1 - CLOSE else f"{low} to {high}"
+    return f"{reach}, with 95 % probability{doubt}"
 
 
 def channel_sentence(how_far: HowFar, name: str, verdict: str) -> str:
@@ -177,9 +205,9 @@ def diagnosis_text(diagnosis: Diagnosis) -> str:
     parts = [
         *map(wrapped, data_lines(diagnosis.data)),
         f"{one_line(diagnosis.dataset)}, model {one_line(diagnosis.model)}",
-        paragraph("STATED", [sentence(s.text) for s in diagnosis.final.stated if s.refuted]),
+        paragraph("STATED", stated_sentences(diagnosis.final.stated)),
         "" if which.verdict == "none" else paragraph("WHERE", (where_sentence(f) for f in diagnosis.where[:2])),
-        paragraph("WHICH", [which_sentence(which, how_far), confusable_sentence(which)]),
+        paragraph("WHICH", [which_sentence(which, how_far), *meaning(which), confusable_sentence(which)]),
         paragraph(
             "HOW FAR",
             [

@@ -22,7 +22,7 @@ from typing import Any, Literal
 from pydantic import BaseModel, ConfigDict, Field, field_validator
 
 from jaxid.catalogue import LOSSES, RESIDUALS
-from jaxid.data.schema import _entry as checked_entry, _plain, Document, Places
+from jaxid.data.schema import Document, entry_of, Places, plain_text
 from jaxid.errors import DatasetError, nearest, Problem, UsageError
 from jaxid.wording import one_line
 
@@ -55,7 +55,7 @@ class StudyEntry(_Strict):
     store: str
     description: str = ""
 
-    _names = field_validator("name", "store")(_plain)
+    _names = field_validator("name", "store")(plain_text)
 
 
 class RunsEntry(_Strict):
@@ -208,12 +208,12 @@ def parse_study(path: str | Path) -> tuple[Study, list[Problem]]:
     places = Places(path.name, text)
     document = Document()
     rest = {k: v for k, v in raw.items() if k != "runs"}
-    head = checked_entry(StudyEntry, rest, (), places, document, "header", [*StudyEntry.model_fields, "runs"])
+    head = entry_of(StudyEntry, rest, (), places, document, "header", [*StudyEntry.model_fields, "runs"])
     runs, entries = raw.get("runs"), {}
     if not isinstance(runs, list) or not runs:
         document.problems.append(places.problem(("runs",), "there is no [[runs]]", "Add one with `command` and `datasets`"))
     for index, value in enumerate(runs if isinstance(runs, list) else []):
-        entry = checked_entry(RunsEntry, value, ("runs", index), places, document, "runs")
+        entry = entry_of(RunsEntry, value, ("runs", index), places, document, "runs")
         if entry is not None:
             entries[index] = entry
             document.problems += _meaningless(entry, ("runs", index), places)

@@ -82,6 +82,10 @@ class ConstantTorque(JointEffect):
     signature: ClassVar[str] = "mean of the missing torque, also at rest"
     source: ClassVar[str] = "offset of the EMPS and UR10 models"
     excitation: ClassVar[str] = "a standstill with the drive released, and slow motion both ways"
+    axis: ClassVar[str] = "time"
+    seen: ClassVar[str] = "always, at rest too"
+    plain: ClassVar[str] = "A constant torque of {torque} acts that the model does not have."
+    check: ClassVar[str] = "Look for a weight, a counterbalance, an offset of the drive or of its current sensor."
     torque: Array = param(
         0.0, -TORQUE, TORQUE, scale=0.03 * TORQUE, unit="{F}", meaning="constant torque against positive motion"
     )
@@ -102,6 +106,10 @@ class SpringTorque(JointEffect):
     signature: ClassVar[str] = "missing torque in proportion to position"
     source: ClassVar[str] = "textbook"
     excitation: ClassVar[str] = "slow motion over the whole travel, both ways"
+    axis: ClassVar[str] = "position"
+    seen: ClassVar[str] = "in proportion to position"
+    plain: ClassVar[str] = "A spring of {stiffness} acts at the joint."
+    check: ClassVar[str] = "Look for cables, hoses, gas springs, return springs."
     stiffness: Array = param(
         0.0,
         -5 * TORQUE / ANGLE,
@@ -133,6 +141,10 @@ class FlexibleMode(JointEffect):
     signature: ClassVar[str] = "a residual in a narrow band of frequencies that rings after steps"
     source: ClassVar[str] = "textbook; exact solution while the joint keeps its speed over the step"
     excitation: ClassVar[str] = "steps or a chirp through the resonance, with a free decay after it"
+    axis: ClassVar[str] = "time"
+    seen: ClassVar[str] = "around {frequency}, after steps and knocks"
+    plain: ClassVar[str] = "Something swings along at {frequency}."
+    check: ClassVar[str] = "Knock at tool, cables, table and base, and look for that frequency."
     inertia: Array = param(0.0, 0.0, 20 * INERTIA, scale=0.02 * INERTIA, unit="{I}", meaning="inertia that swings")
     frequency: Array = param(
         5.0, 2 / DURATION, 0.4 / STEP, scale=1 / DURATION, unit="Hz", meaning="natural frequency with the joint held", log=True
@@ -173,6 +185,10 @@ class ReflectedInertia(BodyEffect):
     signature: ClassVar[str] = "missing torque in proportion to the joint's own acceleration, whatever the other joints do"
     source: ClassVar[str] = "textbook: gear ratio squared times the rotor's inertia"
     excitation: ClassVar[str] = "accelerations of one joint while another one accelerates the same and the opposite way"
+    axis: ClassVar[str] = "acceleration"
+    seen: ClassVar[str] = "in proportion to the joint's own acceleration"
+    plain: ClassVar[str] = "The joint is heavier to accelerate by {inertia}: the rotor behind its gear."
+    check: ClassVar[str] = "Look up the rotor inertia and multiply it by the square of the gear ratio."
     inertia: Array = param(0.0, 0.0, 20 * INERTIA, scale=0.02 * INERTIA, unit="{I}", meaning="inertia at the joint")
     probes: ClassVar[tuple[dict[str, Quantity | float], ...]] = ({"inertia": 0.02 * INERTIA}, {"inertia": 0.2 * INERTIA})
 
@@ -190,6 +206,10 @@ class Payload(BodyEffect):
     signature: ClassVar[str] = "gravity and acceleration together, at this joint and those before it"
     source: ClassVar[str] = "textbook"
     excitation: ClassVar[str] = "two poses at rest and one fast motion, without the load and with it"
+    axis: ClassVar[str] = "acceleration"
+    seen: ClassVar[str] = "wherever the link is lifted or accelerated"
+    plain: ClassVar[str] = "The link carries {mass} more than the model has."
+    check: ClassVar[str] = "Weigh what is mounted: tool, cables, workpiece."
     mass: Array = param(0.0, -20.0, 200.0, scale=0.02, unit="kg", meaning="mass beyond what the model has")
     probes: ClassVar[tuple[dict[str, Quantity | float], ...]] = ({"mass": 0.02}, {"mass": 0.3}, {"mass": 3.0})
 
@@ -207,6 +227,10 @@ class GravityOffset(BodyEffect):
     signature: ClassVar[str] = "missing torque that follows the derivative of the gravity torque by position"
     source: ClassVar[str] = "textbook"
     excitation: ClassVar[str] = "rests all around the travel, with the joint's zero checked by a level"
+    axis: ClassVar[str] = "position"
+    seen: ClassVar[str] = "with the posture, where gravity acts"
+    plain: ClassVar[str] = "Gravity acts as if the base were tilted by {tilt}."
+    check: ClassVar[str] = "Put a level on the base; check how the zero of the joint was set."
     tilt: Array = param(0.0, -0.5, 0.5, scale=0.01, unit="rad", meaning="angle of the base")
     probes: ClassVar[tuple[dict[str, Quantity | float], ...]] = ({"tilt": 0.03},)
 
@@ -224,6 +248,10 @@ class GeometricStiffening(BodyEffect):
     signature: ClassVar[str] = "the beam's frequency rises with the hub's speed where the model lets it fall"
     source: ClassVar[str] = "foreshortening of a rotating beam; the linear strain of paper 002 has softening only"
     excitation: ClassVar[str] = "the same pulse at rest and during a fast turn (7 rad/s and more)"
+    axis: ClassVar[str] = "speed"
+    seen: ClassVar[str] = "at high speed of the hub"
+    plain: ClassVar[str] = "The beam stiffens as it turns; the model leaves that out."
+    check: ClassVar[str] = "Nothing is wrong with the machine: add the term to the simulator."
     share: Array = param(0.0, -0.5, 3.0, scale=0.1, unit="1", meaning="1: all of the tension counts")
     probes: ClassVar[tuple[dict[str, Quantity | float], ...]] = ({"share": 1.0},)
 
@@ -241,6 +269,10 @@ class BaseMotion(BodyEffect):
     signature: ClassVar[str] = "all inertias seem smaller, and the more so the more posture changes; hardly any residual"
     source: ClassVar[str] = "exact reduced dynamics at zero momentum (paper 000 assumes a base that stands still)"
     excitation: ClassVar[str] = "two sets of postures far apart, and the base's own rate"
+    axis: ClassVar[str] = "acceleration"
+    seen: ClassVar[str] = "wherever the arm accelerates"
+    plain: ClassVar[str] = "The base moves under the arm; the simulator holds it still."
+    check: ClassVar[str] = "Watch the base: fixing, table, floating body."
     share: Array = param(0.0, 0.0, 20.0, scale=0.1, unit="1", meaning="1: the base floats with its known mass and inertia")
     probes: ClassVar[tuple[dict[str, Quantity | float], ...]] = ({"share": 0.1}, {"share": 1.0})
 

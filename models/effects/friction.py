@@ -20,6 +20,10 @@ class ViscousFriction(JointEffect):
     signature: ClassVar[str] = "missing torque proportional to velocity, no jump at reversal"
     source: ClassVar[str] = "textbook"
     excitation: ClassVar[str] = "constant speeds in both directions, at least three of them"
+    axis: ClassVar[str] = "speed"
+    seen: ClassVar[str] = "in proportion to speed"
+    plain: ClassVar[str] = "Friction grows with speed by {coefficient} more than stated."
+    check: ClassVar[str] = "Look at bearings, seals and the viscosity of the grease."
     coefficient: Array = param(
         0.0, 0.0, 100 * TORQUE / SPEED, scale=0.1 * TORQUE / SPEED, unit="{F} s/{X}", meaning="viscous coefficient"
     )
@@ -43,6 +47,12 @@ class CoulombFriction(JointEffect):
     signature: ClassVar[str] = "a step of the missing torque at every reversal, standstill"
     source: ClassVar[str] = "Moreau's time-stepping; seed systems of papers 001 to 003"
     excitation: ClassVar[str] = "slow reversals with rests between them"
+    axis: ClassVar[str] = "speed"
+    seen: ClassVar[str] = "whenever it moves, against the motion, and at standstill"
+    plain: ClassVar[str] = "Dry friction of {level} opposes every motion and holds the joint at standstill."
+    check: ClassVar[str] = (
+        "Find the smallest torque that starts the motion, both ways; look at bearings, seals, brakes that drag."
+    )
     level: Array = param(0.0, 0.0, 2 * TORQUE, scale=0.05 * TORQUE, unit="{F}", meaning="dry friction level")
     probes: ClassVar[tuple[dict[str, Quantity | float], ...]] = (
         {"level": 0.01 * TORQUE},
@@ -65,6 +75,10 @@ class AsymmetricFriction(JointEffect):
     signature: ClassVar[str] = "missing torque with the same sign in both directions of motion, zero at rest"
     source: ClassVar[str] = "direction-dependent friction of linear drives (EMPS benchmark's own variant)"
     excitation: ClassVar[str] = "the same constant speeds forwards and backwards, and a standstill"
+    axis: ClassVar[str] = "speed"
+    seen: ClassVar[str] = "otherwise forwards than backwards"
+    plain: ClassVar[str] = "Friction differs between forwards and backwards (half the difference: {dry} dry, {viscous} viscous)."
+    check: ClassVar[str] = "Run the same speed both ways; look at preload, screws, belts, gears that bind one way."
     dry: Array = param(0.0, -TORQUE, TORQUE, scale=0.05 * TORQUE, unit="{F}", meaning="half the difference of the dry levels")
     viscous: Array = param(
         0.0,
@@ -92,11 +106,16 @@ class StribeckFriction(JointEffect):
     """Additional dry friction at low speed that fades as the surfaces separate."""
 
     name: ClassVar[str] = "stribeck_friction"
+    span: ClassVar = staticmethod(lambda p: (-2 * p["speed"], 2 * p["speed"]))
     refines: ClassVar[str] = "coulomb_friction"
     equation: ClassVar[str] = "f = extra exp(-(qd / speed)^2) sign(qd)"
     signature: ClassVar[str] = "a bump of the missing torque at low speed only; breakaway above the sliding level"
     source: ClassVar[str] = "paper 000 (Stribeck terms of both joints)"
     excitation: ClassVar[str] = "slow ramps through zero speed and micro-reversals of a few milliradians"
+    axis: ClassVar[str] = "speed"
+    seen: ClassVar[str] = "at speeds below about {speed}"
+    plain: ClassVar[str] = "Friction is higher when it moves slowly: {extra} more at the start, gone at a few times {speed}."
+    check: ClassVar[str] = "Look at lubrication; expect stick-slip in slow motion."
     extra: Array = param(0.0, 0.0, 2 * TORQUE, scale=0.05 * TORQUE, unit="{F}", meaning="breakaway level above the sliding level")
     speed: Array = param(0.1, 0.002 * SPEED, SPEED, scale=0.05 * SPEED, unit="{X}/s", meaning="Stribeck velocity", log=True)
     probes: ClassVar[tuple[dict[str, Quantity | float], ...]] = (
@@ -121,6 +140,12 @@ class LoadDependentFriction(JointEffect):
     signature: ClassVar[str] = "a step at reversal whose height follows the load"
     source: ClassVar[str] = "load-dependent models of geared servos (Duclusaud et al., arXiv 2410.08650)"
     excitation: ClassVar[str] = "the same motion under two or three payloads or poses"
+    axis: ClassVar[str] = "load"
+    seen: ClassVar[str] = "whenever it moves under load"
+    plain: ClassVar[str] = "Friction grows with the load: {mu:%} of the torque that passes the gear."
+    check: ClassVar[str] = (
+        "Compare the same motion with and without load; look at the efficiency of the gear (worm and screw drives)."
+    )
     mu: Array = param(0.0, 0.0, 0.9, scale=0.03, unit="1", meaning="dry friction per torque transmitted")
     probes: ClassVar[tuple[dict[str, Quantity | float], ...]] = ({"mu": 0.02}, {"mu": 0.1}, {"mu": 0.3})
 
@@ -140,6 +165,10 @@ class QuadraticDrag(JointEffect):
     signature: ClassVar[str] = "missing torque at high speed, in proportion to the square of speed"
     source: ClassVar[str] = "textbook"
     excitation: ClassVar[str] = "runs at half and at full top speed"
+    axis: ClassVar[str] = "speed"
+    seen: ClassVar[str] = "at high speed, with its square"
+    plain: ClassVar[str] = "A drag that grows with the square of speed is missing: {coefficient}."
+    check: ClassVar[str] = "Look for fans, blades, air or oil that is churned."
     coefficient: Array = param(
         0.0,
         0.0,
@@ -174,6 +203,10 @@ class LuGreFriction(JointEffect):
         "level = g, presliding = g / sigma_0, relaxation = sigma_1 / sigma_0"
     )
     excitation: ClassVar[str] = "micro-reversals of a few milliradians around rest, and slow ramps"
+    axis: ClassVar[str] = "position"
+    seen: ClassVar[str] = "in the first {presliding} after every reversal"
+    plain: ClassVar[str] = "The joint gives before it slides: friction builds up over {presliding} after each reversal."
+    check: ClassVar[str] = "Push with small forces and watch for a spring-like give at standstill."
     level: Array = param(0.0, 0.0, 2 * TORQUE, scale=0.05 * TORQUE, unit="{F}", meaning="friction level while sliding")
     presliding: Array = param(
         0.01,
@@ -212,6 +245,10 @@ class PositionDependentFriction(JointEffect):
     signature: ClassVar[str] = "a step of the missing torque at reversal whose height repeats with position"
     source: ClassVar[str] = "textbook: first harmonic of a gear's friction"
     excitation: ClassVar[str] = "slow constant speed over the whole travel, both ways"
+    axis: ClassVar[str] = "position"
+    seen: ClassVar[str] = "with position, against the motion"
+    plain: ClassVar[str] = "Friction repeats with position: a gear or bearing that runs out of true."
+    check: ClassVar[str] = "Turn slowly through the whole travel and mark where it runs heavily."
     sine: Array = param(0.0, -TORQUE, TORQUE, scale=0.02 * TORQUE, unit="{F}", meaning="amplitude of the sine")
     cosine: Array = param(0.0, -TORQUE, TORQUE, scale=0.02 * TORQUE, unit="{F}", meaning="amplitude of the cosine")
     order: Array = param(
@@ -250,6 +287,10 @@ class TemperatureDependentFriction(JointEffect):
     signature: ClassVar[str] = "friction that differs between early and late in a run, and after rests"
     source: ClassVar[str] = "first-order heat balance of a joint"
     excitation: ClassVar[str] = "the same motion for many minutes from a cold start, with a long rest before it is repeated"
+    axis: ClassVar[str] = "time"
+    seen: ClassVar[str] = "otherwise late in a run than early, and after rests"
+    plain: ClassVar[str] = "Friction changes by {change} as the joint warms up, within about {time}."
+    check: ClassVar[str] = "Repeat a run cold and warm; measure the temperature of the gear."
     change: Array = param(
         0.0, -20 * TORQUE / (SPEED * SPEED * SPEED), 20 * TORQUE / (SPEED * SPEED * SPEED),
         scale=0.1 * TORQUE / (SPEED * SPEED * SPEED), unit="{F} s^3/{X}^3",
@@ -290,6 +331,10 @@ class CoupledFriction(JointEffect):
         "wrists with coupled motors (Staubli TX series), e.g. Gautier, Janot, Vandanjon, IEEE TCST 21(2), 2013"
     )
     excitation: ClassVar[str] = "one joint moving while the other rests, then both with equal and with opposite speeds"
+    axis: ClassVar[str] = "speed"
+    seen: ClassVar[str] = "with the sum of the speeds of this joint and the next"
+    plain: ClassVar[str] = "Two joints share a gear: its friction follows the sum of their speeds."
+    check: ClassVar[str] = "Look at the drawing of the wrist for a shared gear or shaft."
     viscous: Array = param(
         0.0,
         0.0,

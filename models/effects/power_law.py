@@ -29,6 +29,10 @@ class PowerLawFriction(JointEffect):
     signature: ClassVar[str] = "missing torque that rises steeply at low speed and flattens at high speed (exponent below 1)"
     source: ClassVar[str] = "paper 001, equation (2): F_v |qd|^alpha sign(qd)"
     excitation: ClassVar[str] = "constant speeds over two decades in both directions"
+    axis: ClassVar[str] = "speed"
+    seen: ClassVar[str] = "with speed to the power {exponent}"
+    plain: ClassVar[str] = "Friction grows with speed to the power {exponent}, not in proportion."
+    check: ClassVar[str] = "Compare constant speeds, slow and fast; look at the grease."
     family: ClassVar[str] = "friction"
     coefficient: Array = param(
         0.0,

@@ -21,6 +21,10 @@ class SensorBias(OutputEffect):
     signature: ClassVar[str] = "a constant offset; where gravity or a spring acts, a motion that belongs to another position"
     source: ClassVar[str] = "textbook"
     excitation: ClassVar[str] = "a rest at a position known otherwise (hanging freely, a stop, a level)"
+    axis: ClassVar[str] = "reading"
+    seen: ClassVar[str] = "always, by the same amount"
+    plain: ClassVar[str] = "The sensor reads {bias} too much at every position."
+    check: ClassVar[str] = "Set the zero again at a mechanical stop or with a gauge."
     bias: Array = param(0.0, -0.5 * ANGLE, 0.5 * ANGLE, scale=0.005 * ANGLE, unit="{y}", meaning="reading at zero")
     probes: ClassVar[tuple[dict[str, Quantity | float], ...]] = ({"bias": 0.02 * ANGLE},)
 
@@ -39,6 +43,10 @@ class SensorScale(OutputEffect):
     signature: ClassVar[str] = "residual in proportion to the reading"
     source: ClassVar[str] = "textbook"
     excitation: ClassVar[str] = "two rests a known distance apart"
+    axis: ClassVar[str] = "reading"
+    seen: ClassVar[str] = "in proportion to the reading"
+    plain: ClassVar[str] = "The sensor reads {gain:%} too much of every angle."
+    check: ClassVar[str] = "Check counts per turn and the gear ratio between sensor and joint."
     gain: Array = param(0.0, -0.9, 2.0, scale=0.01, unit="1", meaning="share by which the sensor reads more")
     probes: ClassVar[tuple[dict[str, Quantity | float], ...]] = ({"gain": 0.03},)
 
@@ -60,6 +68,10 @@ class SensorLag(OutputEffect):
     signature: ClassVar[str] = "phase lag and loss of gain towards high frequency, in this channel alone"
     source: ClassVar[str] = "textbook; exact solution for a ramp"
     excitation: ClassVar[str] = "one multisine with energy up to ten times the bandwidth, with a second sensor or a clock pulse"
+    axis: ClassVar[str] = "reading"
+    seen: ClassVar[str] = "wherever the reading changes faster than in {lag}"
+    plain: ClassVar[str] = "The reading follows with a time constant of {lag}: a filter in the sensor."
+    check: ClassVar[str] = "Look up the filter of the sensor or drive, and switch it off for the recording."
     lag: Array = param(0.0, 0.0, 0.3, scale=0.003, unit="s", meaning="time constant of the sensor")
     probes: ClassVar[tuple[dict[str, Quantity | float], ...]] = ({"lag": 0.001}, {"lag": 0.006}, {"lag": 0.03})
 
@@ -91,6 +103,10 @@ class SensorDelay(RecordEffect):
     signature: ClassVar[str] = "phase lag that grows in proportion to frequency, in this channel alone"
     source: ClassVar[str] = "exact but for the interpolation (four points)"
     excitation: ClassVar[str] = "a pulse that both the command and this channel record, or closed loop with the command logged"
+    axis: ClassVar[str] = "reading"
+    seen: ClassVar[str] = "wherever the reading changes"
+    plain: ClassVar[str] = "The reading arrives {delay} late."
+    check: ClassVar[str] = "Look at the bus, the driver's buffer, and which clock stamps the samples."
     delay: Array = param(0.0, 0.0, 0.1, scale=0.002, unit="s", meaning="delay of the reading")
     probes: ClassVar[tuple[dict[str, Quantity | float], ...]] = (
         {"delay": 0.001},
@@ -120,6 +136,10 @@ class TimestampJitter(RecordEffect):
     signature: ClassVar[str] = "white residuals whose variance grows with the square of speed"
     source: ClassVar[str] = "second-order expansion"
     excitation: ClassVar[str] = "the same motion slowly and fast, with a hardware clock beside the recorder's"
+    axis: ClassVar[str] = "time"
+    seen: ClassVar[str] = "at high speed"
+    plain: ClassVar[str] = "The time stamps scatter by {spread}."
+    check: ClassVar[str] = "Let the device stamp the samples, or record on a real-time system."
     spread: Array = param(0.0, 0.0, 0.02, scale=0.001, unit="s", meaning="standard deviation of the time stamps")
     probes: ClassVar[tuple[dict[str, Quantity | float], ...]] = ({"spread": 0.003}, {"spread": 0.01})
 

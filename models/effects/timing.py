@@ -20,6 +20,12 @@ class InputDelay(InputEffect):
     signature: ClassVar[str] = "phase lag that grows in proportion to frequency"
     source: ClassVar[str] = "exact for a held input: mean of the delayed command over the step"
     excitation: ClassVar[str] = "one multisine with energy up to ten times the bandwidth, and a recorded clock pulse"
+    axis: ClassVar[str] = "command"
+    seen: ClassVar[str] = "wherever the command changes"
+    plain: ClassVar[str] = "Commands take effect {delay} late."
+    check: ClassVar[str] = (
+        "Time a step of the command against the first motion; look at buses, filters and the control period between."
+    )
     delay: Array = param(0.0, 0.0, 0.1, scale=0.002, unit="s", meaning="delay of the command")
     probes: ClassVar[tuple[dict[str, Quantity | float], ...]] = (
         {"delay": 0.001},
@@ -49,6 +55,15 @@ class InputHold(InputEffect):
     signature: ClassVar[str] = "half a sample of lead or lag between command and motion"
     source: ClassVar[str] = "a wrong hold alone moves well-known tools by 1 to 3 % on a clean pendulum"
     excitation: ClassVar[str] = "a command that changes at every sample (fast chirp), and the same at half the sampling rate"
+    axis: ClassVar[str] = "command"
+    seen: ClassVar[str] = "wherever the command changes from sample to sample"
+    plain: ClassVar[str] = (
+        "Between its samples the command does not run as stated: {share:%} of it follows the other hold (steps "
+        "against straight lines)."
+    )
+    check: ClassVar[str] = (
+        "Look up whether the drive keeps a command until the next one or ramps to it, and state it as the channel's hold."
+    )
     share: Array = param(0.0, 0.0, 1.0, scale=0.2, unit="1", meaning="0 the stated hold, 1 the other one")
     probes: ClassVar[tuple[dict[str, Quantity | float], ...]] = ({"share": 1.0},)
 

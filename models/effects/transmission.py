@@ -28,6 +28,12 @@ class JointElasticity(BodyEffect):
     signature: ClassVar[str] = "a residual in a narrow band of frequencies that rings after steps; the load sags"
     source: ClassVar[str] = "Spong, ASME J. Dyn. Syst. 109(4), 1987"
     excitation: ClassVar[str] = "steps or a chirp through the resonance, with a free decay after it; a second encoder at the link"
+    axis: ClassVar[str] = "time"
+    seen: ClassVar[str] = "around the resonance of motor and link, after steps and knocks"
+    plain: ClassVar[str] = "The gear gives like a spring: {compliance} between motor and link."
+    check: ClassVar[str] = (
+        "Block the motor, load the link and measure how far it gives; look at belts, harmonic drives, couplings."
+    )
     compliance: Array = param(
         0.0, 0.0, 0.5 * ANGLE / TORQUE, scale=0.001 * ANGLE / TORQUE, unit="{X}/({F})", meaning="deflection per torque"
     )
@@ -64,6 +70,10 @@ class Backlash(BodyEffect):
     signature: ClassVar[str] = "light motion of the motor alone after each change of sign of the load, then a knock"
     source: ClassVar[str] = "Nordin, Gutman, Automatica 38(10), 2002 (dead-zone model with compliance)"
     excitation: ClassVar[str] = "small slow reversals around an unloaded position, and a second encoder at the link"
+    axis: ClassVar[str] = "load"
+    seen: ClassVar[str] = "after each change of the load's sign, over {play}"
+    plain: ClassVar[str] = "There is play of {play} between motor and link."
+    check: ClassVar[str] = "Block the motor and move the link by hand; look at gears, keys, couplings and belts."
     play: Array = param(0.0, 0.0, 0.5 * ANGLE, scale=0.005 * ANGLE, unit="{X}", meaning="full width of the gap")
     motor_share: Array = param(0.3, 0.02, 0.95, scale=0.1, unit="1", meaning="share of the inertia on the motor's side")
     contact_compliance: Array = param(
@@ -96,6 +106,10 @@ class Hysteresis(JointEffect):
     signature: ClassVar[str] = "loops of the missing torque against position, at any speed, with soft corners"
     source: ClassVar[str] = "Bouc-Wen model with n = 1, beta = gamma = A / 2 (Wen, ASCE J. Eng. Mech. 102(2), 1976)"
     excitation: ClassVar[str] = "slow strokes of several sizes around one position, from a tenth of the travel to all of it"
+    axis: ClassVar[str] = "position"
+    seen: ClassVar[str] = "after every reversal, over about {width}"
+    plain: ClassVar[str] = "The joint winds up: {level} builds up over {width} after each reversal and stays, at any speed."
+    check: ClassVar[str] = "Load and unload slowly and draw torque against angle; look at cables, belts, harmonic drives."
     level: Array = param(0.0, 0.0, 2 * TORQUE, scale=0.05 * TORQUE, unit="{F}", meaning="torque at the end of a long stroke")
     width: Array = param(
         0.1, 1e-4 * ANGLE, ANGLE, scale=0.01 * ANGLE, unit="{X}", meaning="distance over which the torque turns", log=True
