@@ -185,7 +185,7 @@ def _robot(entry: ModelEntry, places: Places, open_text: Any, problems: list[Pro
     except UsageError as error:
         problems.append(places.problem(key, str(error), "Correct the file, or name another"))
         return None
-    return Geometry(robot=text, file=str(entry.robot), tip=entry.tip)
+    return Geometry(robot=text, file=str(entry.robot), tip=entry.tip, path=str(open_text.path(entry.robot)))
 
 
 def _as_robot(dataset: Dataset, places: Places) -> Dataset:

@@ -230,6 +230,7 @@ class Geometry:
     convention: str = "modified"
     columns: dict[str, list[float] | list[bool]] = field(default_factory=dict)
     robot: str = ""  # the text of a robot's file, MJCF or URDF
+    path: str = field(default="", compare=False)  # where that lay
 
 
 @dataclass(frozen=True)

@@ -10,7 +10,7 @@ import numpy as np
 
 from jaxid.conventions.finding import as_data, DataFinding
 from jaxid.diagnosis.cause import words
-from jaxid.fitting.result import EffectEstimate, Fit, Trace
+from jaxid.fitting.result import EffectEstimate, Fit, Trace, with_origin
 from jaxid.numerics.versions import versions
 from jaxid.serialise import SCHEMA
 from jaxid.storage import frames
@@ -248,6 +248,7 @@ class Diagnosis:
             "unseen": [u.to_dict() for u in self.unseen],
             "parameters": {k: v.to_dict() for k, v in self.final.parameters.items()},
             "stated": [s.to_dict() for s in self.final.stated],
+            **with_origin(self.final),
             "wall_time_s": self.wall_time_s,
             "notes": list(self.notes),
             "versions": versions(),

@@ -7,6 +7,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from jaxid.dynamics.chain import Chain
+from jaxid.fitting import result as results
 from jaxid.fitting.covariance import Covariance, covariance
 from jaxid.fitting.ending import ending
 from jaxid.fitting.fitter import Minimum
@@ -21,6 +22,7 @@ from jaxid.problem.problem import Problem
 from jaxid.problem.residual import InverseDynamics, MultipleShooting, Residual
 from jaxid.robots import yardstick
 from jaxid.robots.match import is_robot
+from jaxid.robots.origin import origin
 
 
 def estimates(binding: Binding, problem: Problem, z: np.ndarray, cov: Covariance) -> dict[int, Estimate]:
@@ -141,7 +143,27 @@ def assemble(
         end.state == "failed", end.because, result.loss, own, table, windowed, result.evaluations, wall_time, compile_time,
         binding.dataset.name, binding.dataset.sha256, tuple(notes), groups, tuple(result.history), tuple(traces), theta,
         end.state == "stalled", SIMULATIONS.get(residual.name, "free_run"), free, stated, joints,
-        fitted_chain(binding, theta, added), solver_name(binding),
+        fitted_chain(binding, theta, added), solver_name(binding), robot=origin_of(binding, added),
+        covariance=numbers_covariance(binding, problem, result.z, cov),
+    )  # fmt: skip
+
+
+def origin_of(binding: Binding, added: Sequence[EffectEstimate]) -> dict:
+    """Where a robot comes from, and which of its own laws the model leaves out; nothing for another model."""
+    mechanism, spec = binding.chain.mechanism, binding.dataset.model
+    if not is_robot(mechanism):
+        return {}
+    present = {e.name for e in binding.chain.effects if not is_candidate(binding, e.name)} | {e.effect for e in added}
+    without = [kind.name for kind, _ in mechanism.builtin if kind.name not in present]
+    return origin(mechanism, spec.geometry if spec is not None else None) | {"without": without}
+
+
+def numbers_covariance(binding: Binding, problem: Problem, z: np.ndarray, cov: Covariance) -> results.Covariance:
+    """That of the fitted numbers themselves, of which some are searched by their logarithm."""
+    n, slope = len(problem.free), problem.dtheta(z)
+    known = np.where(np.isfinite(cov.std[:n]), slope, np.nan)
+    return results.Covariance(
+        tuple(binding.layout.names[i] for i in problem.free), cov.matrix[:n, :n] * known * known[:, None]
     )  # fmt: skip
 
 

@@ -39,6 +39,17 @@ class Estimate:
 
 
 @dataclass(frozen=True)
+class Covariance:
+    """Of the fitted numbers `names`, [n n]; nan where the data do not determine one."""
+
+    names: tuple[str, ...]
+    matrix: np.ndarray
+
+    def to_dict(self) -> dict[str, Any]:
+        return {"names": list(self.names), "matrix": self.matrix}
+
+
+@dataclass(frozen=True)
 class EffectEstimate:
     """An effect at a location with its fitted parameters."""
 
@@ -55,6 +66,12 @@ class EffectEstimate:
 
     def __str__(self) -> str:
         return f"{self.effect} at {self.location}"
+
+
+def with_origin(fit: Fit) -> dict[str, Any]:
+    """What a result's JSON needs beside the numbers to carry them back: the robot's file, and how the numbers depend."""
+    out: dict[str, Any] = {"robot": fit.robot} if fit.robot else {}
+    return out if fit.covariance is None else out | {"covariance": fit.covariance.to_dict()}
 
 
 @dataclass(frozen=True)
@@ -127,6 +144,8 @@ class Fit:
     """The fitted model with its effects, None where the fit failed: `.ode()`, `jaxid.simulate(fit.chain, other_data)`."""
     solver: str = "own"  # what simulated: jaxid's own stepping, or a solver of diffrax
     data: tuple[DataFinding, ...] = ()  # what the recording says about itself
+    robot: dict[str, Any] = field(default_factory=dict)  # the file of a robot and its drive: see `jaxid.robots.origin`
+    covariance: Covariance | None = None  # of the fitted numbers
 
     @property
     def state(self) -> str:
@@ -160,6 +179,7 @@ class Fit:
             "correlated": [list(g) for g in self.correlated],
             "stated": [s.to_dict() for s in self.stated],
             "how_far": {"per_joint": list(self.per_joint)},
+            **with_origin(self),
             "evaluations": self.evaluations,
             "wall_time_s": self.wall_time_s,
             "compile_time_s": self.compile_time_s,

@@ -41,6 +41,7 @@ from jaxid.identification.stated import beside_the_file
 from jaxid.problem.binding import resolve_model
 from jaxid.problem.torque_filter import drive_gains
 from jaxid.robots.arms import as_arm
+from jaxid.robots.origin import origin_on
 from jaxid.serialise import SCHEMA
 
 
@@ -66,17 +67,14 @@ class RunScore:
     unfiltered_rmse_per_joint: tuple[float, ...]
 
     def to_dict(self) -> dict[str, Any]:
+        unfiltered = {
+            "relative_error": self.unfiltered_relative_error, "rmse_per_joint": list(self.unfiltered_rmse_per_joint)
+        }  # fmt: skip
         return {
-            "file": self.file,
-            "split": self.split,
-            "relative_error": self.relative_error,
-            "relative_error_per_joint": list(self.relative_error_per_joint),
-            "rmse_per_joint": list(self.rmse_per_joint),
-            "unfiltered": {
-                "relative_error": self.unfiltered_relative_error,
-                "rmse_per_joint": list(self.unfiltered_rmse_per_joint),
-            },
-        }
+            "file": self.file, "split": self.split, "relative_error": self.relative_error,
+            "relative_error_per_joint": list(self.relative_error_per_joint), "rmse_per_joint": list(self.rmse_per_joint),
+            "unfiltered": unfiltered,
+        }  # fmt: skip
 
 
 @dataclass(frozen=True)
@@ -121,6 +119,7 @@ class Identification:
     stated: tuple[dict[str, Any], ...] = ()
     per_joint: tuple[dict[str, Any], ...] = ()
     data: tuple[DataFinding, ...] = ()  # what the recording says about itself
+    robot: dict[str, Any] = field(default_factory=dict)  # the file of a robot and its drive: see `jaxid.robots.origin`
 
     @property
     def torque_units(self) -> tuple[str, ...]:
@@ -179,18 +178,19 @@ class Identification:
             "stated": list(self.stated),
             "how_far": {"per_joint": list(self.per_joint)},
         }
-        if self.standard is not None:
-            out["standard_parameters"] = self.standard
-        if self.payload is not None:
-            out["payload"] = self.payload.to_dict()
-        out |= as_data(self.data)
-        return out | {
-            "dataset": self.dataset,
-            "dataset_sha256": self.dataset_sha256,
-            "wall_time_s": self.wall_time_s,
-            "versions": versions(),
-            "notes": list(self.notes),
-        }
+        own = {"standard_parameters": self.standard, "payload": self.payload and self.payload.to_dict(), "robot": self.robot}
+        out |= {key: value for key, value in own.items() if value}
+        return (
+            out
+            | as_data(self.data)
+            | {
+                "dataset": self.dataset,
+                "dataset_sha256": self.dataset_sha256,
+                "wall_time_s": self.wall_time_s,
+                "versions": versions(),
+                "notes": list(self.notes),
+            }
+        )
 
     def report(self, path: str | Path) -> Path:
         """Writes the report page (one self-contained HTML file) and returns its path."""
@@ -236,6 +236,7 @@ def identify(
     if friction not in (*LAWS, "auto"):
         raise UsageError(f"there is no friction law {friction!r}{nearest(friction, (*LAWS, 'auto'))}")
     dataset = (checked := run_check(model, dataset, (), as_recorded)).mended or dataset
+    robot = origin_on(model, dataset)
     model, dataset = as_arm(model, dataset)
     held_out = any(e.split != "fit" for e in dataset.experiments)
     data = dataset if held_out else dataset.with_splits()
@@ -277,7 +278,7 @@ def identify(
         notes=tuple([*data.notes, *_notes(found, names, method, law)]), wall_time_s=time.perf_counter() - began,
         labels=names_of_joints(arm, data, len(arm.prismatic)),
         traces=tuple((r.name, r.split, r.t, r.tau, own[chosen]) for r, own in zip(runs, predicted, strict=True)),
-        data=checked.findings,
+        data=checked.findings, robot=robot,
     )  # fmt: skip
     result = replace(result, **beside_the_file(arm, base, law, runs, result))
     if before is None:

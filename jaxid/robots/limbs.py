@@ -7,11 +7,13 @@ from dataclasses import replace
 from typing import Any
 
 import numpy as np
+from scipy.linalg import block_diag
 
 from jaxid.data.dataset import Controller, Dataset, Experiment
-from jaxid.fitting.result import Fit, Score
+from jaxid.fitting.result import Covariance, Fit, Score
 from jaxid.robots.drives import NUMBERS
 from jaxid.robots.match import is_robot, prepared, recorded
+from jaxid.robots.origin import joined
 from jaxid.robots.tree import Tree
 
 
@@ -118,7 +120,16 @@ def together(fits: Sequence[Fit], dataset: Dataset) -> Fit:
         theta=np.zeros(0),
         stated=tuple(r for f in fits for r in f.stated),
         per_joint=tuple(r for f in fits for r in f.per_joint),
+        robot=joined([f.robot for f in fits]),
+        covariance=_side_by_side(fits),
     )
+
+
+def _side_by_side(fits: Sequence[Fit]) -> Covariance | None:
+    own = [f.covariance for f in fits if f.covariance is not None]
+    if len(own) < len(fits):
+        return None
+    return Covariance(tuple(n for c in own for n in c.names), block_diag(*(c.matrix for c in own)))
 
 
 def each(limbs: Sequence[tuple[Any, Dataset]], work: Callable[[Any, Dataset], Fit], dataset: Dataset) -> Fit:

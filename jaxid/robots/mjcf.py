@@ -37,7 +37,7 @@ def read_mjcf(path: str | Path, text: str | None = None) -> Tree:
     A free joint at the root is left out: the base is fixed where the file puts it. Raises `UsageError` naming the element.
     """
     path = Path(path)
-    spec = _compilable(path, expanded(path, text))
+    spec = compilable(path, expanded(path, text))
     mujoco = library()
     try:
         model = spec.compile()
@@ -46,7 +46,7 @@ def read_mjcf(path: str | Path, text: str | None = None) -> Tree:
     return _Reader(path, model).tree()
 
 
-def _compilable(path: Path, text: str) -> Any:
+def compilable(path: Path, text: str) -> Any:
     """The spec without what is drawn, refused where a body's inertia would come from it or cannot be."""
     mujoco = library()
     try:

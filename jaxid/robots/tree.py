@@ -52,7 +52,7 @@ class Tree:
 
     `inertia` [n 10] is about the node's origin, `anchor` [n 3] that origin in the frame of the body as the file has it (`links`,
     "" for a node between two joints of one body). `damping` [n 3]: f = d1 v + d2 v |v| + d3 v^3. Limits are infinite where
-    unknown. `raw` is the inertia as the file states it where no body can have it.
+    unknown. `held`: where joints of the file that do not move here stand.
     """
 
     file: str
@@ -81,6 +81,7 @@ class Tree:
     base: str = "base"
     impossible: tuple[str, ...] = ()
     notes: tuple[str, ...] = ()
+    held: Mapping[str, float] = field(default_factory=dict)
 
     @property
     def n(self) -> int:
@@ -147,6 +148,7 @@ class Tree:
             couplings=tuple(c for c in self.couplings if c.follower not in gone and c.leader not in gone),
             actuators={k: a for k, a in self.actuators.items() if k not in gone},
             poses={name: {j: v for j, v in p.items() if j not in gone} for name, p in self.poses.items()},
+            held={**self.held, **{self.joints[k]: value for k, value in held.items()}},
         )
 
     def path_to(self, link: str) -> tuple[str, ...]:

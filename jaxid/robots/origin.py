@@ -1,0 +1,65 @@
+"""Where the robot of a result comes from: its file, the joints that moved, and the law that drove them."""
+
+from __future__ import annotations
+
+import hashlib
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from jaxid.data.dataset import Dataset, Geometry
+from jaxid.robots.match import is_robot, matched, prepared
+from jaxid.robots.tree import Tree
+from jaxid.storage.small_files import read_small, TooLarge
+
+
+#: Numbers of a drive law that a result states for each joint.
+LAW = ("kp", "kd", "ki", "gain", "lowest", "highest", "offset", "delay", "lag")
+
+
+def origin(mechanism: Any, geometry: Geometry | None) -> dict[str, Any]:
+    """The file of a `Robot` with its SHA-256 ("" where it lies no more), its joints and where others were held, its drive:
+    `{"file", "sha256", "joints", "held", "base", "drive": {"origin", "kind", "period", …, "joints": {NAME: {"kp": …}}} or None}`.
+    """
+    tree: Tree = mechanism.tree.tree
+    path = (geometry.path if geometry is not None else "") or tree.file
+    law = mechanism.drive_law
+    return {
+        "file": path,
+        "sha256": digest(path),
+        "joints": list(tree.joints),
+        "held": {k: float(v) for k, v in tree.held.items()},
+        "base": {k: float(np.asarray(getattr(mechanism, f"base_{k}"))) for k in ("roll", "pitch", "yaw")},
+        "drive": None if law is None else {
+            "origin": "[controller]" if law.origin == "[controller]" else "file",
+            "kind": law.kind, "velocity": law.velocity, "rate": law.rate, "period": law.period,
+            "joints": {j: {k: float(getattr(law, k)[i]) for k in LAW} for i, j in enumerate(tree.leading)},
+        },
+    }  # fmt: skip
+
+
+def origin_on(model: object, dataset: Dataset) -> dict[str, Any]:
+    """The same for a model and a dataset that are not brought together yet; nothing where the model is no robot."""
+    robot, data = prepared(model, dataset)
+    if not is_robot(robot):
+        return {}
+    return origin(matched(robot, data).mechanism, None if data.model is None else data.model.geometry)
+
+
+def joined(parts: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
+    """That of a robot whose limbs were looked at one by one."""
+    out = dict(parts[0])
+    out["joints"] = [j for p in parts for j in p.get("joints", ())]
+    if out.get("drive"):
+        out["drive"] = {**out["drive"], "joints": {j: n for p in parts for j, n in p["drive"]["joints"].items()}}
+    return out
+
+
+def digest(path: str) -> str:
+    """SHA-256 of a file, "" where there is none to read."""
+    try:
+        return hashlib.sha256(read_small(path)).hexdigest() if Path(path).is_file() else ""
+    except (OSError, TooLarge):
+        return ""
