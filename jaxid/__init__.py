@@ -15,7 +15,14 @@ from jaxid.numerics import forked as _forked  # noqa: F401  it has to be there w
 
 if _TYPE_CHECKING:
     from jaxid import fitters as fitters, models as models, runtime as runtime
-    from jaxid.api import check as check, compare as compare, diagnose as diagnose, fit as fit, simulate as simulate
+    from jaxid.api import (
+        check as check,
+        compare as compare,
+        diagnose as diagnose,
+        fit as fit,
+        replay as replay,
+        simulate as simulate,
+    )  # fmt: skip
     from jaxid.data.dataset import Channel as Channel, Dataset as Dataset, Experiment as Experiment
     from jaxid.data.io import load_dataset as load_dataset, save_dataset as save_dataset
     from jaxid.diagnosis.result import Diagnosis as Diagnosis
@@ -49,6 +56,7 @@ _HOME = {
     "load_dataset": "jaxid.data.io",
     "make_problem": "jaxid.problem.pure_problem",
     "models": None,
+    "replay": "jaxid.api",
     "runtime": None,
     "save_dataset": "jaxid.data.io",
     "simulate": "jaxid.api",

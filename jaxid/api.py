@@ -1,11 +1,12 @@
-"""`jaxid.fit`, `jaxid.diagnose`, `jaxid.compare`, `jaxid.simulate`: the verbs."""
+"""`jaxid.fit`, `jaxid.diagnose`, `jaxid.compare`, `jaxid.simulate`, `jaxid.replay`: the verbs."""
 
 from __future__ import annotations
 
 import warnings
 from collections.abc import Iterable, Mapping
 from dataclasses import replace
-from typing import Any
+from pathlib import Path
+from typing import Any, TYPE_CHECKING
 
 from jaxid import catalogue
 from jaxid.conventions.finding import Checked
@@ -24,6 +25,10 @@ from jaxid.problem.problem import LOSSES
 from jaxid.problem.residual import Residual, RESIDUALS
 from jaxid.robots.limbs import each, effects_at, limbs_of
 from jaxid.runtime import Interrupted
+
+
+if TYPE_CHECKING:
+    from jaxid.fitting.replay import Replay
 
 
 def fit(
@@ -161,6 +166,18 @@ def simulate(
         model, parameters = (None, parameters) if known else (parameters.chain, None)
     content = parameters.to_dict() if isinstance(parameters, Fit) else parameters
     return simulate_dataset(content, dataset, model, solver)
+
+
+def replay(dataset: Dataset, robot: str | Path, against: str | Path | None = None) -> Replay:
+    """A robot's file (MJCF or URDF, patched or not) run in MuJoCo on a recording: each joint's error.
+
+    Beside it stands jaxid's own free run, of the result that the file was exported from (where `jaxid export` wrote it) or of
+    the file itself; with `against` that file in MuJoCo. Raises `UsageError` for a file that cannot be read and for joints that
+    are not recorded.
+    """
+    from jaxid.fitting.replay import run_replay
+
+    return run_replay(dataset, Path(robot), None if against is None else Path(against))
 
 
 def compare(

@@ -225,3 +225,7 @@ RESIDUALS = ("output_error", "multiple_shooting", "inverse_dynamics", "frequency
 
 
 LOSSES = ("sum_of_squares", "sum_of_norms", "sum_of_abs")
+
+
+#: What `jaxid export` writes for: names of `jaxid.robots.export.targets`.
+TARGETS = ("mjcf", "mjlab", "isaaclab", "urdf", "sdf", "drake", "ros2_control", "genesis")

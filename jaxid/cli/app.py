@@ -26,10 +26,12 @@ MODULES = {
     "check": "jaxid.cli.check",
     "compare": "jaxid.cli.compare",
     "excite": "jaxid.cli.excite",
+    "export": "jaxid.cli.export",
     "identify": "jaxid.cli.identify",
     "import": "jaxid.cli.importing",
     "record": "jaxid.cli.record",
     "emulate": "jaxid.cli.emulate",
+    "replay": "jaxid.cli.export",
 }
 
 

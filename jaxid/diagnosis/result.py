@@ -12,6 +12,7 @@ from jaxid.conventions.finding import as_data, DataFinding
 from jaxid.diagnosis.cause import words
 from jaxid.fitting.result import EffectEstimate, Fit, Trace, with_origin
 from jaxid.numerics.versions import versions
+from jaxid.robots.export.result import Exportable
 from jaxid.serialise import SCHEMA
 from jaxid.storage import frames
 
@@ -195,7 +196,7 @@ class HowFar:
 
 
 @dataclass(frozen=True)
-class Diagnosis:
+class Diagnosis(Exportable):
     """Where the simulator is wrong, which effect is missing, how far the gap shrinks once it is added."""
 
     model: str

@@ -10,6 +10,7 @@ import numpy as np
 
 from jaxid.conventions.finding import as_data, DataFinding
 from jaxid.numerics.versions import versions
+from jaxid.robots.export.result import Exportable
 from jaxid.serialise import SCHEMA
 from jaxid.storage import frames
 
@@ -108,7 +109,7 @@ class Trace:
 
 
 @dataclass(frozen=True)
-class Fit:
+class Fit(Exportable):
     """The result of every fitter: parameters with uncertainty, scores on fit and validation data, and what it cost."""
 
     model: str

@@ -77,6 +77,7 @@ def simulate_dataset(content: Mapping[str, Any] | None, dataset: Dataset, model:
         (*dataset.notes, *solver_notes(binding)),
         moving,
         solver_name(binding),
+        tuple(np.asarray(starts[n]) for n in order),
     )
 
 

@@ -25,6 +25,9 @@ class Simulation:
     solver: str = "own"
     """What simulated: jaxid's own stepping, or a solver of diffrax."""
 
+    starts: tuple[np.ndarray, ...] = field(default=(), repr=False, compare=False)
+    """Start of each run, [2 nq]: positions, then speeds."""
+
     def to_dict(self) -> dict[str, Any]:
         return {
             "schema": SCHEMA,

@@ -41,6 +41,7 @@ from jaxid.identification.stated import beside_the_file
 from jaxid.problem.binding import resolve_model
 from jaxid.problem.torque_filter import drive_gains
 from jaxid.robots.arms import as_arm
+from jaxid.robots.export.result import Exportable
 from jaxid.robots.origin import origin_on
 from jaxid.serialise import SCHEMA
 
@@ -88,7 +89,7 @@ class LawTrial:
 
 
 @dataclass(frozen=True)
-class Identification:
+class Identification(Exportable):
     """Result of `jaxid.identify`. `theta` and `covariance` follow `names`: base parameters, then friction by joint."""
 
     model: str

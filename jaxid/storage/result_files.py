@@ -73,6 +73,8 @@ def _tables(result: Any) -> dict[str, bytes]:
     kind = kind_of(result)
     if kind == "comparison":
         return {"runs.parquet": result.parquet()}
+    if kind == "replay":
+        return result.tables()
     if kind != "simulation":
         return {}
     import pyarrow

@@ -1,0 +1,254 @@
+"""A robot's file run in MuJoCo on a recording: the round trip of `jaxid export`, and the comparison of two simulators."""
+
+from __future__ import annotations
+
+import io
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from jaxid.data.dataset import Dataset, Experiment
+from jaxid.errors import UsageError
+from jaxid.fitting.simulate import simulate_dataset
+from jaxid.robots.drives import Law, stated_law
+from jaxid.robots.export.run import read_tree
+from jaxid.robots.export.save import ROWS, source_of
+from jaxid.robots.match import driving, named, recorded
+from jaxid.robots.origin import digest
+from jaxid.robots.tree import rotation, Tree
+from jaxid.serialise import SCHEMA
+from jaxid.simulation.mujoco_run import Driven, MujocoRobot
+
+
+@dataclass(frozen=True)
+class Replay:
+    """`rows`: for each run and joint the rms error in MuJoCo and in the other (`other`: "jaxid", or "against"), and the rms
+    between both. `runs`: for each run `t` and the joints' positions in MuJoCo and (`NAME_jaxid`, `NAME_against`) the other."""
+
+    dataset: str
+    robot: str
+    other: str
+    rows: tuple[dict[str, Any], ...]
+    runs: tuple[dict[str, np.ndarray], ...]
+    notes: tuple[str, ...]
+
+    def to_dict(self) -> dict[str, Any]:
+        return {
+            "schema": SCHEMA, "kind": "replay", "dataset": self.dataset, "robot": self.robot, "per_joint": list(self.rows),
+            "notes": list(self.notes),
+        }  # fmt: skip
+
+    def tables(self) -> dict[str, bytes]:
+        """The runs as Parquet: name -> content."""
+        import pyarrow
+        import pyarrow.parquet
+
+        out = {}
+        for i, run in enumerate(self.runs):
+            buffer = io.BytesIO()
+            pyarrow.parquet.write_table(pyarrow.table(dict(run)), buffer)
+            out[f"run_{i + 1}.parquet"] = buffer.getvalue()
+        return out
+
+    def __repr__(self) -> str:
+        from jaxid.report.text import replay_text
+
+        return replay_text(self)
+
+
+@dataclass(frozen=True)
+class _Source:
+    """What a patched file was exported from: the result's numbers, the original file, the rows that are not exact."""
+
+    content: Mapping[str, Any]
+    original: Path | None
+    rows: tuple[Mapping[str, Any], ...]
+
+
+def run_replay(dataset: Dataset, robot: Path, against: Path | None) -> Replay:
+    """See `jaxid.replay`."""
+    for path in (robot, *([against] if against is not None else [])):
+        if not path.is_file():
+            raise UsageError(f"{path}: there is no such file")
+    tree = read_tree_loosely(robot)
+    data = driving(named(dataset, tree, dataset.model.joints if dataset.model is not None else None), tree)
+    source = None if against is not None else _source(robot)
+    notes: list[str] = []
+    simulated, starts = (None, None) if against is not None else _by_jaxid(data, robot, tree, source, notes)
+    starts = starts or [_measured_start(e, data, joints_of(data, tree)) for e in data.experiments]
+    ours = _in_mujoco(data, robot, tree, source, starts, notes)
+    other = "jaxid" if against is None else "against"
+    if against is not None:
+        there = read_tree_loosely(against)
+        if there.leading != tree.leading:
+            raise UsageError(f"{against} has the joints {', '.join(there.leading)}, {robot} has {', '.join(tree.leading)}")
+        simulated = _in_mujoco(data, against, there, None, starts, notes)
+    rows, runs = _compared(data, tree, ours, simulated, other)
+    notes += _verdict(rows, source, other)
+    return Replay(dataset.name, str(robot), other, tuple(rows), tuple(runs), tuple(dict.fromkeys(notes)))
+
+
+def read_tree_loosely(path: Path) -> Tree:
+    """The tree of a robot's file."""
+    return read_tree(path)
+
+
+def joints_of(data: Dataset, tree: Tree) -> tuple[str, ...]:
+    """Joints that are measured."""
+    return recorded(tree, data)[0].leading
+
+
+def _source(robot: Path) -> _Source | None:
+    """What `jaxid export` wrote beside a file of its own that was not edited since."""
+    import json
+
+    from jaxid.storage.small_files import read_small
+
+    content = source_of(robot.parent)
+    if content.get("files", {}).get(robot.name) != digest(str(robot)):
+        return None
+    original = Path(str(content.get("robot", {}).get("file", "")))
+    known = original.is_file() and digest(str(original)) == content["robot"].get("sha256")
+    try:
+        rows = json.loads(read_small(robot.parent / ROWS))
+    except (OSError, ValueError):
+        rows = []
+    return _Source(content, original if known else None, tuple(r for r in rows if isinstance(r, Mapping)))
+
+
+def _by_jaxid(data: Dataset, robot: Path, tree: Tree, source: _Source | None, notes: list[str]) -> tuple[Any, Any]:
+    """(positions by run, starts) of jaxid's free run; (None, None) where it has none, with a note that says why."""
+    from jaxid.models import Robot
+
+    result = source.content.get("result", {}) if source is not None else {}
+    if source is not None and source.original is not None and result.get("kind") in ("fit", "diagnosis"):
+        model, content = Robot(read_tree(source.original)), {k: result.get(k, {}) for k in ("parameters", "effects")}
+        notes.append(f"jaxid's run is of the result that {robot.name} was exported from")
+    else:
+        model, content = Robot(tree), None
+        notes.append(f"jaxid's run is of {robot.name} as it stands")
+        if _own_actuators(tree, joints_of(data, tree)):
+            data = replace(data, controller=None)
+    spec = data.model
+    data = replace(data, model=None if spec is None else replace(spec, name=None, geometry=None, parameters={}, joints={}))
+    try:
+        simulation = simulate_dataset(content, data, model)
+    except UsageError as error:
+        notes.append(f"jaxid has no run of its own: {error}")
+        return None, None
+    joints = joints_of(data, tree)
+    return [np.stack([run[j] for j in joints], 1) for run in simulation.runs], [np.asarray(s) for s in simulation.starts]
+
+
+def _own_actuators(tree: Tree, joints: tuple[str, ...]) -> bool:
+    return all(j in tree.actuators and tree.actuators[j].kind == "position" for j in joints)
+
+
+def _measured_start(e: Experiment, data: Dataset, joints: tuple[str, ...]) -> np.ndarray:
+    """Positions of the first sample; speeds of the first samples, 0 where the run begins at rest."""
+    columns = [[c.name for c in data.outputs].index(j) for j in joints]
+    y = e.y[:, columns]
+    n = min(len(e.t), 5)
+    rests = e.at_rest or n < 2
+    speed = np.zeros(len(joints)) if rests else (y[n - 1] - y[0]) / (e.t[n - 1] - e.t[0])
+    return np.concatenate([y[0], speed])
+
+
+def _in_mujoco(
+    data: Dataset, path: Path, tree: Tree, source: _Source | None, starts: list[np.ndarray], notes: list[str]
+) -> list[np.ndarray]:
+    """Positions of the measured joints at the samples of every run."""
+    free, held_notes = recorded(tree, data)
+    notes += held_notes
+    joints = free.leading
+    robot = MujocoRobot(path, tree, free.held, _gravity(tree, data))
+    inputs = [c.name for c in data.inputs]
+    goals, torques = (all(f"{j}{end}" in inputs for j in joints) for end in ("_cmd", "_tau"))
+    law = None
+    if goals and not _own_actuators(tree, joints):
+        law = _law(data, joints, source, path)
+        notes.append(f"{path.name} has no position actuators for these joints: the law of [controller] drives")
+    elif goals:
+        notes.append(f"driven by the position actuators of {path.name}")
+    reference = (
+        MujocoRobot(source.original, read_tree(source.original), {}, None) if source and source.original and torques else robot
+    )
+    drive = Driven(
+        "goal" if goals and law is None else "law" if law is not None else "torque" if torques else "free", law, reference
+    )
+    notes += robot.notes
+    end = {"goal": "_cmd", "law": "_cmd", "torque": "_tau"}.get(drive.kind, "")
+    column = [inputs.index(f"{j}{end}") for j in joints] if end else []
+    linear = [data.inputs[c].hold == "linear" for c in column]
+    out = []
+    for e, start in zip(data.experiments, starts, strict=True):
+        out.append(
+            robot.run(joints, e.t, e.u[:, column], linear, drive, start[: len(joints)], start[len(joints) : 2 * len(joints)])
+        )
+    return out
+
+
+def _gravity(tree: Tree, data: Dataset) -> np.ndarray:
+    """Gravity in the frame of the base as the dataset has it stand."""
+    base = dict(data.model.base) if data.model is not None else {}
+    own = dict(data.model.constants) if data.model is not None else {}
+    angles = [float(own.get(f"base_{k}", base.get(k, 0.0))) for k in ("roll", "pitch", "yaw")]
+    return rotation(*angles).T @ np.array(tree.gravity)
+
+
+def _law(data: Dataset, joints: tuple[str, ...], source: _Source | None, path: Path) -> Law:
+    """The law of [controller], with the numbers that the result found."""
+    if data.controller is None:
+        raise UsageError(
+            f"{path} has no position actuator for every recorded joint, and the dataset states no law: add [controller] "
+            "(kind, kp, kd)"
+        )
+    law = stated_law(data.controller, joints, float(np.median(np.diff(data.experiments[0].t))))
+    found = source.content.get("result", {}).get("parameters", {}) if source is not None else {}
+    for name in ("kp", "kd", "ki", "highest", "lowest", "delay"):
+        own = [found.get(f"{name}@{j}", {}).get("value") for j in joints]
+        values = tuple(v if a is None else float(a) for a, v in zip(own, getattr(law, name), strict=True))
+        law = replace(law, **{name: values})
+    return law
+
+
+def _compared(data: Dataset, tree: Tree, ours: list, other: list | None, name: str) -> tuple[list[dict[str, Any]], list[dict]]:
+    joints, outputs = joints_of(data, tree), [c.name for c in data.outputs]
+    rows, runs = [], []
+    rms = lambda x: float(np.sqrt(np.mean(x**2))) if len(x) else float("nan")
+    for i, e in enumerate(data.experiments):
+        run: dict[str, np.ndarray] = {"t": e.t}
+        for k, joint in enumerate(joints):
+            c = outputs.index(joint)
+            read = e.read[:, c] & np.isfinite(e.y[:, c])
+            mine = ours[i][:, k]
+            theirs = None if other is None else other[i][:, k]
+            run |= {joint: mine} | ({} if theirs is None else {f"{joint}_{name}": theirs})
+            rows.append({
+                "experiment": e.name, "joint": joint, "mujoco": rms((mine - e.y[:, c])[read]),
+                name: None if theirs is None else rms((theirs - e.y[:, c])[read]),
+                "difference": None if theirs is None else rms(mine - theirs), "unit": data.outputs[c].unit,
+            })  # fmt: skip
+        runs.append(run)
+    return rows, runs
+
+
+def _verdict(rows: list[dict[str, Any]], source: _Source | None, other: str) -> list[str]:
+    """Joints at which the simulators differ by more than the other is off, and what could not be carried over there."""
+    out = []
+    for joint in dict.fromkeys(r["joint"] for r in rows):
+        own = [r for r in rows if r["joint"] == joint and r["difference"] is not None]
+        worst = max(own, key=lambda r: r["difference"] / max(r[other], 1e-300), default=None)
+        if worst is None or not worst["difference"] > worst[other]:
+            continue
+        text = f"{joint}: MuJoCo and {'the other file' if other == 'against' else 'jaxid'} differ by {worst['difference']:.3g} "
+        text += f"{worst['unit']}, more than the other is off ({worst[other]:.3g})"
+        at = lambda r: str(r.get("location", "")).split("_cmd")[0].split("_tau")[0] == joint
+        lacking = [
+            f"{r.get('effect')} ({r.get('how')})" for r in (source.rows if source else ()) if r.get("how") != "exact" and at(r)
+        ]
+        out.append(text + (f"; not carried over exactly there: {', '.join(dict.fromkeys(lacking))}" if lacking else ""))
+    return out

@@ -1,0 +1,267 @@
+"""From what a result says to the numbers of a robot after it: each effect and each fitted number, one after the other."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+
+from jaxid.robots.bodies import BODY
+from jaxid.robots.export.outcome import Named, Number, Outcome
+from jaxid.robots.export.sheet import Body, body_before, Change, from_numbers, numbers_of, Sheet, turned_gravity
+from jaxid.robots.tree import roll_pitch_yaw, rotation
+
+
+#: Fitted number `FIELD@JOINT` -> quantity of the joint.
+JOINT = {
+    "damping": "damping", "quadratic_damping": "quadratic", "cubic_damping": "cubic", "frictionloss": "frictionloss",
+    "armature": "armature", "stiffness": "stiffness", "springref": "springref", "encoder_bias": "bias", "kp": "kp", "kd": "kd",
+    "ki": "ki", "offset": "offset", "lowest": "lowest", "highest": "highest", "delay": "delay", "timeconst": "lag",
+}  # fmt: skip
+#: Numbers of models that are no robot's -> quantity of their joint.
+PLAIN = {"viscous": "damping", "coulomb": "frictionloss", "armature": "armature"}
+#: Effects that say what a quantity is (also where the model has it by itself): effect -> its number, quantity, number of a fit.
+SET = {
+    "viscous_friction": ("coefficient", "damping", "damping"),
+    "coulomb_friction": ("level", "frictionloss", "frictionloss"),
+    "quadratic_drag": ("coefficient", "quadratic", "quadratic_damping"),
+    "input_delay": ("delay", "delay", "delay"),
+    "actuator_lag": ("lag", "lag", "timeconst"),
+}
+
+
+def carried(sheet: Sheet, found: Outcome) -> Sheet:
+    """The sheet after everything that the result names. Each effect and each number has at least one `Change`."""
+    done = {f"{SET[e.effect][2]}@{sheet.joint(e.location)}" for e in found.effects if e.effect in SET}
+    _numbers(sheet, found, done)
+    for effect in found.effects:
+        before = len(sheet.changes)
+        HANDLERS.get(effect.effect, _law)(sheet, effect)
+        if len(sheet.changes) == before:
+            _law(sheet, effect)
+    _left_out(sheet, found)
+    sheet.changes = [_final(sheet, c) for c in sheet.changes]
+    return sheet
+
+
+def _final(sheet: Sheet, change: Change) -> Change:
+    """The change with the number that stands there in the end: several may act on one."""
+    if change.place not in sheet.after or not hasattr(sheet.after[change.place], change.quantity):
+        return change
+    value = getattr(sheet.after[change.place], change.quantity)
+    return replace(change, value=value, before=getattr(sheet.before[change.place], change.quantity))
+
+
+def _numbers(sheet: Sheet, found: Outcome, done: set[str]) -> None:
+    links: dict[str, dict[str, float]] = {}
+    for name, number in found.parameters.items():
+        field, _, place = name.partition("@")
+        if name in done:
+            continue
+        tree = sheet.tree
+        if field in JOINT and place in sheet.after:
+            _joint_number(sheet, field, place, JOINT[field], number)
+        elif tree is not None and field in BODY and place in tree.links:
+            links.setdefault(place, numbers_of(tree, place))[field] = number.value
+        elif not (tree is not None and field in ("base_roll", "base_pitch")):
+            _plain_number(sheet, name, number)
+    for link, numbers in links.items():
+        assert sheet.tree is not None
+        sheet.bodies[link] = body_before(sheet.tree, link), from_numbers(numbers)
+        for name, number in found.parameters.items():
+            field, _, place = name.partition("@")
+            if place == link and field in BODY:
+                was = numbers_of(sheet.tree, link)[field]
+                sheet.record([Change(field, link, "inertial", link, number.value, was, number.unit, number.doubt)])
+    _base(sheet, found)
+
+
+def _joint_number(sheet: Sheet, effect: str, joint: str, quantity: str, number: Number) -> None:
+    before = getattr(sheet.after[joint], quantity)
+    sheet.set(joint, **{quantity: number.value})
+    sheet.record([Change(effect, joint, quantity, joint, number.value, before, number.unit, number.doubt)])
+
+
+def _plain_number(sheet: Sheet, name: str, number: Number) -> None:
+    """A number of a model that is no robot: friction and armature have a field, others have none."""
+    stem = name.rstrip("0123456789")
+    joints = list(sheet.after)
+    place = int(name[len(stem) :]) - 1 if name != stem else 0
+    if stem in PLAIN and place < len(joints):
+        _joint_number(sheet, name, joints[place], PLAIN[stem], number)
+    elif stem == "offset" and place < len(joints):
+        _torque(sheet, name, joints[place], joints[place], number)
+    else:
+        sheet.record([Change(name, "", "", "", number.value, None, number.unit, number.doubt)])
+
+
+def _torque(sheet: Sheet, effect: str, location: str, joint: str, number: Number) -> None:
+    sheet.set(joint, torque=sheet.after[joint].torque - number.value)
+    sheet.record([Change(effect, location, "torque", joint, None, None, number.unit, number.doubt)])
+
+
+def _base(sheet: Sheet, found: Outcome) -> None:
+    own = {k: found.parameters[f"base_{k}"] for k in ("roll", "pitch") if f"base_{k}" in found.parameters}
+    if not own or sheet.gravity is None:
+        return
+    base = found.robot.get("base") or {"roll": 0.0, "pitch": 0.0, "yaw": 0.0}
+    angles = [own[k].value if k in own else base[k] for k in ("roll", "pitch", "yaw")]
+    g = turned_gravity(sheet.gravity[1], *angles, (base["roll"], base["pitch"], base["yaw"]))
+    sheet.gravity = sheet.gravity[0], g
+    sheet.record([Change(f"base_{k}", "base", "gravity", "", None, None, "m/s^2", n.doubt) for k, n in own.items()])
+
+
+def _left_out(sheet: Sheet, found: Outcome) -> None:
+    """Laws of the file that the model did without."""
+    named = {e.effect for e in found.effects}
+    for name in found.robot.get("without", ()):
+        if name in SET and name not in named:
+            quantity = SET[name][1]
+            for joint in sheet.after:
+                if getattr(sheet.after[joint], quantity) != 0:
+                    sheet.set(joint, **{quantity: 0.0})
+                    note = "the model was asked to do without it, and the data did not ask for it"
+                    sheet.record([Change(name, joint, quantity, joint, 0.0, None, "", note)])
+
+
+# ---- effects
+
+
+def _unit(effect: Named, number: str) -> str:
+    return effect.numbers[number].unit if number in effect.numbers else ""
+
+
+def _law(sheet: Sheet, effect: Named) -> None:
+    """An effect that no number of the robot can say."""
+    values = {k: n.value for k, n in effect.numbers.items()}
+    units = ", ".join(dict.fromkeys(n.unit for n in effect.numbers.values() if n.unit))
+    place = sheet.joint(effect.location)
+    sheet.record([Change(effect.effect, effect.location, effect.effect, place, values, None, units)])
+
+
+def _set(sheet: Sheet, effect: Named) -> None:
+    number, quantity, _ = SET[effect.effect]
+    if joint := sheet.joint(effect.location):
+        sheet.set(joint, **{quantity: effect.value(number)})
+        sheet.record([_change(effect, quantity, joint, number)])
+
+
+def _change(effect: Named, quantity: str, joint: str, number: str, note: str = "", unit: str | None = None) -> Change:
+    doubt = effect.numbers[number].doubt
+    return Change(
+        effect.effect, effect.location, quantity, joint, effect.value(number), None,
+        _unit(effect, number) if unit is None else unit,
+        "; ".join(t for t in (note, doubt) if t),
+    )  # fmt: skip
+
+
+def _reflected_inertia(sheet: Sheet, effect: Named) -> None:
+    if joint := sheet.joint(effect.location):
+        sheet.set(joint, armature=sheet.after[joint].armature + effect.value("inertia"))
+        sheet.record([_change(effect, "armature", joint, "inertia")])
+
+
+def _constant_torque(sheet: Sheet, effect: Named) -> None:
+    if joint := sheet.joint(effect.location):
+        _torque(sheet, effect.effect, effect.location, joint, effect.numbers["torque"])
+
+
+def _spring_torque(sheet: Sheet, effect: Named) -> None:
+    """k1 (q - r1) + k2 q is one spring."""
+    if joint := sheet.joint(effect.location):
+        n = sheet.after[joint]
+        total = n.stiffness + effect.value("stiffness")
+        sheet.set(joint, stiffness=total, springref=n.stiffness * n.springref / total if total else 0.0)
+        sheet.record([_change(effect, "stiffness", joint, "stiffness")])
+        if n.stiffness and n.springref:
+            sheet.record([_change(effect, "springref", joint, "stiffness", unit="m" if sheet.slides(joint) else "rad")])
+
+
+def _back_emf(sheet: Sheet, effect: Named) -> None:
+    if joint := sheet.joint(effect.location):
+        sheet.set(joint, damping=sheet.after[joint].damping + effect.value("constant"))
+        note = "" if sheet.driven else "exact while the torque is not at its limit"
+        unit = "N s/m" if sheet.slides(joint) else "N m s/rad"
+        sheet.record([_change(effect, "damping", joint, "constant", note, unit)])
+
+
+def _torque_scale(sheet: Sheet, effect: Named) -> None:
+    """(1 + gain) clip(law, lowest, highest) is the law with all its numbers so much larger."""
+    if not (joint := sheet.joint(effect.location)):
+        return
+    g, n = 1 + effect.value("gain"), sheet.after[joint]
+    if not sheet.driven:
+        sheet.set(joint, drive=g * n.drive)
+        return sheet.record([_change(effect, "drive", joint, "gain", unit="1")])
+    if effect.location.endswith("_cmd"):
+        return
+    own = {k: g * getattr(n, k) for k in ("kp", "kd", "ki", "offset", "lowest", "highest")}
+    sheet.set(joint, **own)
+    force, x = sheet.force_unit(joint), "m" if sheet.slides(joint) else "rad"
+    units = {"kp": f"{force}/{x}", "kd": f"{force} s/{x}", "ki": f"{force}/({x} s)", "offset": force}
+    sheet.record([_change(effect, k, joint, "gain", unit=u) for k, u in units.items() if own[k]])
+    if np.isfinite([own["lowest"], own["highest"]]).any():
+        sheet.record([_change(effect, "force", joint, "gain", unit=force)])
+
+
+def _saturation(sheet: Sheet, effect: Named) -> None:
+    joint = sheet.joint(effect.location)
+    if not joint or effect.location.endswith("_cmd"):
+        return
+    n, limit = sheet.after[joint], effect.value("limit")
+    sheet.set(joint, lowest=max(n.lowest, -limit), highest=min(n.highest, limit))
+    sheet.record([_change(effect, "force", joint, "limit", unit=sheet.force_unit(joint))])
+
+
+def _payload(sheet: Sheet, effect: Named) -> None:
+    """A point mass where `Robot.loaded` has it: at the next joint, else at the link's centre of mass."""
+    joint, tree = sheet.joint(effect.location), sheet.tree
+    if tree is None or not joint:
+        return
+    k = tree.joints.index(joint)
+    while not tree.links[k]:
+        k = tree.parent.index(k)
+    link, ends = tree.links[k], [i for i, up in enumerate(tree.parent) if up == k]
+    before, after = sheet.bodies.get(link, (body_before(tree, link),) * 2)
+    at = tree.anchor[k] + tree.place[ends[0]][:3, 3] if ends else after.com
+    sheet.bodies[link] = before, with_point(after, effect.value("mass"), at)
+    where = "where the next joint is" if ends else "at the link's centre of mass"
+    sheet.record([_change(effect, "inertial", link, "mass", f"a point mass of {effect.value('mass'):.4g} kg {where}", "kg")])
+
+
+def with_point(body: Body, mass: float, at: np.ndarray) -> Body:
+    """A body with a point mass more."""
+    m = body.mass + mass
+    com = (body.mass * body.com + mass * at) / m if m else body.com
+    moved = lambda m, d: m * (d @ d * np.eye(3) - np.outer(d, d))
+    return Body(m, com, body.inertia + moved(body.mass, body.com - com) + moved(mass, at - com))
+
+
+def _gravity_offset(sheet: Sheet, effect: Named) -> None:
+    """Gravity turned in the base's frame, as `Robot.tilted` does it."""
+    tree = sheet.tree
+    if tree is None or sheet.gravity is None:
+        return
+    a = effect.value("tilt")
+    axis = rotation(*roll_pitch_yaw(tree.place[0][:3, :3])) @ tree.axis[0]
+    v = sheet.gravity[1]
+    turned = v * np.cos(a) - np.cross(axis, v) * np.sin(a) + axis * (axis @ v) * (1 - np.cos(a))
+    sheet.gravity = sheet.gravity[0], turned
+    sheet.record(
+        [_change(effect, "gravity", "", "tilt", f"the base leans by {a:.4g} rad about the axis of {tree.joints[0]}", "m/s^2")]
+    )
+
+
+HANDLERS: Mapping[str, Callable[[Sheet, Named], Any]] = {
+    **dict.fromkeys(SET, _set),
+    "reflected_inertia": _reflected_inertia,
+    "constant_torque": _constant_torque,
+    "spring_torque": _spring_torque,
+    "back_emf": _back_emf,
+    "torque_scale": _torque_scale,
+    "saturation": _saturation,
+    "payload": _payload,
+    "gravity_offset": _gravity_offset,
+}

@@ -1,0 +1,56 @@
+"""Targets that take a text of settings: a table of fields and a writer. What cannot be run here says so."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Mapping
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from jaxid.robots.export.laws import code, lawful
+from jaxid.robots.export.outcome import Outcome
+from jaxid.robots.export.sheet import Body, JointNumbers, Sheet
+from jaxid.robots.export.target import by_joint, coded, Field, rows_of, Written
+
+
+QUANTITIES = (*JointNumbers.__dataclass_fields__, "force")
+Writer = Callable[[Sheet, Mapping[str, dict[str, Any]], Mapping[str, Body]], str]
+
+
+def written(
+    sheet: Sheet, fields: Mapping[str, Field], elsewhere: Mapping[str, str], file: str, writer: Writer, version: str,
+    library: str | None = "numpy", tail: str = "",
+) -> Written:  # fmt: skip
+    """Rows by the table of fields, the text that `writer` makes of the numbers that have one, and the code of the laws that have
+    none (`library` None: this framework runs no such code)."""
+    out = Written(rows_of(sheet, fields, coded("effects.py" if library else "your own plugin", elsewhere)))
+    numbers = by_joint(sheet, [q for q in QUANTITIES if q in fields])
+    bodies = {link: after for link, (_, after) in sheet.bodies.items()} if "inertial" in fields else {}
+    if numbers or bodies or ("gravity" in fields and any(c.quantity == "gravity" for c in sheet.changes)):
+        out.files[file] = writer(sheet, numbers, bodies)
+    if library and (laws := lawful(c for c, r in zip(sheet.changes, out.rows, strict=True) if r.how == "code")):
+        out.files["effects.py"] = code(laws, f"Laws that no field says; written for {version}, not run.", tail, library)
+    out.notes.append(f"written for {version}, not run")
+    return out
+
+
+def known(n: Mapping[str, Any], names: Iterable[str]) -> dict[str, Any]:
+    """Those of the numbers that are there, in this order."""
+    return {k: n[k] for k in names if k in n}
+
+
+def limit(force: Any) -> float | None:
+    """The larger of both limits of a force, None where neither is finite."""
+    finite = [abs(v) for v in force if np.isfinite(v)]
+    return max(finite) if finite else None
+
+
+def central(body: Body) -> list[float]:
+    """Ixx Iyy Izz Ixy Ixz Iyz about the centre of mass."""
+    I = body.inertia
+    return [float(v) for v in (I[0, 0], I[1, 1], I[2, 2], I[0, 1], I[0, 2], I[1, 2])]
+
+
+def unused(_found: Outcome, _path: Path | None) -> None:
+    """Targets that patch no file take none."""

@@ -1,0 +1,193 @@
+"""An identification carried back: base parameters are combinations, so the nearest bodies that can exist are taken."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from jaxid.dynamics.urdf import z_to
+from jaxid.errors import UsageError
+from jaxid.robots.arms import table_of
+from jaxid.robots.export.apply import carried
+from jaxid.robots.export.outcome import Named, Number, number, Outcome
+from jaxid.robots.export.sheet import body_before, Change, from_ten, of_tree, Sheet
+from jaxid.robots.tree import Tree, turned
+
+
+TEN = ("Ixx", "Ixy", "Ixz", "Iyy", "Iyz", "Izz", "mx", "my", "mz", "m")
+#: Rounds of projections, and the share of a base parameter's size at which they end.
+ROUNDS, CLOSE = 5000, 1e-8
+#: Speed over which the extra dry friction of the stribeck law fades, rad/s: see `identification.regression`.
+FADES = 0.1
+
+
+def identified(found: Outcome, tree: Tree, path: Path | None) -> Sheet:
+    """The sheet of an identification. Raises `UsageError` where its parameters are not those of the file's joints."""
+    own = found.robot.get("joints") or []
+    if own and all(j in tree.joints for j in own):
+        tree = tree.locked(
+            {**found.robot["held"], **{j: tree.neutral(j) for j in tree.leading if j not in {*own, *found.robot["held"]}}}
+        )
+    friction = found.content.get("friction") or []
+    if not isinstance(friction, list) or len(friction) != tree.n:
+        raise UsageError(f"{path} has {tree.n} joints that move, the identification {len(friction)}")
+    sheet = of_tree(tree, tree.joints, found.robot)
+    _bodies(sheet, found, tree)
+    return carried(sheet, replace(found, parameters=_friction(friction, tree), effects=_effects(friction, tree)))
+
+
+def _friction(rows: list[Any], tree: Tree) -> dict[str, Number]:
+    """Friction under the names of a fit."""
+    out: dict[str, Number] = {}
+    for joint, row in zip(tree.joints, rows, strict=True):
+        power = "exponent" in row
+        for key, name in (("F_c", "frictionloss"), ("F_v", "damping"), ("F_3", "cubic_damping")):
+            if key in row and not (key == "F_v" and power):
+                out[f"{name}@{joint}"] = _entry(key, row[key])
+    return out
+
+
+def _effects(rows: list[Any], tree: Tree) -> tuple[Named, ...]:
+    """What of friction is an effect: an offset, extra dry friction at low speed, a power of the speed."""
+    out = []
+    for joint, row in zip(tree.joints, rows, strict=True):
+        if "offset" in row:
+            out.append(Named("constant_torque", joint, {"torque": _entry("offset", row["offset"])}))
+        if "F_s" in row:
+            out.append(
+                Named("stribeck_friction", joint, {"extra": _entry("F_s", row["F_s"]), "speed": Number(FADES, None, "rad/s")})
+            )
+        if "exponent" in row and "F_v" in row:
+            numbers = {"coefficient": _entry("F_v", row["F_v"]), "exponent": _entry("exponent", row["exponent"])}
+            out.append(Named("power_law_friction", joint, numbers))
+    return tuple(out)
+
+
+def _entry(name: str, entry: Any) -> Number:
+    std = entry.get("std") if isinstance(entry, Mapping) else None
+    return Number(number(name, entry), float(std) if isinstance(std, int | float) else None, str(entry.get("unit") or "")[:40])
+
+
+def _bodies(sheet: Sheet, found: Outcome, tree: Tree) -> None:
+    from jaxid.models import SerialArm
+
+    arm: Any = SerialArm(table_of(tree))
+    base = arm.base()
+    listed = found.content.get("base_parameters") or []
+    rows = {str(r.get("name")): r for r in listed if isinstance(r, Mapping)}
+    lacking = [n for n in base.names if n not in rows]
+    if lacking or len(rows) != len(base.names):
+        raise UsageError(f"the base parameters of the result are not those of {tree.file}: {', '.join(lacking or rows)}")
+    beta = np.array([number(n, rows[n]) for n in base.names])
+    split = lambda name: (name.rstrip("0123456789"), int(name[len(name.rstrip("0123456789")) :]) - 1)
+    start = np.array([float(np.asarray(getattr(arm, kind))[j]) for kind, j in map(split, base.standard)])
+    stated = found.content.get("standard_parameters")
+    if isinstance(stated, Mapping) and all(n in stated for n in base.standard):
+        phi, off = np.array([number(n, stated[n]) for n in base.standard]), 0.0
+    else:
+        phi, off = nearest_bodies(start, base.K, beta, base.standard)
+    places = {name: i for i, name in enumerate(base.standard)}
+    for k in range(tree.n):
+        link = tree.links[k]
+        if not link:
+            continue
+        ten = np.array([phi[places[f"{kind}{k + 1}"]] for kind in TEN])
+        turn = np.eye(4)
+        turn[:3, :3] = z_to(tree.axis[k])
+        shift = np.eye(4)
+        shift[:3, 3] = tree.anchor[k]
+        sheet.bodies[link] = body_before(tree, link), from_ten(turned(turned(ten, turn), shift))[0]
+        drive = f"Ia{k + 1}"
+        if drive in places and phi[places[drive]] != start[places[drive]]:
+            sheet.set(tree.joints[k], armature=float(phi[places[drive]]))
+    note = "a combination of several bodies' numbers: the bodies nearest to the file's that can exist (positive, triangle "
+    note += "inequality) and have it were taken" + (
+        f"; they are {100 * off:.2g} % of the largest parameter off" if off > 1e-4 else ""
+    )
+    for name in base.names:
+        kind, j = split(name)
+        i = j + next((d for d in range(tree.n - j) if tree.links[j + d]), 0)
+        quantity, place = ("armature", tree.joints[j]) if kind == "Ia" else ("inertial", tree.links[i])
+        seen = rows[name].get("identifiable", True)
+        more = "" if seen else "; the data do not determine it"
+        unit = str(rows[name].get("unit") or "")[:40]
+        sheet.record([Change(name, tree.joints[j], quantity, place, number(name, rows[name]), None, unit, note + more)])
+
+
+def nearest_bodies(phi: np.ndarray, K: np.ndarray, beta: np.ndarray, names: tuple[str, ...]) -> tuple[np.ndarray, float]:
+    """(standard parameters near `phi` with K phi = beta whose bodies can exist, how far K phi is off: share of the largest).
+
+    Alternating projections with Dykstra's correction between the affine set and the cone of positive semidefinite pseudo-inertias
+    (Wensing, Kim, Slotine 2018), in the Frobenius norm of those with lengths counted by the robot's own.
+    """
+    n = sum(name.startswith("m") and name[1:].isdigit() for name in names)
+    place = {name: i for i, name in enumerate(names)}
+    link = np.array([[place[f"{kind}{k + 1}"] for kind in TEN] for k in range(n)])
+    drives = np.array([i for name, i in place.items() if name.startswith("Ia")], int)
+    mass = max(float(np.sum(np.abs(phi[link[:, 9]]))), 1e-6)
+    length = max(float(np.sqrt(np.abs(phi[link[:, [0, 3, 5]]]).max() / mass)), 1e-3)
+    scale = np.array([*[mass * length**2] * 6, *[mass * length] * 3, mass])
+    D = np.ones(len(names))
+    D[link] = scale
+    D[drives] = mass * length**2
+    # Coordinates in which the cone's projection is Euclidean: entries of the scaled pseudo-inertia, off its diagonal by sqrt 2.
+    B = np.zeros((10, 10))
+    for c in range(10):
+        P = _pseudo(np.eye(10)[c])
+        B[:, c] = _vector(P)
+    T = np.diag(1 / D)
+    for rows in link:
+        T[np.ix_(rows, rows)] = B @ np.diag(1 / scale)
+    back = np.linalg.inv(T)
+    A = K @ back
+    size = np.maximum(np.abs(A) @ np.abs(T @ phi), 1e-9)
+    A, b = A / size[:, None], beta / size
+    pull = np.linalg.pinv(A)
+    x, correction = T @ phi, np.zeros(len(names))
+    for _ in range(ROUNDS):
+        y = x + pull @ (b - A @ x)
+        z = y + correction
+        x = _possible(z, link, drives)
+        correction = z - x
+        if np.abs(A @ x - b).max() < CLOSE:
+            break
+    phi = back @ x
+    return phi, float(np.abs(K @ phi - beta).max() / max(float(np.abs(beta).max()), 1e-300))
+
+
+def _pseudo(ten: np.ndarray) -> np.ndarray:
+    xx, xy, xz, yy, yz, zz, x, y, z, m = ten
+    return np.array(
+        [
+            [(yy + zz - xx) / 2, -xy, -xz, x],
+            [-xy, (xx + zz - yy) / 2, -yz, y],
+            [-xz, -yz, (xx + yy - zz) / 2, z],
+            [x, y, z, m],
+        ]
+    )
+
+
+_UPPER = np.triu_indices(4)
+_TWICE = np.where(_UPPER[0] == _UPPER[1], 1.0, np.sqrt(2.0))
+
+
+def _vector(P: np.ndarray) -> np.ndarray:
+    return P[_UPPER] * _TWICE
+
+
+def _possible(v: np.ndarray, link: np.ndarray, drives: np.ndarray) -> np.ndarray:
+    """The nearest point whose pseudo-inertias have no negative eigenvalue and whose drives have no negative inertia."""
+    out = v.copy()
+    P = np.zeros((len(link), 4, 4))
+    P[:, _UPPER[0], _UPPER[1]] = P[:, _UPPER[1], _UPPER[0]] = v[link] / _TWICE
+    values, vectors = np.linalg.eigh(P)
+    # A little inside the cone: a body with no extent at all is none that simulators take.
+    least = 1e-6 * np.maximum(values[:, -1:], 1e-9)
+    P = (vectors * np.maximum(values, least)[:, None, :]) @ vectors.transpose(0, 2, 1)
+    out[link] = P[:, _UPPER[0], _UPPER[1]] * _TWICE
+    out[drives] = np.maximum(v[drives], 0.0)
+    return out

@@ -1,0 +1,74 @@
+"""Isaac Lab: actuator settings of an articulation."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+from jaxid.robots.export.config import limit, written
+from jaxid.robots.export.outcome import Outcome
+from jaxid.robots.export.sheet import Body, Sheet
+from jaxid.robots.export.target import Field, Written
+
+
+NAME, VERSION, FILES = "isaaclab", "Isaac Lab 3.0", ()
+FIELDS = {
+    "damping": Field("ActuatorCfg.viscous_friction", note="not `damping`, which is kd; a stub of zeros on early Newton backends"),
+    "frictionloss": Field("ActuatorCfg.friction = dynamic_friction", note="N m since Isaac Sim 5.0; Newton creeps"),
+    "armature": Field("ActuatorCfg.armature"),
+    "kp": Field("ActuatorCfg.stiffness"), "kd": Field("ActuatorCfg.damping"),
+    "force": Field("ActuatorCfg.actuator_effort_limit, joint_effort_limit", note="effort_limit before 3.0; the larger limit"),
+    "highest": Field("ActuatorCfg.actuator_effort_limit, joint_effort_limit"),
+    "delay": Field("DelayedPDActuatorCfg.min_delay = max_delay", "approximate", "whole physics steps, rounded; explicit PD only"),
+    "stribeck_friction": Field("ActuatorCfg.friction > dynamic_friction", "approximate", "two levels alone; PhysX only"),
+}  # fmt: skip
+ELSEWHERE = {
+    "inertial": "mass, center of mass and inertia of the link's prim in USD (UsdPhysics.MassAPI)",
+    "gravity": "sim.gravity, or the pose of the root",
+    "bias": "subtract it from the joint's targets and add it to its observed positions",
+    "torque": "an effort target added each step: set_joint_effort_target",
+    **dict.fromkeys(("quadratic", "cubic", "stiffness", "springref", "offset", "drive", "lag", "ki", "lowest"),
+                    "no setting: an actuator class of your own computes it (effects.py has such laws)"),
+}  # fmt: skip
+
+
+def write(sheet: Sheet, _found: Outcome, _path: Path | None) -> Written:
+    """`isaaclab_actuators.py`: a function of the physics step, for delays are counted in those."""
+    return written(sheet, FIELDS, ELSEWHERE, "isaaclab_actuators.py", _text, VERSION, "torch", _TAIL)
+
+
+def _text(sheet: Sheet, numbers: Mapping[str, dict[str, Any]], _bodies: Mapping[str, Body]) -> str:
+    lines = [f'"""Actuators as they were found; written for {VERSION}, not run. Joints keep what is not named here."""', "",
+             "from isaaclab.actuators import DelayedPDActuatorCfg, IdealPDActuatorCfg", "", "",
+             "def actuators(physics_dt):", '    """`ArticulationCfg(actuators=actuators(0.005), …)`; physics_dt in s."""',
+             "    return {"]  # fmt: skip
+    extra = {c.place: c.value.get("extra", 0.0) for c in sheet.changes if c.quantity == "stribeck_friction"}
+    for joint in dict.fromkeys([*numbers, *(j for j in extra if j)]):
+        own, now = numbers.get(joint, {}), sheet.after[joint]
+        kind = "DelayedPDActuatorCfg" if now.delay else "IdealPDActuatorCfg"
+        given: dict[str, Any] = {"stiffness": now.kp, "damping": now.kd} if sheet.driven else {}
+        given |= {"armature": now.armature} if "armature" in own else {}
+        given |= {"viscous_friction": now.damping} if "damping" in own else {}
+        if "frictionloss" in own or joint in extra:
+            given |= {"friction": now.frictionloss + extra.get(joint, 0.0), "dynamic_friction": now.frictionloss}
+        effort = limit([now.lowest, now.highest])
+        if effort is not None and ("force" in own or "highest" in own or sheet.driven):
+            given |= {"actuator_effort_limit": effort, "joint_effort_limit": effort}
+        lines += [f"        {joint!r}: {kind}(", f"            joint_names_expr=[{re.escape(joint)!r}],"]
+        lines += [f"            {k}={float(v)!r}," for k, v in given.items()]
+        if not sheet.driven:
+            lines.append("            stiffness=..., damping=...,  # your gains: the recording was driven by torques")
+        if now.delay:
+            lines += [f"            {end}_delay=round({now.delay!r} / physics_dt)," for end in ("min", "max")]
+        lines.append("        ),")
+    return "\n".join([*lines, "    }", ""])
+
+
+_TAIL = """
+# In a subclass of IdealPDActuator, `compute` of the joints named above:
+#     effort = super().compute(control_action, joint_pos, joint_vel)
+#     effort.joint_efforts[:, k] -= law(joint_pos[:, k], joint_vel[:, k], effort.joint_efforts[:, k], physics_dt)   # FORCE
+#     ... -= law(...) * torch.tanh(joint_vel[:, k] / 0.01)   # DRY, smoothed
+"""

@@ -1,0 +1,383 @@
+"""MJCF: the user's own text with attributes of its joints, links and actuators changed, and the same as `apply(spec)`."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from jaxid.errors import UsageError
+from jaxid.robots.export.laws import code, lawful
+from jaxid.robots.export.mjcf_code import callback, snippet, spec_code
+from jaxid.robots.export.mjcf_file import compiled, MjcfFile
+from jaxid.robots.export.outcome import Outcome
+from jaxid.robots.export.sheet import Body, Change, from_ten, JointNumbers, Sheet
+from jaxid.robots.export.target import (
+    APPROXIMATE,
+    CODE,
+    coded,
+    EXACT,
+    Field,
+    joined,
+    patched_name,
+    Row,
+    row,
+    value_of,
+    was,
+    Written,
+)
+from jaxid.robots.export.xml_text import number as digits, numbers
+
+
+NAME, VERSION, FILES = "mjcf", "MuJoCo 4.0", (".xml", ".mjcf")
+#: Dry friction is a soft constraint in MuJoCo: with these it holds a joint 50 times better than with the defaults.
+HOLDS = {"solreffriction": "0.004 1", "solimpfriction": "0.99 0.9999"}
+SOFT = "a soft constraint in MuJoCo: with solreffriction and solimpfriction as set here it creeps by less than 1e-4 rad/s"
+CALLBACK = "effects.py"
+
+
+@dataclass(frozen=True)
+class Op:
+    """Attributes of one element of the file: `kind` joint, body, actuator or option."""
+
+    kind: str
+    name: str
+    attributes: Mapping[str, Any]
+
+
+def write(sheet: Sheet, found: Outcome, path: Path | None) -> Written:
+    """The patched file, `apply.py`, and `effects.py` for laws that no attribute says."""
+    if path is None:
+        return snippet(sheet, found)
+    return _Patch(sheet, MjcfFile(path)).written()
+
+
+class _Patch:
+    def __init__(self, sheet: Sheet, file: MjcfFile):
+        self.sheet, self.file = sheet, file
+        self.ops: list[Op] = []
+        self.rows: list[Row] = []
+        self.notes: list[str] = []
+        self.lacking = coded(CALLBACK)
+
+    def written(self) -> Written:
+        joints = self.sheet.changed
+        fields: dict[tuple[str, str], Field | None] = {}
+        for joint, now in joints.items():
+            fields |= self._joint(joint, self.sheet.before[joint], now)
+        self._stated_law(fields)
+        for link, (before, after) in self.sheet.bodies.items():
+            fields["inertial", link] = self._body(link, before, after)
+        if any(c.quantity == "gravity" for c in self.sheet.changes):
+            fields["gravity", ""] = self._gravity()
+        self.rows += [self._row(c, fields) for c in self.sheet.changes]
+        if not any(r.how in (EXACT, APPROXIMATE) for r in self.rows):
+            out = Written(self.rows, {}, self.notes)
+        else:
+            out = Written(self.rows, self._texts(), self.notes)
+            out.files["apply.py"] = spec_code(self.ops, self.file.path.name, VERSION)
+        if laws := lawful(c for r, c in zip(self.rows, self.sheet.changes, strict=False) if r.how == CODE):
+            out.files[CALLBACK] = code(laws, f"Laws that no field of an MJCF says; written for {VERSION}.", callback(laws))
+        return out
+
+    def _row(self, change: Change, fields: Mapping[tuple[str, str], Field | None]) -> Row:
+        own = fields.get((change.quantity, change.place))
+        if own is not None:
+            return row(self.sheet, change, own)
+        if (change.quantity, change.place) in fields:
+            return Row(change.effect, change.location, "", value_of(self.sheet, change), change.unit, CODE,
+                       joined(self._why(change), was(change), change.note))  # fmt: skip
+        known = change.place in self.sheet.after and hasattr(self.sheet.after[change.place], change.quantity)
+        if known and change.value == change.before:
+            return Row(
+                change.effect, change.location, "", change.value, change.unit, EXACT, joined("as the file has it", change.note)
+            )
+        return self.lacking(change)
+
+    def _why(self, change: Change) -> str:
+        joint = change.place
+        if change.quantity == "inertial":
+            return f"body {joint!r} has no name of its own in the file: give it one"
+        if self.file.joint(joint) is None:
+            return f"joint {joint!r} has no name of its own in the file: give it one"
+        law = f'<position joint="{joint}" kp="{digits(self.sheet.after[joint].kp)}" kv="{digits(self.sheet.after[joint].kd)}"/>'
+        if change.quantity in ("kp", "kd", "force", "lowest", "highest", "delay", "lag", "ki", "offset"):
+            return (
+                f"the file has no position actuator at {joint}, and [controller] drives: set it in your controller, or add {law}"
+            )
+        return f"the file has no one actuator at {joint} that jaxid knows"
+
+    # ---- joints
+
+    def _joint(self, joint: str, was_: JointNumbers, now: JointNumbers) -> dict[tuple[str, str], Field | None]:
+        """Attributes of the joint and its actuator; quantity -> the field that carries it, None where nothing does."""
+        found = self.file.joint(joint)
+        changed = {k for k in vars(now) if getattr(now, k) != getattr(was_, k)}
+        fields: dict[tuple[str, str], Field | None] = {}
+        if found is None:
+            return {(k, joint): None for k in changed}
+        own = {
+            k: v
+            for k, v in self._joint_attributes(joint, changed, was_, now, fields, found[1].attributes).items()
+            if v is not None
+        }
+        if own:
+            found[0].set(found[1], {k: v if isinstance(v, str) else numbers(np.atleast_1d(v)) for k, v in own.items()})
+            self.ops.append(Op("joint", joint, own))
+        drive = changed & {"kp", "kd", "ki", "offset", "lowest", "highest", "delay", "lag", "torque", "drive"}
+        if drive:
+            fields |= self._actuator(joint, drive, now)
+        return fields
+
+    def _joint_attributes(self, joint, changed, was_, now, fields, present) -> dict[str, Any]:
+        at = f"joint[{joint}]@"
+        own: dict[str, Any] = {}
+        file = self._file_numbers(joint)
+        more = lambda k: file[k] + getattr(now, k) - getattr(was_, k)  # mimic joints have a share of their own
+        if changed & {"damping", "quadratic", "cubic"}:
+            poly = [more(k) for k in ("damping", "quadratic", "cubic")]
+            while len(poly) > 1 and poly[-1] == 0:
+                poly.pop()
+            own["damping"] = poly
+            fields |= {(k, joint): Field(f"{at}damping") for k in ("damping", "quadratic", "cubic")}
+        if "frictionloss" in changed:
+            own["frictionloss"] = more("frictionloss")
+            stated = [k for k in HOLDS if k in present]
+            own |= {k: v for k, v in HOLDS.items() if k not in stated and now.frictionloss > 0}
+            note = (
+                SOFT
+                if not stated
+                else f"the file states {' and '.join(stated)}, which are left: they say how well friction holds"
+            )
+            fields["frictionloss", joint] = Field(f"{at}frictionloss", EXACT if now.frictionloss == 0 else APPROXIMATE, note)
+        if "armature" in changed:
+            own["armature"] = more("armature")
+            fields["armature", joint] = Field(f"{at}armature")
+        shift = now.bias - was_.bias
+        turn = 1.0 if self.sheet.slides(joint) else self.file.degrees
+        if changed & {"stiffness", "springref"} or (shift and now.stiffness):
+            own |= {"stiffness": now.stiffness, "springref": turn * (now.springref + shift)}
+            fields |= {(k, joint): Field(f"{at}{k}", note="springref in the file's angles") for k in ("stiffness", "springref")}
+        if shift:
+            own |= self._shifted(joint, shift, turn)
+            note = "ref and range shifted; add it to the joint's value in keyframes too"
+            fields["bias", joint] = Field(f"{at}ref", EXACT, note)
+        return own
+
+    def _file_numbers(self, joint: str) -> dict[str, float]:
+        tree = self.sheet.tree
+        assert tree is not None
+        k = tree.joints.index(joint)
+        d = tree.damping[k]
+        a, m = self.file.actuator_id(joint), self.file.model
+        gear2 = float(m.actuator_gear[a, 0]) ** 2 if a >= 0 else 0.0
+        # Armature and damping that stand at the actuator stay there.
+        extra = lambda name: float(np.ravel(getattr(m, name)[a])[0]) * gear2 if a >= 0 and hasattr(m, name) else 0.0
+        return {"damping": d[0] - extra("actuator_damping"), "quadratic": d[1], "cubic": d[2],
+                "frictionloss": tree.frictionloss[k],
+                "armature": tree.armature[k] - extra("actuator_armature")}  # fmt: skip
+
+    def _shifted(self, joint: str, shift: float, turn: float) -> dict[str, Any]:
+        tree = self.sheet.tree
+        assert tree is not None
+        k = tree.joints.index(joint)
+        own: dict[str, Any] = {"ref": turn * (float(tree.reference[k]) + shift)}
+        if np.isfinite([tree.lower[k], tree.upper[k]]).all():
+            own["range"] = [turn * (tree.lower[k] + shift), turn * (tree.upper[k] + shift)]
+        return own
+
+    # ---- actuators
+
+    def _stated_law(self, fields: dict[tuple[str, str], Field | None]) -> None:
+        """A law that the recording states goes into the file's position actuators, where those are of another law."""
+        sheet, tree = self.sheet, self.sheet.tree
+        if not sheet.driven or sheet.own_law or tree is None:
+            return
+        for joint, now in sheet.after.items():
+            a = tree.actuators.get(joint)
+            if a is None or a.kind != "position" or sheet.kind != "pd":
+                continue
+            own = {"kp": (a.kp, now.kp), "kd": (a.kd, now.kd), "lowest": (a.force[0], now.lowest),
+                   "highest": (a.force[1], now.highest),
+                   "delay": (a.delay, now.delay), "lag": (a.lag, now.lag), "offset": (a.offset, now.offset)}  # fmt: skip
+            other = {k for k, (file, new) in own.items() if abs(file - new) > 1e-9 * abs(new) or np.isinf(file) != np.isinf(new)}
+            named = {c.quantity for c in sheet.changes if c.place == joint}
+            if other:
+                fields |= self._actuator(joint, other, now)
+            x = "m" if sheet.slides(joint) else "rad"
+            units = {"kp": f"{sheet.force_unit(joint)}/{x}", "kd": f"{sheet.force_unit(joint)} s/{x}", "delay": "s", "lag": "s"}
+            for k in ("kp", "kd", "delay", "lag"):
+                if k in other and k not in named:
+                    note = "the law of [controller], under which the recording was made"
+                    sheet.changes.append(Change(k, joint, k, joint, own[k][1], own[k][0], units[k], note))
+            if {"lowest", "highest"} & other and not {"force", "lowest", "highest"} & named:
+                note = "the limit of [controller], under which the recording was made"
+                sheet.changes.append(Change("saturation", joint, "force", joint, None, None, sheet.force_unit(joint), note))
+
+    def _actuator(self, joint: str, changed: set[str], now: JointNumbers) -> dict[tuple[str, str], Field | None]:
+        found, a = self.file.actuator(joint), self.file.actuator_id(joint)
+        tree = self.sheet.tree
+        assert tree is not None
+        kind = tree.actuators[joint].kind if joint in tree.actuators else ""
+        names = changed | ({"force"} if changed & {"lowest", "highest"} else set())
+        wanted = "position" if self.sheet.driven else "motor"
+        if found is None or a < 0 or kind != wanted or "ki" in changed or (self.sheet.driven and self.sheet.kind != "pd"):
+            return {(k, joint): None for k in names}
+        text, element = found
+        attributes, tag = self._drive(a, changed, now, element.name)
+        if tag != element.name:
+            text.rename(element, tag)
+            attributes |= {"kp": None, "kv": None, "dampratio": None, "timeconst": None, "inheritrange": None}
+            attributes |= {"biastype": "affine", "gaintype": "fixed"}
+        text.set(element, {k: v if v is None or isinstance(v, str) else numbers(np.atleast_1d(v)) for k, v in attributes.items()})
+        self._widen(joint, now)
+        self.ops.append(Op("actuator", joint, self._general(a, changed, now)))
+        at, law = f"{tag}[{joint}]@", self.sheet.sampled > 0 and self.sheet.driven
+        how = APPROXIMATE if law else EXACT
+        note = f"the law ran every {self.sheet.sampled:g} s, MuJoCo's runs at each of its steps" if law else ""
+        general = tag == "general"
+        name = {"kp": "gainprm, biasprm" if general else "kp", "kd": "biasprm" if general else "kv", "offset": "biasprm",
+                "torque": "biasprm", "drive": "gear", "delay": "delay, nsample, interp",
+                "lag": "dyntype, dynprm" if general else "timeconst"}  # fmt: skip
+        gear = float(self.file.model.actuator_gear[a, 0])
+        geared = names & {"kp", "kd", "offset", "torque", "force", "lowest", "highest"}
+        at_joint = f"at the joint: the file's number stands before gear {gear:g}" if gear != 1 else ""
+        notes = {k: joined(note, at_joint if k in geared else "") for k in names}
+        out = {(k, joint): Field(at + name.get(k, "forcerange"), how, notes[k]) for k in names}
+        if ("torque", joint) in out:
+            limited = np.isfinite([now.lowest, now.highest]).any()
+            shifted = "forcerange is shifted by as much" if limited else ""
+            out["torque", joint] = Field(f"{at}biasprm", EXACT, joined(shifted, notes["torque"]))
+        if ("delay", joint) in out:
+            out["delay", joint] = Field(at + name["delay"], EXACT, joined("seconds; nsample for the file's time step", note))
+        return out
+
+    def _general(self, a: int, changed: set[str], now: JointNumbers) -> dict[str, Any]:
+        """The actuator in MuJoCo's general terms, all that changed."""
+        g = float(self.file.model.actuator_gear[a, 0]) * now.drive
+        own: dict[str, Any] = {}
+        if changed & {"kp", "kd", "offset", "torque"}:
+            gain = now.kp / g**2 if self.sheet.driven else float(self.file.model.actuator_gainprm[a, 0])
+            bias = (
+                [(now.offset + now.torque) / g, -now.kp / g**2, -now.kd / g**2]
+                if self.sheet.driven
+                else [now.torque / g, 0.0, 0.0]
+            )
+            own |= {"gainprm": gain, "biasprm": bias}
+        if changed & {"lowest", "highest"} or (now.torque and np.isfinite([now.lowest, now.highest]).any()):
+            limits = sorted(np.nan_to_num((np.array([now.lowest, now.highest]) + now.torque) / g, posinf=1e9, neginf=-1e9))
+            own |= {"forcerange": [float(v) for v in limits]}
+        if "delay" in changed:
+            dt = float(self.file.model.opt.timestep)
+            own |= {"delay": now.delay, "nsample": int(np.ceil(now.delay / dt)) + 2, "interp": "linear"}
+        if "lag" in changed:
+            own["timeconst"] = now.lag
+        if "drive" in changed:
+            own["gear"] = g
+        return own
+
+    def _drive(self, a: int, changed: set[str], now: JointNumbers, tag: str) -> tuple[dict[str, Any], str]:
+        """(attributes, tag) of the element: its own words where it has them, else those of <general>."""
+        own = self._general(a, changed, now)
+        plain = tag == "position" and now.torque + now.offset == 0
+        if tag != "general" and not plain and ({"gainprm", "timeconst"} & set(own)):
+            tag = "general"
+        if tag == "general":
+            full = self._general(a, changed | {"kp"}, now)
+            own |= {k: full[k] for k in ("gainprm", "biasprm")}
+            own |= {"biastype": "affine"}
+            lag = own.pop("timeconst", now.lag)
+            own |= {"dyntype": "filterexact", "dynprm": lag} if lag else {}
+        elif "gainprm" in own:
+            own |= {"kp": own.pop("gainprm"), "kv": -own.pop("biasprm")[2], "dampratio": None}
+        if "forcerange" in own:
+            own["forcelimited"] = "true"
+        if "gear" in own:
+            own["gear"] = [own["gear"], *map(float, self.file.model.actuator_gear[a, 1:])]
+        if "nsample" in own:
+            own["nsample"] = str(own["nsample"])
+        return own, tag
+
+    def _widen(self, joint: str, now: JointNumbers) -> None:
+        """A limit at the joint that is narrower than the new one would still hold."""
+        tree, found = self.sheet.tree, self.file.joint(joint)
+        assert tree is not None
+        limit = tree.effort[tree.joints.index(joint)]
+        new = max(abs(now.lowest), abs(now.highest))
+        if found is not None and np.isfinite([limit, new]).all() and new > limit:
+            found[0].set(found[1], {"actuatorfrcrange": numbers([now.lowest + now.torque, now.highest + now.torque])})
+            self.ops.append(Op("joint", joint, {"actfrcrange": [now.lowest + now.torque, now.highest + now.torque]}))
+
+    # ---- bodies, gravity
+
+    def _body(self, link: str, before: Body, after: Body) -> Field | None:
+        found = self.file.body(link)
+        if found is None:
+            return None
+        own = self._own_body(link)
+        new, off = from_ten(own.ten + after.ten - before.ten)
+        text, element = found
+        inertial = element.child("inertial")
+        I = new.inertia
+        full = [I[0, 0], I[1, 1], I[2, 2], I[0, 1], I[0, 2], I[1, 2]]
+        same = np.abs(I - own.inertia).max() <= 1e-9 * np.abs(own.inertia).max()
+        attributes: dict[str, str | None] = {"pos": numbers(new.com), "mass": digits(new.mass)}
+        if not same:
+            turn = ("quat", "axisangle", "xyaxes", "zaxis", "euler", "diaginertia")
+            attributes |= {**dict.fromkeys(turn), "fullinertia": numbers(full)}
+        if inertial is None:
+            text.insert(element, f'<inertial pos="{numbers(new.com)}" mass="{digits(new.mass)}" fullinertia="{numbers(full)}"/>')
+        else:
+            text.set(inertial, attributes)
+        self.ops.append(Op("body", link, {"mass": new.mass, "ipos": list(new.com), **({} if same else {"fullinertia": full})}))
+        note = "mass, pos and inertia together; they are of bodies that can exist"
+        if off > 1e-6:
+            note += f"; the nearest such body is {100 * off:.2g} % of its largest number off"
+        lumped = np.abs(own.ten - before.ten).max() > 1e-6 * np.abs(before.ten).max()
+        return Field("body[{link}]/inertial", EXACT if off <= 1e-6 else APPROXIMATE,
+                     joined(note, "what is fixed to it keeps its own numbers" if lumped else ""))  # fmt: skip
+
+    def _own_body(self, link: str) -> Body:
+        from jaxid.robots.mjcf import library, pose
+
+        m, mj = self.file.model, library()
+        b = mj.mj_name2id(m, mj.mjtObj.mjOBJ_BODY, link)
+        R = pose(np.zeros(3), m.body_iquat[b])[:3, :3]
+        return Body(float(m.body_mass[b]), m.body_ipos[b].copy(), R @ np.diag(m.body_inertia[b]) @ R.T)
+
+    def _gravity(self) -> Field:
+        assert self.sheet.gravity is not None
+        g = [float(v) for v in self.sheet.gravity[1]]
+        text, option = self.file.option()
+        if option is None:
+            text.before_end(f'<option gravity="{numbers(g)}"/>')
+        else:
+            text.set(option, {"gravity": numbers(g)})
+        self.ops.append(Op("option", "gravity", {"gravity": g}))
+        return Field("option@gravity", note="gravity turned in place of the base: right while the base does not move")
+
+    # ---- the end
+
+    def _texts(self) -> dict[str, str]:
+        """The edited files, compiled as a last check."""
+        path = self.file.path
+        names = {name: patched_name(name) if name == path.name else name for name in self.file.texts}
+        out = {names[name]: text.result() for name, text in self.file.texts.items()}
+        if len(out) == 1:
+            self._check(compiled(path, out[names[path.name]]))
+        return out
+
+    def _check(self, new: Any) -> None:
+        """MuJoCo takes the file, and nothing but what was meant is another number than before."""
+        old = self.file.model
+        meant = {"joint": ("dof_", "jnt_", "qpos"), "body": ("body_",), "actuator": ("actuator_", "opt")}
+        allowed = tuple(p for op in self.ops for p in meant.get(op.kind, ())) + ("tendon_length0", "stat", "cam_", "light_")
+        for name in ("dof_damping", "dof_frictionloss", "dof_armature", "body_mass", "body_pos", "jnt_axis", "actuator_gainprm"):
+            a, b = getattr(old, name), getattr(new, name)
+            if a.shape != b.shape or (not name.startswith(allowed) and not np.array_equal(a, b)):
+                raise UsageError(
+                    f"{self.file.path}: the patched file would change {name}, which was not meant; nothing was written"
+                )

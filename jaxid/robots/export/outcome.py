@@ -1,0 +1,182 @@
+"""What a result says of a model's numbers, read from its JSON: a stranger's input, of which only what is known is taken."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass, field, replace
+from typing import Any
+
+import numpy as np
+
+from jaxid.errors import UsageError
+
+
+KINDS = ("fit", "diagnosis", "identification")
+#: Longest name, and most numbers or effects, that are taken from a file.
+LONGEST, MOST = 200, 5000
+
+
+@dataclass(frozen=True)
+class Number:
+    """A fitted number; `std` None where the data do not determine it."""
+
+    value: float
+    std: float | None = None
+    unit: str = ""
+    at_bound: bool = False
+
+    @property
+    def doubt(self) -> str:
+        """What is to be said of it."""
+        if self.at_bound:
+            return "it stands at its bound and may stand for something else"
+        return "" if self.std is not None else "the data do not determine it by itself"
+
+
+@dataclass(frozen=True)
+class Named:
+    """An effect that was found, with its numbers."""
+
+    effect: str
+    location: str
+    numbers: Mapping[str, Number]
+
+    def value(self, name: str) -> float:
+        """One of its numbers; raises `UsageError` where the result lacks it."""
+        if name not in self.numbers:
+            raise UsageError(f"the result's effect {self.effect} at {self.location} has no number {name!r}")
+        return self.numbers[name].value
+
+
+@dataclass(frozen=True)
+class Outcome:
+    """`names` and `covariance` of the numbers, [n n], nan where unknown. `content` is the JSON itself."""
+
+    kind: str
+    model: str
+    parameters: Mapping[str, Number]
+    effects: tuple[Named, ...]
+    robot: Mapping[str, Any]
+    names: tuple[str, ...] = ()
+    covariance: np.ndarray = field(default_factory=lambda: np.zeros((0, 0)))
+    content: Mapping[str, Any] = field(default_factory=dict)
+
+    def renamed(self, joints: Mapping[str, str]) -> Outcome:
+        """The same with its locations under other joints' names."""
+        other = lambda place: joints.get(place, place)
+        numbers = {
+            f"{k.partition('@')[0]}@{other(k.partition('@')[2])}" if "@" in k else k: n for k, n in self.parameters.items()
+        }
+        inputs = {"tau", "force", "u"} if len(joints) == 1 else set()
+        at = lambda e: next(iter(joints.values())) if e.location in inputs else other(e.location)
+        return replace(self, parameters=numbers, effects=tuple(replace(e, location=at(e)) for e in self.effects))
+
+    @property
+    def drive(self) -> Mapping[str, Any] | None:
+        """The law that drove a robot, None where torques did."""
+        return self.robot.get("drive")
+
+
+def outcome(content: Any) -> Outcome:
+    """The numbers of a fit, a diagnosis or an identification. Raises `UsageError` for anything else and for a failed fit."""
+    kind = content.get("kind") if isinstance(content, Mapping) else None
+    if kind not in KINDS:
+        raise UsageError(f"this is no result of {', '.join(KINDS)}: give the JSON that jaxid fit, diagnose or identify wrote")
+    which = content.get("which") if kind == "diagnosis" else content
+    effects = which.get("effects", []) if isinstance(which, Mapping) else []
+    parameters = content.get("parameters", {})
+    robot = content.get("robot") or {}
+    if not isinstance(effects, list) or not isinstance(parameters, Mapping) or not isinstance(robot, Mapping):
+        raise UsageError("effects, parameters or robot of the result are not what jaxid writes")
+    if len(effects) > MOST or len(parameters) > MOST:
+        raise UsageError(f"the result has more than {MOST} numbers or effects")
+    if kind != "identification" and not parameters and not effects:
+        raise UsageError("the result holds no numbers: the fit failed, and there is nothing to carry over")
+    names, matrix = _covariance(content.get("covariance"), content.get("names") if kind == "identification" else None)
+    return Outcome(
+        kind,
+        _name(content.get("model"), "model"),
+        {_name(k, "parameters"): _number(k, v) for k, v in parameters.items()},
+        tuple(_effect(e) for e in effects),
+        robot_entry(robot),
+        names,
+        matrix,
+        content,
+    )
+
+
+def _name(value: Any, where: str) -> str:
+    if not isinstance(value, str) or not value or len(value) > LONGEST or any(ord(c) < 32 for c in value):
+        raise UsageError(f"{where} of the result: {str(value)[:60]!r} is no name")
+    return value
+
+
+def number(name: str, entry: Any) -> float:
+    """A finite number of a result. Raises `UsageError`."""
+    value = entry.get("value") if isinstance(entry, Mapping) else entry
+    if isinstance(value, bool) or not isinstance(value, int | float) or not math.isfinite(value):
+        raise UsageError(f"{name} of the result: {str(value)[:60]!r} is not a finite number")
+    return float(value)
+
+
+def _number(name: str, entry: Any) -> Number:
+    value = number(name, entry)
+    if not isinstance(entry, Mapping):
+        return Number(value)
+    std = entry.get("std")
+    known = isinstance(std, int | float) and not isinstance(std, bool) and math.isfinite(std) and std >= 0
+    return Number(value, float(std) if known else None, str(entry.get("unit") or "")[:40], bool(entry.get("at_bound")))  # type: ignore[arg-type]
+
+
+def _effect(entry: Any) -> Named:
+    inside = entry.get("parameters", {}) if isinstance(entry, Mapping) else None
+    if not isinstance(inside, Mapping):
+        raise UsageError("an effect of the result needs `effect`, `location` and `parameters`")
+    name = _name(entry.get("effect"), "effects")
+    if not all(isinstance(k, str) and k.isidentifier() for k in inside):
+        raise UsageError(f"the numbers of effect {name} in the result have names that are none")
+    return Named(name, _name(entry.get("location"), name), {_name(k, name): _number(f"{name}.{k}", v) for k, v in inside.items()})
+
+
+def _covariance(entry: Any, names: Any) -> tuple[tuple[str, ...], np.ndarray]:
+    """(names, matrix), empty where the result has none."""
+    rows = entry.get("matrix") if isinstance(entry, Mapping) else entry
+    names = entry.get("names") if isinstance(entry, Mapping) else names
+    if not isinstance(rows, list) or not isinstance(names, list):
+        return (), np.zeros((0, 0))
+    try:
+        matrix = np.array([[np.nan if v is None else float(v) for v in row] for row in rows]).reshape(len(rows), -1)
+    except (TypeError, ValueError):
+        raise UsageError("the covariance of the result is no matrix") from None
+    n = min(len(names), len(matrix), matrix.shape[1] if matrix.size else 0)
+    return tuple(_name(k, "covariance") for k in names[:n]), matrix[:n, :n]
+
+
+def robot_entry(robot: Mapping[str, Any]) -> dict[str, Any]:
+    """What a result says of its robot, checked: its law's numbers are numbers, None where there is no limit."""
+    if not robot:
+        return {}
+    drive = robot.get("drive")
+    own: dict[str, Any] | None = None
+    if isinstance(drive, Mapping):
+        joints = drive.get("joints")
+        if not isinstance(joints, Mapping) or not all(isinstance(n, Mapping) for n in joints.values()):
+            raise UsageError("robot.drive.joints of the result is no table by joint")
+        own = {**drive, "joints": {_name(j, "drive"): _law(n) for j, n in joints.items()}}
+    held = robot.get("held") or {}
+    base = robot.get("base") or {}
+    return {
+        "file": str(robot.get("file") or "")[:4096],
+        "sha256": str(robot.get("sha256") or "")[:64],
+        "joints": [_name(j, "robot.joints") for j in robot.get("joints") or []],
+        "held": {_name(k, "robot.held"): number(k, v) for k, v in held.items()},
+        "base": {k: number(k, base.get(k, 0.0)) for k in ("roll", "pitch", "yaw")},
+        "without": [_name(n, "robot.without") for n in robot.get("without") or []],
+        "drive": own,
+    }
+
+
+def _law(numbers: Mapping[str, Any]) -> dict[str, float]:
+    endless = {"lowest": -math.inf, "highest": math.inf}
+    return {_name(k, "drive"): endless[k] if v is None and k in endless else number(k, v) for k, v in numbers.items()}

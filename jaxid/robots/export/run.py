@@ -1,0 +1,168 @@
+"""`jaxid export`: a result carried back into the terms of a framework."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from jaxid.errors import nearest, UsageError
+from jaxid.robots.export.apply import carried
+from jaxid.robots.export.outcome import Outcome, outcome
+from jaxid.robots.export.ranges import ranges_of
+from jaxid.robots.export.sheet import of_tree, Sheet
+from jaxid.robots.export.target import Row
+from jaxid.robots.export.targets import TARGETS
+from jaxid.robots.mjcf import read_mjcf
+from jaxid.robots.origin import digest
+from jaxid.robots.tree import Tree
+from jaxid.robots.urdf_tree import read_urdf_tree
+from jaxid.storage.small_files import read_small, TooLarge
+
+
+@dataclass(frozen=True)
+class Exported:
+    """Rows (one at least for each effect and each fitted number), files (name -> text), ranges (None where not asked for)."""
+
+    to: str
+    rows: tuple[Row, ...]
+    files: Mapping[str, str]
+    notes: tuple[str, ...]
+    source: Mapping[str, Any]
+    ranges: Mapping[str, Any] | None = None
+
+    @property
+    def carries(self) -> bool:
+        """Whether anything can be carried over."""
+        return any(r.how != "none" for r in self.rows)
+
+    def to_list(self) -> list[dict[str, Any]]:
+        """The rows as `export.json` holds them."""
+        return [r.to_dict() for r in self.rows]
+
+
+def export(content: Any, to: str, robot: str | Path | None = None, ranges: bool = False, beside: Path | None = None) -> Exported:
+    """What a result (the content of its JSON) says, in the terms of a framework; nothing is written.
+
+    `robot` is the file to patch, else the one that the result is of, looked for as it was named and then in `beside`, the folder
+    of the result. Raises `UsageError` for an unknown framework, a content that is no result, and a file that is missing, has
+    changed since, or has not the joints of the result.
+    """
+    if to not in TARGETS:
+        raise UsageError(f"--to {to}: no such target{nearest(to, TARGETS)}")
+    found = outcome(content)
+    path = _file(found, robot, beside)
+    target = TARGETS[to]
+    tree = None if path is None else read_tree(path)
+    sheet = _sheet(found, tree, path)
+    patches = path is not None and path.suffix.lower() in target.FILES
+    if target.FILES and path is not None and not patches and to in ("mjcf", "urdf"):
+        sheet.notes.append(f"{path.name} is no {to.upper()}, so nothing was patched: give one with --robot FILE")
+    written = target.write(sheet, found, path if patches else None)
+    more = ranges_of(found, to) if ranges else None
+    rows = tuple(written.rows)
+    files = {**written.files, **(more.files if more else {})}
+    source = {"schema": 1, "kind": "export", "to": to, "robot": _of_file(found, path), "result": _numbers(found)}
+    return Exported(
+        to, rows, files, (*sheet.notes, *written.notes, *(more.notes if more else ())), source, more.table if more else None
+    )  # fmt: skip
+
+
+def read_tree(path: Path) -> Tree:
+    """The tree of a robot's file by its ending."""
+    try:
+        return read_urdf_tree(path, read_small(path).decode("utf-8-sig")) if path.suffix.lower() == ".urdf" else read_mjcf(path)
+    except UnicodeDecodeError as error:
+        raise UsageError(f"{path}: a character that is not UTF-8; save the file as UTF-8") from error
+    except TooLarge as error:
+        raise UsageError(f"{path}: {error}") from error
+
+
+def _file(found: Outcome, robot: str | Path | None, beside: Path | None) -> Path | None:
+    """The robot's file, None where there is none to patch."""
+    if robot is not None:
+        path = Path(robot)
+        if not path.is_file():
+            raise UsageError(f"--robot {path}: there is no such file")
+        if path.suffix.lower() not in (".xml", ".mjcf", ".urdf"):
+            raise UsageError(f"--robot {path}: give an MJCF (.xml) or a URDF (.urdf)")
+        return path
+    named = found.robot.get("file", "")
+    if not named or Path(named).suffix.lower() not in (".xml", ".mjcf", ".urdf"):
+        return None
+    places = [Path(named), *([beside / Path(named).name] if beside is not None else [])]
+    path = next((p for p in places if p.is_file()), None)
+    if path is None:
+        raise UsageError(f"the robot's file {named} is not there any more: say where it is with --robot FILE")
+    if found.robot.get("sha256") and digest(str(path)) != found.robot["sha256"]:
+        raise UsageError(
+            f"{path} has changed since the result: give it with --robot {path} if it is to be patched as it stands now"
+        )
+    return path
+
+
+def _sheet(found: Outcome, tree: Tree | None, path: Path | None) -> Sheet:
+    joints = _joints(found)
+    if tree is None:
+        sheet = of_tree(None, joints, found.robot)
+    elif found.kind == "identification":
+        return _identified(found, tree, path)
+    else:
+        tree = _as_recorded(found, tree, path)
+        if not found.robot and [*tree.leading] != joints and len(tree.leading) == len(joints):
+            found = found.renamed(dict(zip(joints, tree.leading, strict=True)))
+        sheet = of_tree(tree, joints, found.robot)
+    return carried(sheet, found)
+
+
+def _as_recorded(found: Outcome, tree: Tree, path: Path | None) -> Tree:
+    """The tree with the joints held that the result had held. Raises `UsageError` where its joints are others."""
+    own = found.robot.get("joints") or []
+    if own:
+        lacking = [j for j in own if j not in tree.joints]
+        if lacking:
+            raise UsageError(
+                f"{path}: there is no joint {lacking[0]!r}, of which the result speaks{nearest(lacking[0], tree.joints)}"
+            )
+        held = {k: v for k, v in found.robot["held"].items() if k in tree.joints}
+        return tree.locked(held)
+    joints = _joints(found)
+    known = [j for j in joints if j in tree.joints]
+    if known == joints or len(joints) == len(tree.leading):
+        return tree
+    raise UsageError(
+        f"{path} has the joints {', '.join(tree.leading)}, the result of model {found.model!r} speaks of {', '.join(joints)}: "
+        "the robot's file goes with results of that robot"
+    )
+
+
+def _joints(found: Outcome) -> list[str]:
+    """Joints that a result speaks of, where no file says them."""
+    if found.robot.get("joints"):
+        return list(found.robot["joints"])
+    if found.kind == "identification":
+        return [str(r.get("joint")) for r in found.content.get("friction") or [] if isinstance(r, Mapping)]
+    places = [n.partition("@")[2] for n in found.parameters if "@" in n]
+    ends = ("_cmd", "_tau", "_qd")
+    places += [next((e.location.removesuffix(x) for x in ends if e.location.endswith(x)), e.location) for e in found.effects]
+    shown = [j for j in dict.fromkeys(places) if j not in ("tau", "force", "u")]
+    count = max([1, *(int(n[len(n.rstrip("0123456789")) :] or 1) for n in found.parameters if "@" not in n)])
+    return shown if len(shown) >= count else [*shown, *(f"q{k + 1}" if count > 1 else "q" for k in range(len(shown), count))]
+
+
+def _identified(found: Outcome, tree: Tree, path: Path | None) -> Sheet:
+    from jaxid.robots.export.identified import identified
+
+    return identified(found, tree, path)
+
+
+def _of_file(found: Outcome, path: Path | None) -> dict[str, Any]:
+    return {**found.robot, "file": "" if path is None else str(path), "sha256": "" if path is None else digest(str(path))}
+
+
+def _numbers(found: Outcome) -> dict[str, Any]:
+    """What `jaxid replay` needs to run jaxid's own model beside: the numbers alone."""
+    value = lambda table: {k: {"value": n.value, "std": n.std} for k, n in table.items()}
+    effects = [{"effect": e.effect, "location": e.location, "parameters": value(e.numbers)} for e in found.effects]
+    return {"kind": found.kind, "model": found.model, "parameters": value(found.parameters), "effects": effects}

@@ -1,0 +1,147 @@
+"""What a framework is asked for: rows that say which field carries what, and files."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Mapping
+from dataclasses import asdict, dataclass, field
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from jaxid.robots.export.laws import described, LAWS
+from jaxid.robots.export.sheet import Change, Sheet
+
+
+EXACT, APPROXIMATE, CODE, NONE = "exact", "approximate", "code", "none"
+
+
+@dataclass(frozen=True)
+class Row:
+    """One effect or number and the field that carries it: `how` is exact, approximate, code (no field; the code is in a file) or
+    none."""
+
+    effect: str
+    location: str
+    field: str
+    value: Any
+    unit: str
+    how: str
+    note: str
+
+    def to_dict(self) -> dict[str, Any]:
+        return asdict(self)
+
+
+@dataclass
+class Written:
+    """Rows and files (name -> text) of one framework; `notes` are for the reader."""
+
+    rows: list[Row] = field(default_factory=list)
+    files: dict[str, str] = field(default_factory=dict)
+    notes: list[str] = field(default_factory=list)
+
+
+@dataclass(frozen=True)
+class Field:
+    """A field of a framework for a quantity: `name` with {joint} and {link} filled in, how well it says it, in which unit where
+    that is not SI's, and a `factor` from SI to it."""
+
+    name: str
+    how: str = EXACT
+    note: str = ""
+    unit: str | None = None
+    factor: float = 1.0
+
+
+def value_of(sheet: Sheet, change: Change) -> Any:
+    """The number of a change as it stands in the end: both limits of a force, a vector of gravity, else one number."""
+    if change.quantity == "force":
+        n = sheet.after[change.place]
+        return [n.lowest, n.highest]
+    if change.quantity == "gravity" and sheet.gravity is not None:
+        return [float(v) for v in sheet.gravity[1]]
+    return change.value
+
+
+def scaled(value: Any, factor: float) -> Any:
+    return [factor * v for v in value] if isinstance(value, list) else factor * value if isinstance(value, float) else value
+
+
+def rows_of(sheet: Sheet, fields: Mapping[str, Field], lacking: Callable[[Change], Row]) -> list[Row]:
+    """A row for each change; `lacking` makes that of a quantity without a field."""
+    return [row(sheet, c, fields[c.quantity]) if c.quantity in fields else lacking(c) for c in sheet.changes]
+
+
+def row(sheet: Sheet, change: Change, own: Field) -> Row:
+    name = own.name.replace("{joint}", change.place).replace("{link}", change.place)
+    unit = change.unit if own.unit is None else own.unit
+    return Row(
+        change.effect, change.location, name, scaled(value_of(sheet, change), own.factor), unit,
+        own.how, joined(own.note, was(change, own.factor), change.note),
+    )  # fmt: skip
+
+
+def was(change: Change, factor: float = 1.0) -> str:
+    """What stood there before."""
+    if not isinstance(change.before, float) or not np.isfinite(change.before) or change.before == change.value:
+        return ""
+    return f"before: {factor * change.before:.6g}"
+
+
+def joined(*notes: str) -> str:
+    return "; ".join(n for n in notes if n)
+
+
+def coded(file: str, more: Mapping[str, str] | None = None) -> Callable[[Change], Row]:
+    """Makes the rows of what has no field: `code` where `file` holds its law, else `none` with the reason. `more`: quantities
+    that other code of the framework does, with a sentence."""
+
+    def lacking(change: Change) -> Row:
+        if more and change.quantity in more:
+            return Row(
+                change.effect, change.location, "", change.value, change.unit, CODE, joined(more[change.quantity], change.note)
+            )  # fmt: skip
+        if change.quantity in LAWS and change.place:
+            note = joined(f"no field has it: {file} does it each step", described(change.quantity), change.note)
+            return Row(change.effect, change.location, "", change.value, change.unit, CODE, note)
+        return Row(change.effect, change.location, "", change.value, change.unit, NONE, joined(reason(change), change.note))
+
+    return lacking
+
+
+#: Effects that no code beside the simulator can do, and why.
+REASONS = {
+    "timestamp_jitter": "a fault of the log's clock, not of the robot: mend the time stamps",
+    "backlash": "needs a second joint: the motor's body, and behind it a hinge with limits of half the play to either side",
+    "joint_elasticity": "needs a second joint: the motor's body, and behind it a hinge with a spring",
+    "flexible_mode": "needs a second body: its inertia on a hinge with a spring of inertia (2 pi frequency)^2",
+    "geometric_stiffening": "a property of a flexible link, which this format does not have",
+    "base_motion": "needs a base that floats: a free joint with the base's mass and inertia",
+    "input_hold": "hold or interpolate the commands between their samples as the effect says; no model file says it",
+}
+
+
+def reason(change: Change) -> str:
+    if change.quantity in REASONS:
+        return REASONS[change.quantity]
+    if not change.quantity:
+        return "a number of jaxid's model that no field stands for"
+    if change.quantity in LAWS or not change.place:
+        return "it is at no joint of the robot"
+    return "no field says it"
+
+
+def by_joint(sheet: Sheet, quantities: Iterable[str]) -> dict[str, dict[str, Any]]:
+    """For code: the numbers that changed, joint by joint."""
+    out: dict[str, dict[str, Any]] = {}
+    wanted = set(quantities)
+    for c in sheet.changes:
+        if c.quantity in wanted and c.place in sheet.after:
+            out.setdefault(c.place, {})[c.quantity] = value_of(sheet, c)
+    return out
+
+
+def patched_name(name: str) -> str:
+    """The name of the patched copy of a file."""
+    return f"{Path(name).stem}_patched{Path(name).suffix}"

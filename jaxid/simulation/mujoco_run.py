@@ -1,0 +1,245 @@
+"""A robot's file in MuJoCo, driven along a recording: contacts, drawings and a free base are left out."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from jaxid.errors import UsageError
+from jaxid.robots.drives import Law
+from jaxid.robots.mjcf import compilable, library
+from jaxid.robots.mjcf_text import expanded
+from jaxid.robots.tree import Tree
+
+
+#: Armature of a joint that is held, as a multiple of everything else at it.
+HELD = 1e9
+#: Time step of a file that states none (a URDF), s.
+STEP = 1e-3
+#: Most steps of one run.
+MOST_STEPS = 50_000_000
+
+
+@dataclass(frozen=True)
+class Driven:
+    """What moves the joints: goals through the file's actuators, goals through a `law`, torques, or nothing ("goal", "law",
+    "torque", "free"). Torques go through motors in the units that those of `reference` have."""
+
+    kind: str
+    law: Law | None
+    reference: MujocoRobot
+
+
+class MujocoRobot:
+    """The compiled model of a file, with joints `held` and gravity as given. Raises `UsageError`."""
+
+    def __init__(self, path: Path, tree: Tree, held: Mapping[str, float], gravity: np.ndarray | None):
+        self.mj: Any = library()
+        self.notes: list[str] = []
+        spec = self._of_tree(tree) if path.suffix.lower() == ".urdf" else self._of_file(path)
+        for joint in held:
+            spec.joint(joint).armature = HELD
+        try:
+            self.model = spec.compile()
+        except (ValueError, self.mj.FatalError) as error:
+            raise UsageError(f"{path}: MuJoCo does not take it: {' '.join(str(error).split())}") from None
+        if gravity is not None:
+            self.model.opt.gravity[:] = gravity
+        self.held = dict(held)
+
+    def _of_file(self, path: Path) -> Any:
+        spec = compilable(path, expanded(path))
+        for key in list(spec.keys):
+            spec.delete(key)
+        for joint in list(spec.joints):
+            if joint.type == self.mj.mjtJoint.mjJNT_FREE:
+                spec.delete(joint)
+                self.notes.append("the base is held where the file puts it, as jaxid has it")
+        return spec
+
+    def _of_tree(self, tree: Tree) -> Any:
+        """A URDF as jaxid reads it: MuJoCo's own import drops what is fixed to the root, limits and drives."""
+        mj = self.mj
+        spec = mj.MjSpec()
+        spec.compiler.degree = False
+        spec.option.timestep, spec.option.integrator = STEP, mj.mjtIntegrator.mjINT_IMPLICITFAST
+        bodies: list[Any] = []
+        for k, name in enumerate(tree.joints):
+            above = spec.worldbody if tree.parent[k] < 0 else bodies[tree.parent[k]]
+            quat = np.zeros(4)
+            mj.mju_mat2Quat(quat, np.ascontiguousarray(tree.place[k][:3, :3]).ravel())
+            body = above.add_body(name=f"body of {name}", pos=tree.place[k][:3, 3], quat=quat)
+            xx, xy, xz, yy, yz, zz, hx, hy, hz, m = tree.inertia[k]
+            m = max(float(m), 1e-9)
+            c = np.array([hx, hy, hz]) / m
+            I = np.array([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]]) - m * (c @ c * np.eye(3) - np.outer(c, c))
+            I = I + max(0.0, 1e-12 - float(np.linalg.eigvalsh(I)[0])) * np.eye(3)
+            body.mass, body.ipos, body.explicitinertial = m, c, True
+            body.fullinertia = [I[0, 0], I[1, 1], I[2, 2], I[0, 1], I[0, 2], I[1, 2]]
+            kind = mj.mjtJoint.mjJNT_SLIDE if tree.slides[k] else mj.mjtJoint.mjJNT_HINGE
+            body.add_joint(name=name, type=kind, axis=tree.axis[k], damping=[*tree.damping[k]], frictionloss=tree.frictionloss[k],
+                           armature=tree.armature[k], solref_friction=[2 * STEP, 1.0],
+                           solimp_friction=[0.99, 0.9999, 0.001, 0.5, 2.0])  # fmt: skip
+            bodies.append(body)
+        for c in tree.couplings:
+            spec.add_equality(type=mj.mjtEq.mjEQ_JOINT, name1=c.follower, name2=c.leader, objtype=mj.mjtObj.mjOBJ_JOINT,
+                              data=[c.offset, c.ratio, 0, 0, 0, 0, 0, 0, 0, 0, 0])  # fmt: skip
+        spec.compiler.balanceinertia = True
+        self.notes.append(f"the URDF runs in MuJoCo as jaxid reads it, with steps of {STEP:g} s")
+        return spec
+
+    def address(self, joint: str) -> tuple[int, int]:
+        """(place in qpos, place in qvel)."""
+        j = self.mj.mj_name2id(self.model, self.mj.mjtObj.mjOBJ_JOINT, joint)
+        if j < 0:  # one without a name goes by its number
+            j = int(joint.removeprefix("joint"))
+        return int(self.model.jnt_qposadr[j]), int(self.model.jnt_dofadr[j])
+
+    def actuator(self, joint: str) -> int:
+        """The actuator on a joint, -1 where there is none."""
+        m, trn = self.model, self.mj.mjtTrn
+        _, dof = self.address(joint)
+        on = (int(trn.mjTRN_JOINT), int(trn.mjTRN_JOINTINPARENT))
+        found = [a for a in range(m.nu) if int(m.actuator_trntype[a]) in on and int(m.jnt_dofadr[m.actuator_trnid[a, 0]]) == dof]
+        return found[0] if len(found) == 1 else -1
+
+    def run(
+        self,
+        joints: Sequence[str],
+        t: np.ndarray,
+        u: np.ndarray,
+        linear: Sequence[bool],
+        drive: Driven,
+        q: np.ndarray,
+        qd: np.ndarray,
+    ) -> np.ndarray:
+        """Positions [time joints] at times t under inputs u [time joints], held or linear between samples, from (q, qd)."""
+        mj, m = self.mj, self.model
+        d = mj.MjData(m)
+        at, dof = map(np.array, zip(*(self.address(j) for j in joints), strict=True))
+        for joint, value in self.held.items():
+            d.qpos[self.address(joint)[0]] = value
+        d.qpos[at], d.qvel[dof] = q, qd
+        dt, steps = float(m.opt.timestep), int(np.ceil((t[-1] - t[0]) / m.opt.timestep)) + 1
+        if steps > MOST_STEPS:
+            raise UsageError(f"{t[-1] - t[0]:g} s in steps of {dt:g} s are {steps:,} steps, more than MuJoCo is asked for here")
+        inputs = _Inputs(t - t[0], u, linear)
+        push = self._pusher(d, joints, dof, drive, inputs, at)
+        out, now, k = np.empty((len(t), len(joints))), 0.0, 0
+        for step in range(steps + 1):
+            now = step * dt
+            before, speed = d.qpos[at].copy(), d.qvel[dof].copy()
+            push(now)
+            mj.mj_step(m, d)
+            after = d.qpos[at]
+            while k < len(t) and t[k] - t[0] < now + dt - 1e-9 * dt:
+                out[k] = _between(before, after, speed, d.qvel[dof], (t[k] - t[0] - now) / dt, dt)
+                k += 1
+            if k == len(t):
+                break
+        if not np.isfinite(out[:k]).all():
+            self.notes.append("MuJoCo's run diverged")
+        return out
+
+    def _pusher(self, d: Any, joints: Sequence[str], dof: np.ndarray, drive: Driven, inputs: _Inputs, at: np.ndarray) -> Any:
+        mj, m = self.mj, self.model
+        if drive.kind == "free":
+            return lambda now: None
+        if drive.kind == "law":
+            assert drive.law is not None
+            law = _LawRun(drive.law, inputs, float(m.opt.timestep))
+
+            def by_law(now: float) -> None:
+                d.qfrc_applied[dof] = law(now, d.qpos[at], d.qvel[dof])
+
+            return by_law
+        acts = np.array([self.actuator(j) for j in joints])
+        gear = np.array([m.actuator_gear[a, 0] if a >= 0 else 1.0 for a in acts])
+        if drive.kind == "torque":
+            there = drive.reference
+            ids = [there.actuator(j) for j in joints]
+            gear = np.array([1 / there.model.actuator_gear[a, 0] if a >= 0 else 1.0 for a in ids])
+        own = acts >= 0
+        first = gear * inputs(0.0)
+        for a, value in zip(acts[own], first[own], strict=True):
+            d.ctrl[a] = value
+            if m.actuator_actadr[a] >= 0:
+                d.act[m.actuator_actadr[a]] = value
+            if m.actuator_history[a, 0] > 0:
+                n = int(m.actuator_history[a, 0])
+                mj.mj_initCtrlHistory(m, d, int(a), np.arange(-n, 0) * float(m.opt.timestep), np.full((n, 1), value))
+
+        def by_actuators(now: float) -> None:
+            value = gear * inputs(now)
+            d.ctrl[acts[own]] = value[own]
+            d.qfrc_applied[dof[~own]] = value[~own]
+
+        return by_actuators
+
+
+class _Inputs:
+    """Inputs at a time from the start, held between samples or linear."""
+
+    def __init__(self, t: np.ndarray, u: np.ndarray, linear: Sequence[bool]):
+        self.t, self.u, self.linear = t, u, np.array(linear, bool)
+
+    def __call__(self, now: float) -> np.ndarray:
+        k = int(np.clip(np.searchsorted(self.t, now + 1e-9, side="right") - 1, 0, len(self.t) - 1))
+        held = self.u[k]
+        if not self.linear.any() or k + 1 >= len(self.t) or now < 0:
+            return held
+        share = (now - self.t[k]) / (self.t[k + 1] - self.t[k])
+        return np.where(self.linear, held + share * (self.u[k + 1] - held), held)
+
+
+class _LawRun:
+    """A drive law in time, as `jaxid.models.robot_drive.PositionLaw` has it."""
+
+    def __init__(self, law: Law, inputs: _Inputs, dt: float):
+        self.law, self.inputs, self.dt = law, inputs, dt
+        self.n = {k: np.array(getattr(law, k), float) for k in ("kp", "kd", "ki", "gain", "lowest", "highest", "offset", "delay")}
+        self.integral, self.tick, self.held = np.zeros(len(law.kp)), -1, np.zeros(len(law.kp))
+        self.last = self.before = self.goal = None
+
+    def _wanted(self, now: float) -> np.ndarray:
+        goal = np.array([self.inputs(now - d)[k] for k, d in enumerate(self.n["delay"])])
+        return np.clip(goal, *np.array(self.law.control).T) if self.law.control else goal
+
+    def __call__(self, now: float, q: np.ndarray, qd: np.ndarray) -> np.ndarray:
+        law, T = self.law, self.law.period
+        if T <= 0:
+            return self._output(self._wanted(now) - q, -qd, self.dt)
+        tick = int(np.floor(now / T + 0.5 * min(1.0, self.dt / T)))
+        if tick > self.tick:
+            self.tick = tick
+            goal = self._wanted(now)
+            last = q - T * qd if self.last is None else self.last
+            before = q - 2 * T * qd if self.before is None else self.before
+            old = goal if self.goal is None else self.goal
+            speed = {"measured": qd, "difference": (q - last) / T, "averaged_difference": (q - before) / (2 * T)}[law.velocity]
+            self.held = self._output(goal - q, ((goal - old) / T if law.rate else 0.0) - speed, T)
+            self.last, self.before, self.goal = q.copy(), last, goal
+        return self.held
+
+    def _output(self, error: np.ndarray, rate_error: np.ndarray, h: float) -> np.ndarray:
+        n = self.n
+        if self.law.kind == "cascade":
+            v = n["kd"] * (n["kp"] * error + rate_error) + n["offset"]
+        else:
+            v = n["kp"] * error + n["kd"] * rate_error + n["offset"]
+        if self.law.kind == "pid":
+            v = v + self.integral
+            winds_up = ((v > n["highest"]) | (v < n["lowest"])) & (v * error > 0)
+            self.integral = self.integral + np.where(winds_up, 0.0, n["ki"] * h * error)
+        return n["gain"] * np.clip(v, n["lowest"], n["highest"])
+
+
+def _between(q0: np.ndarray, q1: np.ndarray, v0: np.ndarray, v1: np.ndarray, share: float, dt: float) -> np.ndarray:
+    """Cubic between two steps, exact at both ends."""
+    s = float(np.clip(share, 0.0, 1.0))
+    a, b = 2 * s**3 - 3 * s**2 + 1, s**3 - 2 * s**2 + s
+    return a * q0 + b * dt * v0 + (1 - a) * q1 + (s**3 - s**2) * dt * v1
