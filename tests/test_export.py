@@ -1,6 +1,8 @@
 """What was found goes back into the simulator: patched files, code for what has no field, and the round trip in MuJoCo."""
 
 import importlib
+import json
+import re
 from pathlib import Path
 from typing import Any
 
@@ -8,8 +10,14 @@ import numpy as np
 import pytest
 
 import jaxid
+import jaxid.catalogue
+from jaxid.cli.app import main
+from jaxid.robots.bodies import fault
+from jaxid.robots.export.identified import nearest_bodies
 from jaxid.robots.export.run import export
 from jaxid.robots.export.save import save
+from jaxid.robots.export.targets import TARGETS
+from jaxid.robots.export.xml_text import XmlText
 from jaxid.simulation.mujoco_run import Driven, MujocoRobot
 
 
@@ -45,7 +53,8 @@ URDF = """<?xml version="1.0"?>
   <link name="base"/>
   <link name="upper"><inertial><origin xyz="0.1 0 0" rpy="0.3 0 0"/><mass value="0.6"/>
     <inertia ixx="2e-3" ixy="0" ixz="0" iyy="3e-3" iyz="0" izz="2.5e-3"/></inertial></link>
-  <link name="tip"><inertial><mass value="0.1"/><inertia ixx="1e-4" ixy="0" ixz="0" iyy="1e-4" iyz="0" izz="1e-4"/></inertial></link>
+  <link name="tip"><inertial><mass value="0.1"/>
+    <inertia ixx="1e-4" ixy="0" ixz="0" iyy="1e-4" iyz="0" izz="1e-4"/></inertial></link>
   <joint name="lift" type="revolute"><parent link="base"/><child link="upper"/><axis xyz="0 1 0"/>
     <limit lower="-2" upper="2" effort="9" velocity="5"/></joint>
   <joint name="glue" type="fixed"><parent link="upper"/><child link="tip"/><origin xyz="0.3 0 0"/></joint>
@@ -178,3 +187,336 @@ def test_an_approximate_row_says_so_and_is_near(bench, name, parameters, effects
     assert {r.how for r in found.rows} == {"approximate"}
     assert size > 1e-3 and share < 0.1, f"{name}: {100 * share:.2f} % of {size:.3g} rad"
     assert "solreffriction" in (tmp_path / "arm_patched.xml").read_text()
+
+
+# ---- the user's own text
+
+
+def test_the_text_keeps_everything_but_the_attributes_that_were_meant(arm, tmp_path):
+    found = export(fit({"damping@lift": 0.5, "kp@bend": 9.0}, path=arm), "mjcf")
+    new = found.files["arm_patched.xml"]
+    assert (
+        new.replace('\n             range="-2 2" damping="0.5"', '\n             range="-2 2"').replace(
+            'gainprm="2.25" biastype="affine" biasprm="0 -2.25 -0.1"', 'gainprm="3" biastype="affine" biasprm="0 -3 -0.1"'
+        )
+        == ARM
+    )
+    assert arm.read_text() == ARM
+
+
+@pytest.mark.parametrize(("name", "parameters", "effects"), EXACT + APPROXIMATE, ids=[e[0] for e in EXACT + APPROXIMATE])
+def test_apply_makes_the_model_of_the_patched_file(arm, name, parameters, effects, tmp_path):
+    found = export(fit(parameters, [(*key, n) for key, n in effects.items()], arm), "mjcf")
+    made: dict[str, Any] = {}
+    exec(found.files["apply.py"], made)
+    a = mujoco.MjModel.from_xml_string(found.files["arm_patched.xml"])
+    b = made["apply"](mujoco.MjSpec.from_file(str(arm))).compile()
+    plain = mujoco.MjModel.from_xml_string(ARM)
+    fields = [n for n in dir(a) if n.startswith(("dof_", "jnt_", "body_", "actuator_", "qpos"))]
+    fields = [n for n in fields if isinstance(getattr(a, n), np.ndarray)]
+    assert [n for n in fields if not np.allclose(getattr(a, n), getattr(b, n), rtol=1e-7, atol=1e-9)] == []
+    same = all(np.array_equal(getattr(a, n), getattr(plain, n)) for n in fields if getattr(a, n).shape == getattr(plain, n).shape)
+    assert not same or not np.array_equal(a.opt.gravity, plain.opt.gravity)
+
+
+def test_includes_are_patched_beside_the_file_and_degrees_stay(tmp_path):
+    inner = '<mujocoinclude><body name="l"><joint name="j" axis="0 1 0" range="-90 90" ref="10"/>'
+    inner += '<inertial pos="0.1 0 0" mass="0.3" diaginertia="1e-3 1e-3 1e-3"/></body></mujocoinclude>'
+    (tmp_path / "parts").mkdir()
+    (tmp_path / "parts" / "link.xml").write_text(inner)
+    path = tmp_path / "robot.xml"
+    path.write_text('<mujoco><worldbody><include file="parts/link.xml"/></worldbody></mujoco>')
+    found = export(fit({"encoder_bias@j": 0.1, "damping@j": 0.2}, path=path, joints=["j"], drive=None), "mjcf")
+    save(found, tmp_path / "out")
+    joint = re.search(r"<joint[^>]*>", (tmp_path / "out" / "parts" / "link.xml").read_text())
+    assert joint is not None and 'ref="15.72957795"' in joint[0] and 'range="-84.27042205 95.72957795"' in joint[0]
+    model = mujoco.MjModel.from_xml_path(str(tmp_path / "out" / "robot_patched.xml"))
+    assert model.dof_damping[0] == 0.2
+
+
+def test_motors_and_mimic_joints(tmp_path):
+    """A scale of torques is the gear's; a leader takes what its followers have not."""
+    path = tmp_path / "hand.xml"
+    link = '<inertial pos="0.1 0 0" mass="0.3" diaginertia="1e-3 1e-3 1e-3"/>'
+    path.write_text(f"""<mujoco><worldbody><body name="a"><joint name="a" axis="0 1 0" damping="0.1"/>{link}<body name="b">
+<joint name="b" axis="0 1 0" damping="0.4"/>{link}</body></body></worldbody>
+<equality><joint joint1="b" joint2="a" polycoef="0 0.5 0 0 0"/></equality>
+<actuator><motor joint="a" gear="2" ctrlrange="-1 1"/></actuator></mujoco>""")
+    effects = [("torque_scale", "a_tau", {"gain": 0.1}), ("constant_torque", "a", {"torque": 0.3})]
+    found = export(fit({"damping@a": 0.5}, effects, path, joints=["a", "b"], drive=None), "mjcf")
+    model = mujoco.MjModel.from_xml_string(found.files["hand_patched.xml"])
+    np.testing.assert_allclose(model.dof_damping, [0.4, 0.4])  # 0.5 is that of both: 0.4 + 0.5^2 0.4
+    np.testing.assert_allclose(model.actuator_gear[0, 0], 2.2)
+    np.testing.assert_allclose(model.actuator_biasprm[0, :3], [-0.3 / 2.2, 0, 0])
+    assert model.actuator_gainprm[0, 0] == 1.0 and model.actuator_ctrlrange[0, 1] == 1.0
+
+
+def test_a_law_of_the_recording_goes_into_position_actuators_of_the_file(arm):
+    law = fit(path=arm)["robot"]["drive"] | {"origin": "[controller]"}
+    law["joints"]["lift"] |= {"kp": 30.0, "lowest": -2.0, "highest": 2.0}
+    rows = export(fit({"damping@lift": 0.3}, path=arm, drive=law), "mjcf").rows
+    told = {r.effect: r for r in rows}
+    assert told["kp"].value == 30.0 and "[controller]" in told["kp"].note and told["saturation"].value == [-2.0, 2.0]
+    motor = ARM.replace('<position name="lift_act" joint="lift" kp="20" kv="0.8" forcerange="-6 6"/>', '<motor joint="lift"/>')
+    arm.write_text(motor)
+    (row,) = export(fit({"kp@lift": 28.0}, path=arm, drive=law), "mjcf").rows
+    assert row.how == "code" and '<position joint="lift" kp="28"' in row.note
+
+
+def test_a_urdf_is_patched_by_name(tmp_path):
+    path = tmp_path / "arm.urdf"
+    path.write_text(URDF)
+    effects = [("saturation", "lift_tau", {"limit": 4.0})]
+    numbers = {"damping@lift": 0.5, "frictionloss@lift": 0.1, "mass@upper": 0.9, "armature@lift": 0.02, "encoder_bias@lift": 0.1}
+    found = export(fit(numbers, effects, path, joints=["lift"], drive=None), "urdf")
+    text = found.files["arm_patched.urdf"]
+    assert "<!-- kept -->" in text and '<dynamics damping="0.5" friction="0.1"/>' in text
+    assert 'lower="-1.9" upper="2.1" effort="4"' in text
+    how = {r.effect: r.how for r in found.rows}
+    assert how["armature"] == "none" and {how[k] for k in ("damping", "frictionloss", "mass", "saturation", "encoder_bias")} == {
+        "exact"
+    }
+    from jaxid.robots.urdf_tree import read_urdf_tree
+
+    before, after = read_urdf_tree(path), read_urdf_tree(path, text)
+    np.testing.assert_allclose(after.inertia[0, 9], 0.9)  # of the link and the tip that is fixed to it
+    np.testing.assert_allclose(after.inertia[0, 6:9] / 0.9, before.inertia[0, 6:9] / 0.7, atol=1e-9)
+    np.testing.assert_allclose(
+        after.place[0][:3, :3], [[np.cos(0.1), 0, -np.sin(0.1)], [0, 1, 0], [np.sin(0.1), 0, np.cos(0.1)]], atol=1e-9
+    )
+
+
+def test_edits_of_a_text():
+    text = XmlText("<a>\n  <!-- b='1' --><b x='1>2' y = \"é\"/>\n  <c/>\n</a>")
+    b, c = text.elements[1], text.elements[2]
+    text.set(b, {"y": '"', "z": "3"})
+    text.insert(c, "<d/>")
+    text.insert(text.elements[0], "<e/>")
+    assert text.result() == "<a>\n  <!-- b='1' --><b x='1>2' y = '\"' z=\"3\"/>\n  <c>\n    <d/>\n  </c>\n  <e/>\n</a>"
+
+
+# ---- what has no field
+
+
+CODED = [
+    ("stribeck_friction", "lift", {"extra": 0.2, "speed": 0.1}),
+    ("asymmetric_friction", "lift", {"dry": 0.1, "viscous": 0.05}),
+    ("load_dependent_friction", "lift", {"mu": 0.1}),
+    ("position_dependent_friction", "bend", {"sine": 0.1, "cosine": 0.05, "order": 3.0}),
+    ("power_law_friction", "lift", {"coefficient": 0.2, "exponent": 0.5}),
+    ("torque_ripple", "bend", {"sine": 0.1, "cosine": -0.2, "order": 7.0}),
+    ("lugre_friction", "lift", {"level": 0.3, "presliding": 0.01, "relaxation": 0.001}),
+    ("hysteresis", "bend", {"level": 0.2, "width": 0.05}),
+    ("temperature_dependent_friction", "lift", {"change": -0.1, "time": 5.0}),
+]
+
+
+def test_code_does_what_the_effects_do(arm):
+    """Each law beside the effect itself, along one motion; and before the steps of MuJoCo."""
+    import jax.numpy as jnp
+
+    from jaxid.catalogue import effect_class
+    from jaxid.dynamics.effect import Signals
+    from jaxid.dynamics.parameter import with_fields
+
+    made: dict[str, Any] = {}
+    found = export(fit(effects=CODED, path=arm), "mjcf")
+    assert {r.how for r in found.rows} == {"code"} and set(found.files) == {"effects.py"} and found.carries
+    exec(found.files["effects.py"], made)
+    laws = iter([*made["FORCE"], *made["DRY"]])
+    h = 1e-3
+    t = np.arange(0, 0.5, h)
+    by_port = sorted(CODED, key=lambda e: e[0] not in FORCES)
+    for name, joint, numbers in by_port:
+        where, law = next(laws)
+        assert where == joint, name
+        effect = with_fields(effect_class(name)(), {k: np.array([v]) for k, v in numbers.items()})
+        state = effect.start(jnp.zeros(1))
+        for now in t[:120]:
+            q, qd, load = 0.3 * np.sin(9 * now), 2.7 * np.cos(9 * now), 0.8
+            s = Signals(now, *(jnp.array([v]) for v in (q, qd, load)), h, None, jnp.array([qd]))
+            force, minus, plus, state = effect(s, state)
+            wanted = float(jnp.ravel(force)[0]) if name in FORCES else float(jnp.ravel(plus if qd > 0 else minus)[0])
+            if name == "asymmetric_friction":
+                wanted += float(jnp.ravel(plus)[0])
+            assert abs(float(law(q, qd, load, h)) - wanted) < 2e-3 * max(1.0, abs(wanted)), (name, now)
+    model = mujoco.MjModel.from_xml_string(ARM)
+    data, effects = mujoco.MjData(model), made["Effects"](model)
+    for _ in range(20):
+        effects(model, data)
+        mujoco.mj_step(model, data)
+    assert np.isfinite(data.qpos).all() and model.dof_frictionloss[0] > 0
+
+
+FORCES = (
+    "asymmetric_friction",
+    "power_law_friction",
+    "torque_ripple",
+    "lugre_friction",
+    "hysteresis",
+    "temperature_dependent_friction",
+)
+
+EVERY = [
+    *(e for e in CODED), ("dead_zone", "lift_cmd", {"width": 0.1}), ("supply_droop", "lift_tau", {"droop": 0.1}),
+    ("sensor_bias", "lift", {"bias": 0.1}), ("sensor_lag", "lift", {"lag": 0.1}), ("sensor_delay", "lift", {"delay": 0.01}),
+    ("backlash", "bend", {"play": 0.01}), ("timestamp_jitter", "lift", {"spread": 1e-3}), ("my_own", "lift", {"size": 1.0}),
+]  # fmt: skip
+NUMBERS = {"damping@lift": 0.5, "frictionloss@bend": 0.1, "armature@lift": 0.03, "kp@lift": 14.0, "kd@lift": 1.0,
+           "mass@fore": 0.4,
+           "highest@lift": 3.0, "gravity_of_mars": 3.7}  # fmt: skip
+
+
+@pytest.mark.parametrize("to", list(TARGETS))
+def test_nothing_is_passed_over(arm, to, tmp_path):
+    """Every effect and every number has a row, with a field or a reason; the code is Python, and the texts are XML or YAML."""
+    effects = EVERY + [(*k, n) for _, _, own in EXACT for k, n in own.items()][:-1]
+    found = export(fit(NUMBERS, effects, arm), to, ranges=True)
+    save(found, tmp_path / "out")
+    rows = json.loads((tmp_path / "out" / "export.json").read_text())
+    assert {(e, where) for e, where, _ in effects} <= {(r["effect"], r["location"]) for r in rows}
+    assert {n.partition("@")[0] for n in NUMBERS} <= {r["effect"] for r in rows}
+    for r in rows:
+        assert list(r) == ["effect", "location", "field", "value", "unit", "how", "note"]
+        assert r["how"] in ("exact", "approximate", "code", "none") and (r["field"] or r["note"]), r
+    assert {"jitter" in r["effect"] for r in rows if r["how"] == "none"} >= {True}
+    for name, text in found.files.items():
+        if name.endswith(".py"):
+            compile(text, name, "exec")
+        elif name.endswith((".xml", ".urdf")):
+            XmlText(text)
+        elif name.endswith(".sdf"):
+            XmlText(f"<sdf>{text}</sdf>")
+    ranges = json.loads((tmp_path / "out" / "ranges.json").read_text())
+    low, high = ranges["numbers"]["damping@lift"]["interval_95"]
+    assert low == pytest.approx(0.5 - 1.96e-3, abs=1e-5) and high == pytest.approx(0.5 + 1.96e-3, abs=1e-5)
+    assert (f"ranges_{to}.py" in found.files) == (to in ("mjlab", "isaaclab"))
+
+
+def test_targets_are_those_that_the_command_lists():
+    assert tuple(TARGETS) == jaxid.catalogue.TARGETS
+
+
+def test_correlations_stand_beside_the_ranges(arm):
+    content = fit({"damping@lift": 0.5, "armature@lift": 0.03}, path=arm)
+    content["covariance"] = {"names": ["damping@lift", "armature@lift"], "matrix": [[4e-6, -1e-6], [-1e-6, 1e-6]]}
+    found = export(content, "mjcf", ranges=True)
+    assert found.ranges is not None
+    np.testing.assert_allclose(found.ranges["correlation"]["matrix"], [[1, -0.5], [-0.5, 1]])
+
+
+# ---- results of other models, and of an identification
+
+
+def test_a_result_without_a_robot_gives_attributes_to_copy(tmp_path):
+    content = {
+        "kind": "fit",
+        "model": "pendulum",
+        "effects": [
+            {"effect": "stribeck_friction", "location": "q", "parameters": {"extra": {"value": 0.1}, "speed": {"value": 0.2}}}
+        ],
+        "parameters": {"viscous": {"value": 0.2}, "inertia": {"value": 0.1}},
+    }
+    found = export(content, "mjcf")
+    assert 'damping="0.2 0 0"' in found.files["joints.xml"] and "effects.py" in found.files
+    assert {r.effect: r.how for r in found.rows} == {"viscous": "exact", "inertia": "none", "stribeck_friction": "code"}
+    assert not export({"kind": "fit", "model": "pendulum", "parameters": {"inertia": {"value": 0.1}}}, "ros2_control").carries
+    path = tmp_path / "one.xml"
+    link = '<inertial pos="0.1 0 0" mass="0.3" diaginertia="1e-3 1e-3 1e-3"/>'
+    path.write_text(f'<mujoco><worldbody><body name="l"><joint name="hinge"/>{link}</body></worldbody></mujoco>')
+    assert 'damping="0.2"' in export(content, "mjcf", robot=path).files["one_patched.xml"]
+
+
+def test_base_parameters_go_to_the_nearest_bodies_that_can_exist(tmp_path):
+    path = tmp_path / "arm.xml"
+    path.write_text(ARM)
+    from jaxid.models import SerialArm
+    from jaxid.robots.arms import table_of
+    from jaxid.robots.mjcf import read_mjcf
+
+    arm: Any = SerialArm(table_of(read_mjcf(path)))
+    base = arm.base()
+    split = lambda name: (name.rstrip("0123456789"), int(name[-1]) - 1)
+    phi = np.array([float(np.asarray(getattr(arm, kind))[j]) for kind, j in map(split, base.standard)])
+    same, off = nearest_bodies(phi, base.K, base.values(phi), base.standard)
+    assert off < 1e-6 and np.abs(base.K @ (same - phi)).max() < 1e-6
+    beta = base.values(phi) * np.where(np.array([n.startswith("mx") for n in base.names]), 1.3, 1.05)
+    rows = [{"name": n, "value": float(b), "std": 1e-3, "unit": "kg m"} for n, b in zip(base.names, beta, strict=True)]
+    friction = [{"joint": j, "F_c": entry(0.1), "F_v": entry(0.3), "offset": entry(0.02)} for j in JOINTS]
+    own = {"kind": "identification", "model": "serial_arm", "base_parameters": rows, "friction": friction,
+           "robot": {"file": str(path), "joints": list(JOINTS)}}  # fmt: skip
+    found = export(own, "mjcf")
+    model = mujoco.MjModel.from_xml_string(found.files["arm_patched.xml"])
+    for b in (1, 2):
+        ten = np.zeros(10)
+        ten[[0, 3, 5]], ten[9] = model.body_inertia[b], model.body_mass[b]
+        assert fault("link", ten) is None
+    assert any("nearest" in r.note for r in found.rows)
+    assert model.dof_frictionloss[0] == 0.1 and model.dof_damping[1] == 0.3
+    new: Any = SerialArm(table_of(read_mjcf(path, found.files["arm_patched.xml"])))
+    phi = np.array([float(np.asarray(getattr(new, kind))[j]) for kind, j in map(split, base.standard)])
+    np.testing.assert_allclose(base.values(phi), beta, atol=2e-3 * np.abs(beta).max())
+
+
+# ---- what strangers write
+
+
+def test_nothing_of_the_user_is_overwritten(arm, tmp_path):
+    found = export(fit({"damping@lift": 0.5}, path=arm), "mjcf")
+    save(found, tmp_path)
+    save(found, tmp_path)  # its own files are replaced
+    (tmp_path / "apply.py").write_text("mine")
+    with pytest.raises(jaxid.UsageError, match=r"apply\.py was not written by jaxid export, or was edited"):
+        save(found, tmp_path)
+    assert arm.read_text() == ARM and (tmp_path / "apply.py").read_text() == "mine"
+    (tmp_path / "other").mkdir()
+    (tmp_path / "other" / "export.json").symlink_to(arm)
+    with pytest.raises(jaxid.UsageError, match="no plain file"):
+        save(found, tmp_path / "other")
+    from dataclasses import replace
+
+    with pytest.raises(jaxid.UsageError, match="outside"):
+        save(replace(found, files={"../x.xml": ""}), tmp_path / "third")
+    assert not (tmp_path / "x.xml").exists()
+
+
+HOSTILE = [
+    ([1, 2], "no result"),
+    ({"kind": "fit", "model": "robot", "parameters": {}}, "failed"),
+    ({"kind": "fit", "model": "robot", "parameters": {"damping@lift": {"value": 1e999}}}, "finite"),
+    ({"kind": "fit", "model": "robot", "parameters": {"a" * 300: {"value": 1}}}, "no name"),
+    ({"kind": "fit", "model": "m", "effects": [{"effect": "lugre_friction", "location": "q", "parameters": {"x);(": 1}}],
+      "parameters": {}}, "names"),
+    ({"kind": "fit", "model": "robot", "parameters": {"a": {"value": 1}}, "robot": {"file": "/no/such.xml"}}, "--robot FILE"),
+]  # fmt: skip
+
+
+@pytest.mark.parametrize(("content", "said"), HOSTILE, ids=[said for _, said in HOSTILE])
+def test_a_content_that_is_none_is_refused(content, said):
+    with pytest.raises(jaxid.UsageError, match=re.escape(said)):
+        export(content, "mjcf")
+
+
+def test_a_file_that_changed_or_has_other_joints_is_refused(arm):
+    content = fit({"damping@lift": 0.5}, path=arm, sha256="0" * 64)
+    with pytest.raises(jaxid.UsageError, match="has changed since"):
+        export(content, "mjcf")
+    assert export(content, "mjcf", robot=arm).carries
+    arm.write_text(ARM.replace('"bend"', '"bent"'))
+    with pytest.raises(jaxid.UsageError, match="no joint 'bend'"):
+        export(content, "mjcf", robot=arm)
+
+
+def test_the_command(arm, tmp_path, capsys):
+    result = tmp_path / "fit.json"
+    result.write_text(json.dumps(fit({"damping@lift": 0.5}, [("stribeck_friction", "lift", {"extra": 0.1, "speed": 0.1})], arm)))
+    assert main(["export", str(result), "--to", "mjcf", "--out", str(tmp_path / "out")]) == 0
+    told = capsys.readouterr().out
+    assert "joint[lift]@damping" in told and "code" in told and "arm_patched.xml" in told
+    assert main(["export", str(result), "--to", "mjcf", "--out", str(tmp_path / "out"), "--json"]) == 0
+    assert json.loads(capsys.readouterr().out)[0]["effect"] == "damping"
+    assert main(["export", str(result), "--to", "gazebo", "--out", str(tmp_path / "no")]) == 2
+    assert "sdf" in capsys.readouterr().err and not (tmp_path / "no").exists()
+    result.write_text(json.dumps({"kind": "fit", "model": "pendulum", "parameters": {"inertia": {"value": 0.1}}}))
+    assert main(["export", str(result), "--to", "ros2_control", "--out", str(tmp_path / "none")]) == 1
+    assert json.loads((tmp_path / "none" / "export.json").read_text())[0]["how"] == "none"

@@ -2,16 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Mapping
-from pathlib import Path
+from collections.abc import Callable, Mapping
+from dataclasses import replace
 from typing import Any
 
-import numpy as np
-
 from jaxid.robots.export.laws import code, lawful
-from jaxid.robots.export.outcome import Outcome
 from jaxid.robots.export.sheet import Body, JointNumbers, Sheet
-from jaxid.robots.export.target import by_joint, coded, Field, rows_of, Written
+from jaxid.robots.export.target import by_joint, CODE, coded, Field, joined, NONE, rows_of, Written
 
 
 QUANTITIES = (*JointNumbers.__dataclass_fields__, "force")
@@ -20,11 +17,12 @@ Writer = Callable[[Sheet, Mapping[str, dict[str, Any]], Mapping[str, Body]], str
 
 def written(
     sheet: Sheet, fields: Mapping[str, Field], elsewhere: Mapping[str, str], file: str, writer: Writer, version: str,
-    library: str | None = "numpy", tail: str = "",
+    library: str | None = "numpy", tail: str = "", how: str = CODE,
 ) -> Written:  # fmt: skip
     """Rows by the table of fields, the text that `writer` makes of the numbers that have one, and the code of the laws that have
     none (`library` None: this framework runs no such code)."""
-    out = Written(rows_of(sheet, fields, coded("effects.py" if library else "your own plugin", elsewhere)))
+    out = Written(rows_of(sheet, fields, coded("effects.py", elsewhere, how) if library else coded("", elsewhere, NONE)))
+    out.rows = [replace(r, note=joined(r.note, f"written for {version}, not run")) if r.field else r for r in out.rows]
     numbers = by_joint(sheet, [q for q in QUANTITIES if q in fields])
     bodies = {link: after for link, (_, after) in sheet.bodies.items()} if "inertial" in fields else {}
     if numbers or bodies or ("gravity" in fields and any(c.quantity == "gravity" for c in sheet.changes)):
@@ -35,22 +33,7 @@ def written(
     return out
 
 
-def known(n: Mapping[str, Any], names: Iterable[str]) -> dict[str, Any]:
-    """Those of the numbers that are there, in this order."""
-    return {k: n[k] for k in names if k in n}
-
-
-def limit(force: Any) -> float | None:
-    """The larger of both limits of a force, None where neither is finite."""
-    finite = [abs(v) for v in force if np.isfinite(v)]
-    return max(finite) if finite else None
-
-
 def central(body: Body) -> list[float]:
     """Ixx Iyy Izz Ixy Ixz Iyz about the centre of mass."""
     I = body.inertia
     return [float(v) for v in (I[0, 0], I[1, 1], I[2, 2], I[0, 1], I[0, 2], I[1, 2])]
-
-
-def unused(_found: Outcome, _path: Path | None) -> None:
-    """Targets that patch no file take none."""

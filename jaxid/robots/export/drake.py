@@ -6,10 +6,10 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
-from jaxid.robots.export.config import limit, written
+from jaxid.robots.export.config import written
 from jaxid.robots.export.outcome import Outcome
 from jaxid.robots.export.sheet import Body, Sheet
-from jaxid.robots.export.target import Field, Written
+from jaxid.robots.export.target import Field, limit, Written
 
 
 NAME, VERSION, FILES = "drake", "Drake 1.58", ()
@@ -19,13 +19,13 @@ FIELDS = {
                       note="rotor inertia times the square of the gear ratio, which is 1 here"),
     "kp": Field("JointActuator.set_controller_gains({joint})", note="PdControllerGains.p"),
     "kd": Field("JointActuator.set_controller_gains({joint})", note="PdControllerGains.d"),
-    "force": Field("AddJointActuator(effort_limit)", note="given where the actuator is made; the larger of both limits"),
-    "highest": Field("AddJointActuator(effort_limit)", note="given where the actuator is made"),
+    "force": Field("AddJointActuator(effort_limit)", note="given where the actuator is made", one=True),
+    "highest": Field("AddJointActuator(effort_limit)", note="given where the actuator is made", one=True),
     "inertial": Field("SpatialInertia of {link}", note="set it in the model file, or by a context"),
     "gravity": Field("plant.mutable_gravity_field().set_gravity_vector"),
 }  # fmt: skip
 ELSEWHERE = {
-    "frictionloss": "Drake has no dry friction at joints (18932): effects.py has the law, for a LeafSystem as actuation",
+    "frictionloss": "Drake has no dry friction at joints (18932): subtract it times tanh(qd / 0.01) as actuation, by a LeafSystem",
     "delay": "a DiscreteTimeDelay system before the plant", "lag": "a FirstOrderLowPassFilter system before the plant",
     "stiffness": "a ForceElement: RevoluteSpring(joint, springref, stiffness)",
     "springref": "the nominal angle of that RevoluteSpring",

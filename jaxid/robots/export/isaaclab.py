@@ -7,10 +7,10 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
-from jaxid.robots.export.config import limit, written
+from jaxid.robots.export.config import written
 from jaxid.robots.export.outcome import Outcome
 from jaxid.robots.export.sheet import Body, Sheet
-from jaxid.robots.export.target import Field, Written
+from jaxid.robots.export.target import Field, limit, Written
 
 
 NAME, VERSION, FILES = "isaaclab", "Isaac Lab 3.0", ()
@@ -19,8 +19,8 @@ FIELDS = {
     "frictionloss": Field("ActuatorCfg.friction = dynamic_friction", note="N m since Isaac Sim 5.0; Newton creeps"),
     "armature": Field("ActuatorCfg.armature"),
     "kp": Field("ActuatorCfg.stiffness"), "kd": Field("ActuatorCfg.damping"),
-    "force": Field("ActuatorCfg.actuator_effort_limit, joint_effort_limit", note="effort_limit before 3.0; the larger limit"),
-    "highest": Field("ActuatorCfg.actuator_effort_limit, joint_effort_limit"),
+    "force": Field("ActuatorCfg.actuator_effort_limit, joint_effort_limit", note="effort_limit before 3.0", one=True),
+    "highest": Field("ActuatorCfg.actuator_effort_limit, joint_effort_limit", one=True),
     "delay": Field("DelayedPDActuatorCfg.min_delay = max_delay", "approximate", "whole physics steps, rounded; explicit PD only"),
     "stribeck_friction": Field("ActuatorCfg.friction > dynamic_friction", "approximate", "two levels alone; PhysX only"),
 }  # fmt: skip

@@ -143,5 +143,5 @@ def snippet(sheet: Sheet, found: Outcome) -> Written:
         out.files["joints.xml"] = "\n".join([*lines, ""])
     if laws := lawful(c for c, r in zip(sheet.changes, out.rows, strict=True) if r.how == "code"):
         out.files["effects.py"] = code(laws, "Laws that no field of an MJCF says; written for MuJoCo 4.0.", callback(laws))
-    out.notes.append("no robot's file is known, so nothing was patched: give it with --robot FILE")
+    out.notes += [] if sheet.tree else ["no robot's file is known, so nothing was patched: give it with --robot FILE"]
     return out

@@ -7,10 +7,10 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
-from jaxid.robots.export.config import limit, written
+from jaxid.robots.export.config import written
 from jaxid.robots.export.outcome import Outcome
 from jaxid.robots.export.sheet import Body, Sheet
-from jaxid.robots.export.target import Field, Written
+from jaxid.robots.export.target import Field, limit, NONE, Written
 
 
 NAME, VERSION, FILES = "mjlab", "mjlab 1.6", ()
@@ -20,8 +20,8 @@ FIELDS = {
     "frictionloss": Field("BuiltinPositionActuatorCfg.frictionloss", "approximate", SOFT),
     "armature": Field("BuiltinPositionActuatorCfg.armature"),
     "kp": Field("BuiltinPositionActuatorCfg.stiffness"), "kd": Field("BuiltinPositionActuatorCfg.damping"),
-    "force": Field("BuiltinPositionActuatorCfg.effort_limit", note="the larger of both limits"),
-    "highest": Field("BuiltinPositionActuatorCfg.effort_limit"),
+    "force": Field("BuiltinPositionActuatorCfg.effort_limit", one=True),
+    "highest": Field("BuiltinPositionActuatorCfg.effort_limit", one=True),
     "delay": Field("delay_min_lag = delay_max_lag", "approximate", "whole physics steps of the command: rounded"),
 }  # fmt: skip
 XML = "no setting of an actuator: patch the MJCF (jaxid export --to mjcf) and load that"
@@ -33,7 +33,7 @@ ELSEWHERE = dict.fromkeys(
 
 def write(sheet: Sheet, _found: Outcome, _path: Path | None) -> Written:
     """`mjlab_actuators.py`: a function of the physics step, for delays are counted in those."""
-    return written(sheet, FIELDS, ELSEWHERE, "mjlab_actuators.py", _text, VERSION, "torch")
+    return written(sheet, FIELDS, ELSEWHERE, "mjlab_actuators.py", _text, VERSION, "torch", how=NONE)
 
 
 def _text(sheet: Sheet, numbers: Mapping[str, dict[str, Any]], _bodies: Mapping[str, Body]) -> str:

@@ -7,10 +7,10 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
-from jaxid.robots.export.config import limit, written
+from jaxid.robots.export.config import written
 from jaxid.robots.export.outcome import Outcome
 from jaxid.robots.export.sheet import Body, Sheet
-from jaxid.robots.export.target import Field, Written
+from jaxid.robots.export.target import Field, limit, Written
 
 
 NAME, VERSION, FILES = "ros2_control", "ros2_controllers 4 (Jazzy)", ()
@@ -19,8 +19,8 @@ FIELDS = {
     "kd": Field("gains.{joint}.d", note="with the effort command interface only; its derivative is of the error"),
     "ki": Field("gains.{joint}.i", note="with the effort command interface only"),
     "damping": Field("gains.{joint}.ff_velocity_scale", "approximate", "it makes up for damping, it does not simulate it"),
-    "force": Field("gains.{joint}.u_clamp_max, u_clamp_min", "approximate", "the controller's own clamp"),
-    "highest": Field("gains.{joint}.u_clamp_max", "approximate", "the controller's own clamp"),
+    "force": Field("gains.{joint}.u_clamp_max, u_clamp_min", "approximate", "the controller's own clamp", one=True),
+    "highest": Field("gains.{joint}.u_clamp_max, u_clamp_min", "approximate", "the controller's own clamp", one=True),
 }  # fmt: skip
 MODEL = "a controller has no field for it: put it into the model (jaxid export --to urdf, or mjcf)"
 ELSEWHERE: dict[str, str] = {}

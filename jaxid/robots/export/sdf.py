@@ -7,10 +7,10 @@ from pathlib import Path
 from typing import Any
 from xml.sax.saxutils import quoteattr
 
-from jaxid.robots.export.config import central, limit, written
+from jaxid.robots.export.config import central, written
 from jaxid.robots.export.outcome import Outcome
 from jaxid.robots.export.sheet import Body, Sheet
-from jaxid.robots.export.target import Field, Written
+from jaxid.robots.export.target import Field, limit, Written
 from jaxid.robots.export.xml_text import number, numbers as listed
 
 
@@ -21,8 +21,8 @@ FIELDS = {
     "frictionloss": Field("joint[{joint}]/axis/dynamics/friction", note=READ),
     "stiffness": Field("joint[{joint}]/axis/dynamics/spring_stiffness"),
     "springref": Field("joint[{joint}]/axis/dynamics/spring_reference"),
-    "force": Field("joint[{joint}]/axis/limit/effort", note="the larger of both limits"),
-    "highest": Field("joint[{joint}]/axis/limit/effort"),
+    "force": Field("joint[{joint}]/axis/limit/effort", one=True),
+    "highest": Field("joint[{joint}]/axis/limit/effort", one=True),
     "kp": Field("plugin JointPositionController/p_gain", note="the system plugin of Gazebo"),
     "kd": Field("plugin JointPositionController/d_gain", note="its derivative is of the error"),
     "inertial": Field("link[{link}]/inertial"),
@@ -55,7 +55,7 @@ def _text(sheet: Sheet, numbers: Mapping[str, dict[str, Any]], bodies: Mapping[s
             gains = f"<p_gain>{number(now.kp)}</p_gain><d_gain>{number(now.kd)}</d_gain>"
             plugin = 'filename="gz-sim-joint-position-controller-system" '
             plugin += 'name="gz::sim::systems::JointPositionController"'
-            lines += [f"<plugin {plugin}>", f"  <joint_name>{quoteattr(joint)[1:-1]}</joint_name>{gains}", "</plugin>"]  # fmt: skip
+            lines += [f"<plugin {plugin}>", f"  <joint_name>{quoteattr(joint)[1:-1]}</joint_name>{gains}", "</plugin>"]
     for link, body in bodies.items():
         tensor = zip(("ixx", "iyy", "izz", "ixy", "ixz", "iyz"), central(body), strict=True)
         inertia = "".join(f"<{k}>{number(v)}</{k}>" for k, v in tensor)

@@ -45,13 +45,14 @@ class Written:
 @dataclass(frozen=True)
 class Field:
     """A field of a framework for a quantity: `name` with {joint} and {link} filled in, how well it says it, in which unit where
-    that is not SI's, and a `factor` from SI to it."""
+    that is not SI's, and a `factor` from SI to it. `one`: the field has one limit for both directions."""
 
     name: str
     how: str = EXACT
     note: str = ""
     unit: str | None = None
     factor: float = 1.0
+    one: bool = False
 
 
 def value_of(sheet: Sheet, change: Change) -> Any:
@@ -76,10 +77,19 @@ def rows_of(sheet: Sheet, fields: Mapping[str, Field], lacking: Callable[[Change
 def row(sheet: Sheet, change: Change, own: Field) -> Row:
     name = own.name.replace("{joint}", change.place).replace("{link}", change.place)
     unit = change.unit if own.unit is None else own.unit
-    return Row(
-        change.effect, change.location, name, scaled(value_of(sheet, change), own.factor), unit,
-        own.how, joined(own.note, was(change, own.factor), change.note),
-    )  # fmt: skip
+    value, how, note = scaled(value_of(sheet, change), own.factor), own.how, own.note
+    if own.one:
+        low, high = (getattr(sheet.after[change.place], k) for k in ("lowest", "highest"))
+        value = limit([low, high])
+        if low != -high:
+            how, note = APPROXIMATE, joined(f"one limit for both directions: the larger of {low:g} and {high:g}", note)
+    return Row(change.effect, change.location, name, value, unit, how, joined(note, was(change, own.factor), change.note))
+
+
+def limit(force: Iterable[float]) -> float | None:
+    """The larger of both limits of a force, None where neither is finite."""
+    finite = [abs(v) for v in force if np.isfinite(v)]
+    return max(finite) if finite else None
 
 
 def was(change: Change, factor: float = 1.0) -> str:
@@ -93,18 +103,18 @@ def joined(*notes: str) -> str:
     return "; ".join(n for n in notes if n)
 
 
-def coded(file: str, more: Mapping[str, str] | None = None) -> Callable[[Change], Row]:
+def coded(file: str, more: Mapping[str, str] | None = None, how: str = CODE) -> Callable[[Change], Row]:
     """Makes the rows of what has no field: `code` where `file` holds its law, else `none` with the reason. `more`: quantities
-    that other code of the framework does, with a sentence."""
+    that are said elsewhere than in a field, with a sentence; `how` that counts."""
 
     def lacking(change: Change) -> Row:
         if more and change.quantity in more:
-            return Row(
-                change.effect, change.location, "", change.value, change.unit, CODE, joined(more[change.quantity], change.note)
-            )  # fmt: skip
+            note = joined(more[change.quantity], change.note)
+            return Row(change.effect, change.location, "", change.value, change.unit, how, note)
         if change.quantity in LAWS and change.place:
-            note = joined(f"no field has it: {file} does it each step", described(change.quantity), change.note)
-            return Row(change.effect, change.location, "", change.value, change.unit, CODE, note)
+            who = f"no field has it: {file} does it each step" if file else "no field has it: a plugin of your own would do it"
+            note = joined(who, described(change.quantity), change.note)
+            return Row(change.effect, change.location, "", change.value, change.unit, CODE if file else NONE, note)
         return Row(change.effect, change.location, "", change.value, change.unit, NONE, joined(reason(change), change.note))
 
     return lacking

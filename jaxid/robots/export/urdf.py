@@ -11,7 +11,7 @@ from jaxid.errors import UsageError
 from jaxid.robots.export.laws import code, lawful
 from jaxid.robots.export.outcome import Outcome
 from jaxid.robots.export.sheet import Body, from_ten, JointNumbers, Sheet
-from jaxid.robots.export.target import APPROXIMATE, coded, EXACT, Field, joined, patched_name, rows_of, Written
+from jaxid.robots.export.target import APPROXIMATE, coded, EXACT, Field, joined, NONE, patched_name, rows_of, Written
 from jaxid.robots.export.xml_text import Element, number as digits, numbers, XmlText
 from jaxid.robots.tree import motion, roll_pitch_yaw
 from jaxid.storage.small_files import read_small
@@ -22,8 +22,8 @@ FIELDS = {
     "damping": Field("joint[{joint}]/dynamics@damping"),
     "frictionloss": Field("joint[{joint}]/dynamics@friction", note="MuJoCo reads it as frictionloss, Drake and "
                           "Gazebo's bullet ignore it"),
-    "force": Field("joint[{joint}]/limit@effort", note="the larger of both limits"),
-    "highest": Field("joint[{joint}]/limit@effort", note="the larger of both limits"),
+    "force": Field("joint[{joint}]/limit@effort", one=True),
+    "highest": Field("joint[{joint}]/limit@effort", one=True),
     "bias": Field("joint[{joint}]/origin", note="turned back by as much, limits shifted"),
     "inertial": Field("link[{link}]/inertial"),
 }  # fmt: skip
@@ -43,7 +43,7 @@ def write(sheet: Sheet, found: Outcome, path: Path | None) -> Written:
     fields = dict(FIELDS)
     out = Written()
     if path is None:
-        out.notes.append("no robot's file is known, so nothing was patched: give it with --robot FILE")
+        out.notes += [] if sheet.tree else ["no robot's file is known, so nothing was patched: give it with --robot FILE"]
     else:
         text = read_small(path).decode("utf-8-sig")
         patch = XmlText(text)
@@ -51,7 +51,7 @@ def write(sheet: Sheet, found: Outcome, path: Path | None) -> Written:
         new = patch.result()
         read_links(path, new)  # what was written can be read
         out.files[patched_name(path.name)] = new
-    out.rows = rows_of(sheet, fields, coded("effects.py", ELSEWHERE))
+    out.rows = rows_of(sheet, fields, coded("effects.py", ELSEWHERE, NONE))
     if path is not None and not any(r.how in (EXACT, APPROXIMATE) for r in out.rows):
         out.files.clear()
     if laws := lawful(c for c, r in zip(sheet.changes, out.rows, strict=True) if r.how == "code"):
