@@ -520,3 +520,15 @@ def test_the_command(arm, tmp_path, capsys):
     result.write_text(json.dumps({"kind": "fit", "model": "pendulum", "parameters": {"inertia": {"value": 0.1}}}))
     assert main(["export", str(result), "--to", "ros2_control", "--out", str(tmp_path / "none")]) == 1
     assert json.loads((tmp_path / "none" / "export.json").read_text())[0]["how"] == "none"
+
+
+def test_the_page_of_a_robot_says_what_to_do():
+    from dataclasses import replace
+
+    from jaxid.report import fit_page
+    from report_sample import sample_fit
+
+    fit = sample_fit()
+    assert "jaxid export" not in fit_page(fit)
+    page = fit_page(replace(fit, robot={"file": "/somewhere/my arm.urdf"}))
+    assert "jaxid export fit.json --to urdf" in page and "my arm_patched.urdf" in page and "/somewhere" not in page

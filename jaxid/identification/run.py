@@ -181,17 +181,14 @@ class Identification(Exportable):
         }
         own = {"standard_parameters": self.standard, "payload": self.payload and self.payload.to_dict(), "robot": self.robot}
         out |= {key: value for key, value in own.items() if value}
-        return (
-            out
-            | as_data(self.data)
-            | {
-                "dataset": self.dataset,
-                "dataset_sha256": self.dataset_sha256,
-                "wall_time_s": self.wall_time_s,
-                "versions": versions(),
-                "notes": list(self.notes),
-            }
-        )
+        out |= as_data(self.data)
+        return out | {
+            "dataset": self.dataset,
+            "dataset_sha256": self.dataset_sha256,
+            "wall_time_s": self.wall_time_s,
+            "versions": versions(),
+            "notes": list(self.notes),
+        }
 
     def report(self, path: str | Path) -> Path:
         """Writes the report page (one self-contained HTML file) and returns its path."""

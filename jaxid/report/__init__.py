@@ -9,6 +9,7 @@ from jaxid.report import (
     answer,
     background,
     breakdown,
+    carry,
     checked,
     compared,
     fitted,
@@ -40,6 +41,7 @@ def diagnosis_page(diagnosis: Diagnosis) -> str:
     sections = [
         checked.before(diagnosis.data),
         answer.section(diagnosis),
+        carry.section(diagnosis.final, "diagnosis.json"),
         unseen.section(diagnosis.unseen),
         traces.section(diagnosis.traces),
         breakdown.section(diagnosis),
@@ -56,6 +58,7 @@ def fit_page(fit: Fit) -> str:
     sections = [
         checked.before(fit.data),
         fitted.section(fit),
+        carry.section(fit, "fit.json"),
         parameters.section(fit),
         traces.section(fit.traces),
         background.of_fit(fit),
@@ -71,7 +74,7 @@ def comparison_page(comparison: Comparison) -> str:
 
 def identification_page(result: Identification) -> str:
     """The page of an identification."""
-    sections = [checked.before(result.data), identified.section(result)]
+    sections = [checked.before(result.data), identified.section(result), carry.section(result, "identification.json")]
     return render(f"{one_line(result.dataset)}: identification", sections, "identification.json", json_bytes(result))
 
 

@@ -25,7 +25,7 @@ FIELDS = {
     "gravity": Field("plant.mutable_gravity_field().set_gravity_vector"),
 }  # fmt: skip
 ELSEWHERE = {
-    "frictionloss": "Drake has no dry friction at joints (18932): subtract it times tanh(qd / 0.01) as actuation, by a LeafSystem",
+    "frictionloss": "Drake has no dry friction at joints (18932): a LeafSystem that takes it times tanh(qd / 0.01) off",
     "delay": "a DiscreteTimeDelay system before the plant", "lag": "a FirstOrderLowPassFilter system before the plant",
     "stiffness": "a ForceElement: RevoluteSpring(joint, springref, stiffness)",
     "springref": "the nominal angle of that RevoluteSpring",

@@ -1,0 +1,30 @@
+"""What to do with the result of a robot: the commands that carry it back into a simulator."""
+
+from __future__ import annotations
+
+import shlex
+from pathlib import Path
+from typing import Any
+
+from jaxid.report.page import Section
+
+
+def section(result: Any, file: str) -> Section | None:
+    """For the result of a robot; None for another one. `file` is the name of its JSON."""
+    robot = getattr(result, "robot", None) or {}
+    if not robot.get("file"):
+        return None
+    name = Path(robot["file"])
+    to = "urdf" if name.suffix.lower() == ".urdf" else "mjcf"
+    patched = shlex.quote(f"patched/{name.stem}_patched{name.suffix}")
+    lines = [
+        (
+            f"jaxid export {file} --to {to} --ranges --out patched",
+            "your own file with what was found, and ranges to randomise by",
+        ),
+        (
+            f"jaxid replay DATASET --robot {patched} --out round_trip",
+            "the patched file in MuJoCo on the same log, joint by joint",
+        ),
+    ]
+    return Section("carry.html", {"lines": lines, "robot": name.name})
