@@ -532,3 +532,71 @@ def test_the_page_of_a_robot_says_what_to_do():
     assert "jaxid export" not in fit_page(fit)
     page = fit_page(replace(fit, robot={"file": "/somewhere/my arm.urdf"}))
     assert "jaxid export fit.json --to urdf" in page and "my arm_patched.urdf" in page and "/somewhere" not in page
+
+
+# ---- replay
+
+
+def recorded_in_mujoco(bench: Bench, path: Path, controller=None):
+    """The bench's goals with the motion of a file as what was measured."""
+    from dataclasses import replace
+
+    q = bench.by_mujoco(path)
+    names = [c.name for c in bench.data.outputs]
+    y = q[:, [JOINTS.index(n) for n in names]]
+    return replace(bench.data, experiments=(replace(bench.data.experiments[0], y=y),), controller=controller)
+
+
+def test_replay_of_the_file_that_made_the_recording(bench, tmp_path):
+    """Beside jaxid's run of the result that the file was exported from; an edited file is one of its own."""
+    effects = [(e, where, n) for (e, where), n in NEUTRAL.items()]
+    effects[2] = ("back_emf", "lift_tau", {"constant": 0.4})
+    save(export(fit({"damping@bend": 0.4}, effects, bench.path), "mjcf"), tmp_path)
+    data = recorded_in_mujoco(bench, tmp_path / "arm_patched.xml")
+    found = jaxid.replay(data, tmp_path / "arm_patched.xml")
+    assert any("exported from" in n for n in found.notes)
+    for row in found.rows:
+        assert row["mujoco"] < 1e-9 and 0 < row["difference"] < 1e-3 and abs(row["jaxid"] - row["difference"]) < 1e-9
+    assert "run_1.parquet" in found.tables() and found.to_dict()["per_joint"][0]["joint"] == "lift"
+
+
+def test_two_files_are_compared_in_mujoco(bench, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    other = tmp_path / "other.xml"
+    other.write_text(ARM.replace('kp="20"', 'kp="10"'))
+    data = recorded_in_mujoco(bench, other)
+    found = jaxid.replay(data, bench.path, other)
+    rows = {r["joint"]: r for r in found.rows}
+    assert rows["lift"]["against"] < 1e-9 and rows["lift"]["mujoco"] == pytest.approx(rows["lift"]["difference"]) > 0.02
+    other.write_text(ARM.replace('timestep="2.5e-4" integrator="implicitfast"', 'timestep="0.05"').replace('kv="0.8"', 'kv="90"'))
+    found = jaxid.replay(data, bench.path, other)
+    assert not np.isfinite(found.rows[0]["against"]) and any("diverged" in n for n in found.notes)
+    assert not (tmp_path / "MUJOCO_LOG.TXT").exists()
+
+
+URDF_ARM = """<robot name="arm"><link name="base"/>
+<link name="upper"><inertial><origin xyz="0.1 0 0"/><mass value="0.6"/>
+<inertia ixx="2e-3" ixy="0" ixz="0" iyy="3e-3" iyz="0" izz="2.5e-3"/></inertial></link>
+<link name="fore"><inertial><origin xyz="0.08 0 0"/><mass value="0.3"/>
+<inertia ixx="5e-4" ixy="0" ixz="0" iyy="1e-3" iyz="0" izz="1e-3"/></inertial></link>
+<joint name="lift" type="continuous"><parent link="base"/><child link="upper"/><axis xyz="0 1 0"/><dynamics damping="0.2"/></joint>
+<joint name="bend" type="continuous"><parent link="upper"/><child link="fore"/><axis xyz="0 1 0"/><origin xyz="0.25 0 0"/>
+<dynamics damping="0.1"/></joint></robot>"""
+
+
+@pytest.mark.parametrize("every", [0.0, 0.005])
+def test_a_urdf_under_the_recordings_law(bench, tmp_path, every):
+    """The same arm as MJCF with actuators, and as URDF whose law [controller] states: continuous, or sampled at 200 Hz."""
+    from jaxid.data.dataset import Controller
+
+    same = ARM.replace('damping="0.2" armature="0.02"', 'damping="0.2"').replace(
+        'stiffness="0.5" springref="0.1"', 'damping="0.1"'
+    )
+    same = same.replace('pos="0.1 0 0.02" quat="1 0.2 0 0"', 'pos="0.1 0 0"').replace(' forcerange="-6 6"', "")
+    (tmp_path / "same.xml").write_text(same)
+    (tmp_path / "arm.urdf").write_text(URDF_ARM)
+    settings = {"kp": [20.0, 12.0], "kd": [0.8, 0.4], "sample_time": every, "velocity": "measured", "reference_velocity": "none"}
+    data = recorded_in_mujoco(bench, tmp_path / "same.xml", Controller("pd", settings))
+    found = jaxid.replay(data, tmp_path / "arm.urdf", tmp_path / "same.xml")
+    for row in found.rows:
+        assert row["against"] < 1e-9 and row["mujoco"] < (0.002 if every == 0 else 0.03), row

@@ -164,7 +164,6 @@ def _in_mujoco(
     free, held_notes = recorded(tree, data)
     notes += held_notes
     joints = free.leading
-    robot = MujocoRobot(path, tree, free.held, _gravity(tree, data))
     inputs = [c.name for c in data.inputs]
     goals, torques = (all(f"{j}{end}" in inputs for j in joints) for end in ("_cmd", "_tau"))
     law = None
@@ -173,13 +172,13 @@ def _in_mujoco(
         notes.append(f"{path.name} has no position actuators for these joints: the law of [controller] drives")
     elif goals:
         notes.append(f"driven by the position actuators of {path.name}")
+    robot = MujocoRobot(path, tree, free.held, _gravity(tree, data), joints, law)
     reference = (
         MujocoRobot(source.original, read_tree(source.original), {}, None) if source and source.original and torques else robot
     )
     drive = Driven(
         "goal" if goals and law is None else "law" if law is not None else "torque" if torques else "free", law, reference
     )
-    notes += robot.notes
     end = {"goal": "_cmd", "law": "_cmd", "torque": "_tau"}.get(drive.kind, "")
     column = [inputs.index(f"{j}{end}") for j in joints] if end else []
     linear = [data.inputs[c].hold == "linear" for c in column]
@@ -188,6 +187,7 @@ def _in_mujoco(
         out.append(
             robot.run(joints, e.t, e.u[:, column], linear, drive, start[: len(joints)], start[len(joints) : 2 * len(joints)])
         )
+    notes += robot.notes
     return out
 
 

@@ -18,7 +18,7 @@ from jaxid.robots.tree import Tree
 
 #: Armature of a joint that is held, as a multiple of everything else at it.
 HELD = 1e9
-#: Time step of a file that states none (a URDF), s.
+#: Longest time step of a file that states none (a URDF), s.
 STEP = 1e-3
 #: Most steps of one run.
 MOST_STEPS = 50_000_000
@@ -35,14 +35,21 @@ class Driven:
 
 
 class MujocoRobot:
-    """The compiled model of a file, with joints `held` and gravity as given. Raises `UsageError`."""
+    """The compiled model of a file, with joints `held` and gravity as given; a continuous pd `law` of some joints becomes
+    actuators in the place of the file's own, so that MuJoCo integrates it like those. Raises `UsageError`."""
 
-    def __init__(self, path: Path, tree: Tree, held: Mapping[str, float], gravity: np.ndarray | None):
+    def __init__(
+        self, path: Path, tree: Tree, held: Mapping[str, float], gravity: np.ndarray | None, joints: Sequence[str] = (),
+        law: Law | None = None,
+    ):  # fmt: skip
         self.mj: Any = library()
         self.notes: list[str] = []
-        spec = self._of_tree(tree) if path.suffix.lower() == ".urdf" else self._of_file(path)
+        spec = self._of_tree(tree, law) if path.suffix.lower() == ".urdf" else self._of_file(path)
         for joint in held:
             spec.joint(joint).armature = HELD
+        self.continuous = law is not None and law.period <= 0 and law.kind == "pd"
+        if law is not None and self.continuous:
+            self._drive(spec, joints, law)
         try:
             self.model = spec.compile()
         except (ValueError, self.mj.FatalError) as error:
@@ -61,12 +68,14 @@ class MujocoRobot:
                 self.notes.append("the base is held where the file puts it, as jaxid has it")
         return spec
 
-    def _of_tree(self, tree: Tree) -> Any:
+    def _of_tree(self, tree: Tree, law: Law | None) -> Any:
         """A URDF as jaxid reads it: MuJoCo's own import drops what is fixed to the root, limits and drives."""
         mj = self.mj
         spec = mj.MjSpec()
         spec.compiler.degree = False
-        spec.option.timestep, spec.option.integrator = STEP, mj.mjtIntegrator.mjINT_IMPLICITFAST
+        stiffest = np.sqrt(max(law.kp) / float((tree.swung() + tree.armature).min())) if law is not None else 0.0
+        step = float(np.clip(0.2 / max(stiffest, 1e-9), STEP / 10, STEP))
+        spec.option.timestep, spec.option.integrator = step, mj.mjtIntegrator.mjINT_IMPLICITFAST
         bodies: list[Any] = []
         for k, name in enumerate(tree.joints):
             above = spec.worldbody if tree.parent[k] < 0 else bodies[tree.parent[k]]
@@ -82,15 +91,28 @@ class MujocoRobot:
             body.fullinertia = [I[0, 0], I[1, 1], I[2, 2], I[0, 1], I[0, 2], I[1, 2]]
             kind = mj.mjtJoint.mjJNT_SLIDE if tree.slides[k] else mj.mjtJoint.mjJNT_HINGE
             body.add_joint(name=name, type=kind, axis=tree.axis[k], damping=[*tree.damping[k]], frictionloss=tree.frictionloss[k],
-                           armature=tree.armature[k], solref_friction=[2 * STEP, 1.0],
+                           armature=tree.armature[k], solref_friction=[2 * step, 1.0],
                            solimp_friction=[0.99, 0.9999, 0.001, 0.5, 2.0])  # fmt: skip
             bodies.append(body)
         for c in tree.couplings:
             spec.add_equality(type=mj.mjtEq.mjEQ_JOINT, name1=c.follower, name2=c.leader, objtype=mj.mjtObj.mjOBJ_JOINT,
                               data=[c.offset, c.ratio, 0, 0, 0, 0, 0, 0, 0, 0, 0])  # fmt: skip
         spec.compiler.balanceinertia = True
-        self.notes.append(f"the URDF runs in MuJoCo as jaxid reads it, with steps of {STEP:g} s")
+        self.notes.append(f"the URDF runs in MuJoCo as jaxid reads it, with steps of {step:.2g} s")
         return spec
+
+    def _drive(self, spec: Any, joints: Sequence[str], law: Law) -> None:
+        mj = self.mj
+        for one in [a for a in spec.actuators if a.target in joints]:
+            spec.delete(one)
+        for k, joint in enumerate(joints):
+            g, big = law.gain[k], 1e12
+            a = spec.add_actuator(name=f"law of {joint}", target=joint, trntype=mj.mjtTrn.mjTRN_JOINT)
+            a.gaintype, a.biastype = mj.mjtGain.mjGAIN_FIXED, mj.mjtBias.mjBIAS_AFFINE
+            a.gainprm[0] = g * law.kp[k]
+            a.biasprm[:3] = [g * law.offset[k], -g * law.kp[k], -g * law.kd[k]]
+            limits = np.clip(sorted((g * law.lowest[k], g * law.highest[k])), -big, big)
+            a.forcerange, a.forcelimited = limits, True
 
     def address(self, joint: str) -> tuple[int, int]:
         """(place in qpos, place in qvel)."""
@@ -129,27 +151,33 @@ class MujocoRobot:
             raise UsageError(f"{t[-1] - t[0]:g} s in steps of {dt:g} s are {steps:,} steps, more than MuJoCo is asked for here")
         inputs = _Inputs(t - t[0], u, linear)
         push = self._pusher(d, joints, dof, drive, inputs, at)
-        out, now, k = np.empty((len(t), len(joints))), 0.0, 0
-        for step in range(steps + 1):
-            now = step * dt
-            before, speed = d.qpos[at].copy(), d.qvel[dof].copy()
-            push(now)
-            mj.mj_step(m, d)
-            after = d.qpos[at]
-            while k < len(t) and t[k] - t[0] < now + dt - 1e-9 * dt:
-                out[k] = _between(before, after, speed, d.qvel[dof], (t[k] - t[0] - now) / dt, dt)
-                k += 1
-            if k == len(t):
-                break
-        if not np.isfinite(out[:k]).all():
-            self.notes.append("MuJoCo's run diverged")
+        out, now, k = np.full((len(t), len(joints)), np.nan), 0.0, 0
+        before_all = mj.get_mju_user_warning()
+        mj.set_mju_user_warning(lambda text: None)  # else it writes a file where it stands
+        try:
+            for step in range(steps + 1):
+                now = step * dt
+                before, speed = d.qpos[at].copy(), d.qvel[dof].copy()
+                push(now)
+                mj.mj_step(m, d)
+                if _diverged(mj, d):
+                    self.notes.append(f"MuJoCo's run diverged after {now:.3g} s: a smaller timestep, or armature, may help")
+                    break
+                after = d.qpos[at]
+                while k < len(t) and t[k] - t[0] < now + dt - 1e-9 * dt:
+                    out[k] = _between(before, after, speed, d.qvel[dof], (t[k] - t[0] - now) / dt, dt)
+                    k += 1
+                if k == len(t):
+                    break
+        finally:
+            mj.set_mju_user_warning(before_all)
         return out
 
     def _pusher(self, d: Any, joints: Sequence[str], dof: np.ndarray, drive: Driven, inputs: _Inputs, at: np.ndarray) -> Any:
         mj, m = self.mj, self.model
         if drive.kind == "free":
             return lambda now: None
-        if drive.kind == "law":
+        if drive.kind == "law" and not self.continuous:
             assert drive.law is not None
             law = _LawRun(drive.law, inputs, float(m.opt.timestep))
 
@@ -159,12 +187,13 @@ class MujocoRobot:
             return by_law
         acts = np.array([self.actuator(j) for j in joints])
         gear = np.array([m.actuator_gear[a, 0] if a >= 0 else 1.0 for a in acts])
+        goals = _Goals(drive.law, inputs) if drive.kind == "law" and drive.law is not None else inputs
         if drive.kind == "torque":
             there = drive.reference
             ids = [there.actuator(j) for j in joints]
             gear = np.array([1 / there.model.actuator_gear[a, 0] if a >= 0 else 1.0 for a in ids])
         own = acts >= 0
-        first = gear * inputs(0.0)
+        first = gear * goals(0.0)
         for a, value in zip(acts[own], first[own], strict=True):
             d.ctrl[a] = value
             if m.actuator_actadr[a] >= 0:
@@ -174,11 +203,17 @@ class MujocoRobot:
                 mj.mj_initCtrlHistory(m, d, int(a), np.arange(-n, 0) * float(m.opt.timestep), np.full((n, 1), value))
 
         def by_actuators(now: float) -> None:
-            value = gear * inputs(now)
+            value = gear * goals(now)
             d.ctrl[acts[own]] = value[own]
             d.qfrc_applied[dof[~own]] = value[~own]
 
         return by_actuators
+
+
+def _diverged(mj: Any, d: Any) -> bool:
+    """Whether MuJoCo has given up a run; it would begin anew."""
+    kinds = (mj.mjtWarning.mjWARN_BADQPOS, mj.mjtWarning.mjWARN_BADQVEL, mj.mjtWarning.mjWARN_BADQACC)
+    return any(d.warning[int(k)].number for k in kinds)
 
 
 class _Inputs:
@@ -196,27 +231,34 @@ class _Inputs:
         return np.where(self.linear, held + share * (self.u[k + 1] - held), held)
 
 
+class _Goals:
+    """Goals as they reach a law: late, and within its limits."""
+
+    def __init__(self, law: Law, inputs: _Inputs):
+        self.law, self.inputs = law, inputs
+
+    def __call__(self, now: float) -> np.ndarray:
+        goal = np.array([self.inputs(now - d)[k] for k, d in enumerate(self.law.delay)])
+        return np.clip(goal, *np.array(self.law.control).T) if self.law.control else goal
+
+
 class _LawRun:
     """A drive law in time, as `jaxid.models.robot_drive.PositionLaw` has it."""
 
     def __init__(self, law: Law, inputs: _Inputs, dt: float):
-        self.law, self.inputs, self.dt = law, inputs, dt
-        self.n = {k: np.array(getattr(law, k), float) for k in ("kp", "kd", "ki", "gain", "lowest", "highest", "offset", "delay")}
+        self.law, self.goals, self.dt = law, _Goals(law, inputs), dt
+        self.n = {k: np.array(getattr(law, k), float) for k in ("kp", "kd", "ki", "gain", "lowest", "highest", "offset")}
         self.integral, self.tick, self.held = np.zeros(len(law.kp)), -1, np.zeros(len(law.kp))
         self.last = self.before = self.goal = None
-
-    def _wanted(self, now: float) -> np.ndarray:
-        goal = np.array([self.inputs(now - d)[k] for k, d in enumerate(self.n["delay"])])
-        return np.clip(goal, *np.array(self.law.control).T) if self.law.control else goal
 
     def __call__(self, now: float, q: np.ndarray, qd: np.ndarray) -> np.ndarray:
         law, T = self.law, self.law.period
         if T <= 0:
-            return self._output(self._wanted(now) - q, -qd, self.dt)
+            return self._output(self.goals(now) - q, -qd, self.dt)
         tick = int(np.floor(now / T + 0.5 * min(1.0, self.dt / T)))
         if tick > self.tick:
             self.tick = tick
-            goal = self._wanted(now)
+            goal = self.goals(now)
             last = q - T * qd if self.last is None else self.last
             before = q - 2 * T * qd if self.before is None else self.before
             old = goal if self.goal is None else self.goal
