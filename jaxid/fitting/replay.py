@@ -148,13 +148,15 @@ def _own_actuators(tree: Tree, joints: tuple[str, ...]) -> bool:
 
 
 def _measured_start(e: Experiment, data: Dataset, joints: tuple[str, ...]) -> np.ndarray:
-    """Positions of the first sample; speeds of the first samples, 0 where the run begins at rest."""
+    """The stated start, else positions of the first sample and speeds of the first samples, 0 where the run begins at rest."""
     columns = [[c.name for c in data.outputs].index(j) for j in joints]
     y = e.y[:, columns]
     n = min(len(e.t), 5)
     rests = e.at_rest or n < 2
     speed = np.zeros(len(joints)) if rests else (y[n - 1] - y[0]) / (e.t[n - 1] - e.t[0])
-    return np.concatenate([y[0], speed])
+    known = e.initial or {}
+    begun = [known.get(j, v) for j, v in zip(joints, y[0], strict=True)]
+    return np.array([*begun, *(known.get(f"{j}_qd", v) for j, v in zip(joints, speed, strict=True))], float)
 
 
 def _in_mujoco(
