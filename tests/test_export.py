@@ -570,7 +570,7 @@ def test_two_files_are_compared_in_mujoco(bench, tmp_path, monkeypatch):
     rows = {r["joint"]: r for r in found.rows}
     assert rows["lift"]["against"] < 1e-9 and rows["lift"]["mujoco"] > 0.02
     assert rows["lift"]["mujoco"] == pytest.approx(rows["lift"]["difference"])
-    other.write_text(ARM.replace('timestep="2.5e-4" integrator="implicitfast"', 'timestep="0.05"').replace('kv="0.8"', 'kv="90"'))
+    other.write_text(ARM.replace('timestep="2.5e-4" integrator="implicitfast"', 'timestep="0.05"').replace("-3 -0.1", "-3 -90"))
     found = jaxid.replay(data, bench.path, other)
     assert not np.isfinite(found.rows[0]["against"]) and any("diverged" in n for n in found.notes)
     assert not (tmp_path / "MUJOCO_LOG.TXT").exists()

@@ -64,7 +64,7 @@ class _Patch:
         self.lacking = coded(CALLBACK)
 
     def written(self) -> Written:
-        joints = self.sheet.changed
+        joints = self.sheet.changed | self._that_stick()
         fields: dict[tuple[str, str], Field | None] = {}
         for joint, now in joints.items():
             fields |= self._joint(joint, self.sheet.before[joint], now)
@@ -82,6 +82,11 @@ class _Patch:
         if laws := lawful(c for r, c in zip(self.rows, self.sheet.changes, strict=False) if r.how == CODE):
             out.files[CALLBACK] = code(laws, f"Laws that no field of an MJCF says; written for {VERSION}.", callback(laws))
         return out
+
+    def _that_stick(self) -> dict[str, JointNumbers]:
+        """Joints whose dry friction the result confirms: it has to hold in MuJoCo too."""
+        named = {c.place for c in self.sheet.changes if c.quantity == "frictionloss"}
+        return {j: n for j, n in self.sheet.after.items() if j in named and n.frictionloss > 0}
 
     def _row(self, change: Change, fields: Mapping[tuple[str, str], Field | None]) -> Row:
         own = fields.get((change.quantity, change.place))
@@ -143,7 +148,7 @@ class _Patch:
                 poly.pop()
             own["damping"] = poly
             fields |= {(k, joint): Field(f"{at}damping") for k in ("damping", "quadratic", "cubic")}
-        if "frictionloss" in changed:
+        if "frictionloss" in changed or joint in self._that_stick():
             own["frictionloss"] = more("frictionloss")
             stated = [k for k in HOLDS if k in present]
             own |= {k: v for k, v in HOLDS.items() if k not in stated and now.frictionloss > 0}
