@@ -498,6 +498,13 @@ def test_a_content_that_is_none_is_refused(content, said):
         export(content, "mjcf")
 
 
+def test_a_result_that_doubts_itself_says_so(arm):
+    which = {"verdict": "partly", "effects": [], "confusable_with": [{"effect": "payload", "location": "bend"}]}
+    content = fit({"damping@lift": 0.5}, path=arm) | {"kind": "diagnosis", "which": which}
+    notes = " ".join(export(content, "mjcf").notes)
+    assert "no known effect explains" in notes and "payload at bend" in notes
+
+
 def test_a_file_that_changed_or_has_other_joints_is_refused(arm):
     content = fit({"damping@lift": 0.5}, path=arm, sha256="0" * 64)
     with pytest.raises(jaxid.UsageError, match="has changed since"):

@@ -65,7 +65,7 @@ def export(content: Any, to: str, robot: str | Path | None = None, ranges: bool 
     files = {**written.files, **(more.files if more else {})}
     source = {"schema": 1, "kind": "export", "to": to, "robot": _of_file(found, path), "result": _numbers(found)}
     return Exported(
-        to, rows, files, (*sheet.notes, *written.notes, *(more.notes if more else ())), source, more.table if more else None
+        to, rows, files, (*_caveats(found), *sheet.notes, *written.notes, *(more.notes if more else ())), source, more.table if more else None
     )  # fmt: skip
 
 
@@ -155,6 +155,21 @@ def _identified(found: Outcome, tree: Tree, path: Path | None) -> Sheet:
     from jaxid.robots.export.identified import identified
 
     return identified(found, tree, path)
+
+
+def _caveats(found: Outcome) -> list[str]:
+    """What the result itself says against taking its numbers for the robot's."""
+    out, which = [], found.content.get("which")
+    if isinstance(which, Mapping):
+        if which.get("verdict") in ("unknown", "partly"):
+            out.append("a gap is left that no known effect explains: the fitted numbers may have taken up a part of it")
+        others = [
+            f"{e.get('effect')} at {e.get('location')}" for e in which.get("confusable_with") or [] if isinstance(e, Mapping)
+        ]
+        out += [f"the data cannot tell what was named from {', '.join(others)}"] if others else []
+    if found.content.get("state") in ("stalled", "budget"):
+        out.append(f"the fit ended by its {found.content['state']}, not converged: the numbers are not the best ones")
+    return out
 
 
 def _of_file(found: Outcome, path: Path | None) -> dict[str, Any]:
