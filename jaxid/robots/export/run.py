@@ -64,9 +64,8 @@ def export(content: Any, to: str, robot: str | Path | None = None, ranges: bool 
     rows = tuple(written.rows)
     files = {**written.files, **(more.files if more else {})}
     source = {"schema": 1, "kind": "export", "to": to, "robot": _of_file(found, path), "result": _numbers(found)}
-    return Exported(
-        to, rows, files, (*_caveats(found), *sheet.notes, *written.notes, *(more.notes if more else ())), source, more.table if more else None
-    )  # fmt: skip
+    notes = (*_caveats(found), *sheet.notes, *written.notes, *(more.notes if more else ()))
+    return Exported(to, rows, files, notes, source, more.table if more else None)
 
 
 def read_tree(path: Path) -> Tree:
