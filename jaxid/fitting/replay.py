@@ -14,6 +14,7 @@ from jaxid.data.dataset import Dataset, Experiment
 from jaxid.errors import UsageError
 from jaxid.fitting.simulate import simulate_dataset
 from jaxid.robots.drives import Law, stated_law
+from jaxid.robots.export.apply import SET
 from jaxid.robots.export.run import read_tree
 from jaxid.robots.export.save import ROWS, source_of
 from jaxid.robots.match import driving, named, recorded
@@ -21,6 +22,10 @@ from jaxid.robots.origin import digest
 from jaxid.robots.tree import rotation, Tree
 from jaxid.serialise import SCHEMA
 from jaxid.simulation.mujoco_run import Driven, MujocoRobot
+
+
+#: Of the effects that say what a quantity is, those that no robot has by itself where its file does not say so.
+LATE = ("input_delay", "actuator_lag", "quadratic_drag")
 
 
 @dataclass(frozen=True)
@@ -125,7 +130,7 @@ def _by_jaxid(data: Dataset, robot: Path, tree: Tree, source: _Source | None, no
 
     result = source.content.get("result", {}) if source is not None else {}
     if source is not None and source.original is not None and result.get("kind") in ("fit", "diagnosis"):
-        model, content = Robot(read_tree(source.original)), {k: result.get(k, {}) for k in ("parameters", "effects")}
+        model, content = Robot(read_tree(source.original)), _content(source, data, joints_of(data, tree))
         notes.append(f"jaxid's run is of the result that {robot.name} was exported from")
     else:
         model, content = Robot(tree), None
@@ -141,6 +146,16 @@ def _by_jaxid(data: Dataset, robot: Path, tree: Tree, source: _Source | None, no
         return None, None
     joints = joints_of(data, tree)
     return [np.stack([run[j] for j in joints], 1) for run in simulation.runs], [np.asarray(s) for s in simulation.starts]
+
+
+def _content(source: _Source, data: Dataset, joints: tuple[str, ...]) -> dict[str, Any]:
+    """The result's numbers for a model with all of its own laws: those that it did without are 0."""
+    result, robot = source.content["result"], source.content.get("robot", {})
+    kept = data.model.without if data.model is not None else ()
+    effects = [e for e in result.get("effects", ()) if e.get("effect") not in SET or e["effect"] in kept or e["effect"] in LATE]
+    gone = [SET[n][2] for n in robot.get("without", ()) if n in SET and n not in kept]
+    zero = {f"{name}@{j}": {"value": 0.0} for name in gone for j in joints}
+    return {"parameters": {**zero, **result.get("parameters", {})}, "effects": effects}
 
 
 def _own_actuators(tree: Tree, joints: tuple[str, ...]) -> bool:
