@@ -610,3 +610,20 @@ def test_a_urdf_under_the_recordings_law(bench, tmp_path, every):
     found = jaxid.replay(data, tmp_path / "arm.urdf", tmp_path / "same.xml")
     for row in found.rows:
         assert row["against"] < 1e-9 and row["mujoco"] < (0.002 if every == 0 else 0.03), row
+
+
+def test_the_replay_command(arm, tmp_path, capsys):
+    t = np.arange(0, 1, 0.01)
+    rows = np.column_stack([t, 0.3 * np.sin(6 * t), 0.2 * t, 0.25 * np.sin(6 * t), 0.19 * t])
+    np.savetxt(tmp_path / "run.csv", rows, delimiter=",", header="t,lift_cmd,bend_cmd,lift,bend", comments="")
+    roles = {"lift_cmd": "input", "bend_cmd": "input", "lift": "output", "bend": "output"}
+    channels = "".join(f'[channels.{c}]\nrole = "{r}"\nunit = "rad"\n' for c, r in roles.items())
+    (tmp_path / "dataset.toml").write_text(f'name = "arm"\n{channels}[[experiments]]\nfile = "run.csv"\nat_rest = true\n')
+    own = ["replay", str(tmp_path), "--robot", str(arm), "--against", str(arm), "--out", str(tmp_path / "out")]
+    assert main([*own, "--json"]) == 0
+    told = json.loads(capsys.readouterr().out)
+    assert told == json.loads((tmp_path / "out" / "replay.json").read_text())
+    assert [r["joint"] for r in told["per_joint"]] == list(JOINTS) and {r["difference"] for r in told["per_joint"]} == {0.0}
+    assert (tmp_path / "out" / "run_1.parquet").is_file()
+    assert main(own) == 0 and "rms error in MuJoCo" in capsys.readouterr().out
+    assert main(["replay", str(tmp_path), "--robot", str(tmp_path / "no.xml"), "--out", str(tmp_path / "out")]) == 2

@@ -57,7 +57,7 @@ def read_result(path: Path) -> Any:
 
     try:
         if not path.is_file():
-            raise UsageError(f"{path}: there is no such file")
+            raise UsageError(f"{path}: no such file, or none that is plain")
         return json.loads(read_small(path).decode())
     except TooLarge as error:
         raise UsageError(f"{path}: {error}") from error

@@ -77,7 +77,7 @@ def run_replay(dataset: Dataset, robot: Path, against: Path | None) -> Replay:
     """See `jaxid.replay`."""
     for path in (robot, *([against] if against is not None else [])):
         if not path.is_file():
-            raise UsageError(f"{path}: there is no such file")
+            raise UsageError(f"{path}: no such file, or none that is plain")
     tree = read_tree_loosely(robot)
     data = driving(named(dataset, tree, dataset.model.joints if dataset.model is not None else None), tree)
     source = None if against is not None else _source(robot)

@@ -83,7 +83,7 @@ def _file(found: Outcome, robot: str | Path | None, beside: Path | None) -> Path
     if robot is not None:
         path = Path(robot)
         if not path.is_file():
-            raise UsageError(f"--robot {path}: there is no such file")
+            raise UsageError(f"--robot {path}: no such file, or none that is plain")
         if path.suffix.lower() not in (".xml", ".mjcf", ".urdf"):
             raise UsageError(f"--robot {path}: give an MJCF (.xml) or a URDF (.urdf)")
         return path
