@@ -67,7 +67,7 @@ def entry(value, std=1e-3, unit=""):
     return {"value": value, "std": std, "unit": unit}
 
 
-def fit(parameters=None, effects=(), path="", **robot):
+def fit(parameters=None, effects=(), path: str | Path = "", **robot):
     """A fit.json of the arm as jaxid writes it."""
     drive = {"origin": "file", "kind": "pd", "period": 0.0, "joints": {
         "lift": {"kp": 20.0, "kd": 0.8, "gain": 1.0, "lowest": -6.0, "highest": 6.0, "offset": 0.0, "delay": 0.0, "lag": 0.0},
@@ -182,7 +182,7 @@ def error_over_size(bench: Bench, name: str, parameters, effects, out: Path):
     found = export(fit(parameters, [(*key, n) for key, n in effects.items()], bench.path), "mjcf")
     save(found, out)
     size = np.sqrt(np.mean((bench.runs[name] - bench.plain) ** 2))
-    error = np.sqrt(np.mean((bench.by_mujoco(out / "arm_patched.xml") - bench.runs[name]) ** 2))
+    error = np.sqrt(np.mean((bench.by_mujoco(out / "arm.xml") - bench.runs[name]) ** 2))
     return found, error / size, size
 
 
@@ -202,7 +202,7 @@ def test_an_approximate_row_says_so_and_is_near(bench, name, parameters, effects
     found, share, size = error_over_size(bench, name, parameters, effects, tmp_path)
     assert {r.how for r in found.rows} == {"approximate"}
     assert size > 1e-3 and share < 0.1, f"{name}: {100 * share:.2f} % of {size:.3g} rad"
-    assert "solreffriction" in (tmp_path / "arm_patched.xml").read_text()
+    assert "solreffriction" in (tmp_path / "arm.xml").read_text()
 
 
 # ---- the user's own text
@@ -210,7 +210,7 @@ def test_an_approximate_row_says_so_and_is_near(bench, name, parameters, effects
 
 def test_the_text_keeps_everything_but_the_attributes_that_were_meant(arm, tmp_path):
     found = export(fit({"damping@lift": 0.5, "kp@bend": 9.0}, path=arm), "mjcf")
-    new = found.files["arm_patched.xml"]
+    new = found.files["arm.xml"]
     assert (
         new.replace('\n             range="-2 2" damping="0.5"', '\n             range="-2 2"').replace(
             'gainprm="2.25" biastype="affine" biasprm="0 -2.25 -0.1"', 'gainprm="3" biastype="affine" biasprm="0 -3 -0.1"'
@@ -225,7 +225,7 @@ def test_apply_makes_the_model_of_the_patched_file(arm, name, parameters, effect
     found = export(fit(parameters, [(*key, n) for key, n in effects.items()], arm), "mjcf")
     made: dict[str, Any] = {}
     exec(found.files["apply.py"], made)
-    a = mujoco.MjModel.from_xml_string(found.files["arm_patched.xml"])
+    a = mujoco.MjModel.from_xml_string(found.files["arm.xml"])
     b = made["apply"](mujoco.MjSpec.from_file(str(arm))).compile()
     plain = mujoco.MjModel.from_xml_string(ARM)
     fields = [n for n in dir(a) if n.startswith(("dof_", "jnt_", "body_", "actuator_", "qpos"))]
@@ -246,7 +246,7 @@ def test_includes_are_patched_beside_the_file_and_degrees_stay(tmp_path):
     save(found, tmp_path / "out")
     joint = re.search(r"<joint[^>]*>", (tmp_path / "out" / "parts" / "link.xml").read_text())
     assert joint is not None and 'ref="15.72957795"' in joint[0] and 'range="-84.27042205 95.72957795"' in joint[0]
-    model = mujoco.MjModel.from_xml_path(str(tmp_path / "out" / "robot_patched.xml"))
+    model = mujoco.MjModel.from_xml_path(str(tmp_path / "out" / "robot.xml"))
     assert model.dof_damping[0] == 0.2
 
 
@@ -260,7 +260,7 @@ def test_motors_and_mimic_joints(tmp_path):
 <actuator><motor joint="a" gear="2" ctrlrange="-1 1"/></actuator></mujoco>""")
     effects = [("torque_scale", "a_tau", {"gain": 0.1}), ("constant_torque", "a", {"torque": 0.3})]
     found = export(fit({"damping@a": 0.5}, effects, path, joints=["a", "b"], drive=None), "mjcf")
-    model = mujoco.MjModel.from_xml_string(found.files["hand_patched.xml"])
+    model = mujoco.MjModel.from_xml_string(found.files["hand.xml"])
     np.testing.assert_allclose(model.dof_damping, [0.4, 0.4])  # 0.5 is that of both: 0.4 + 0.5^2 0.4
     np.testing.assert_allclose(model.actuator_gear[0, 0], 2.2)
     np.testing.assert_allclose(model.actuator_biasprm[0, :3], [-0.3 / 2.2, 0, 0])
@@ -285,7 +285,7 @@ def test_a_urdf_is_patched_by_name(tmp_path):
     effects = [("saturation", "lift_tau", {"limit": 4.0})]
     numbers = {"damping@lift": 0.5, "frictionloss@lift": 0.1, "mass@upper": 0.9, "armature@lift": 0.02, "encoder_bias@lift": 0.1}
     found = export(fit(numbers, effects, path, joints=["lift"], drive=None), "urdf")
-    text = found.files["arm_patched.urdf"]
+    text = found.files["arm.urdf"]
     assert "<!-- kept -->" in text and '<dynamics damping="0.5" friction="0.1"/>' in text
     assert 'lower="-1.9" upper="2.1" effort="4"' in text
     how = {r.effect: r.how for r in found.rows}
@@ -350,7 +350,9 @@ def test_code_does_what_the_effects_do(arm):
         state = effect.start(jnp.zeros(1))
         for now in t[:120]:
             q, qd, load = 0.3 * np.sin(9 * now), 2.7 * np.cos(9 * now), 0.8
-            s = Signals(now, *(jnp.array([v]) for v in (q, qd, load)), h, None, jnp.array([qd]))
+            one = lambda v: jnp.array([v])
+            nothing: Any = None
+            s = Signals(one(now), one(q), one(qd), one(load), jnp.asarray(h), nothing, one(qd))
             force, minus, plus, state = effect(s, state)
             wanted = float(jnp.ravel(force)[0]) if name in FORCES else float(jnp.ravel(plus if qd > 0 else minus)[0])
             if name == "asymmetric_friction":
@@ -440,7 +442,7 @@ def test_a_result_without_a_robot_gives_attributes_to_copy(tmp_path):
     path = tmp_path / "one.xml"
     link = '<inertial pos="0.1 0 0" mass="0.3" diaginertia="1e-3 1e-3 1e-3"/>'
     path.write_text(f'<mujoco><worldbody><body name="l"><joint name="hinge"/>{link}</body></worldbody></mujoco>')
-    assert 'damping="0.2"' in export(content, "mjcf", robot=path).files["one_patched.xml"]
+    assert 'damping="0.2"' in export(content, "mjcf", robot=path).files["one.xml"]
 
 
 def test_base_parameters_go_to_the_nearest_bodies_that_can_exist(tmp_path):
@@ -462,14 +464,14 @@ def test_base_parameters_go_to_the_nearest_bodies_that_can_exist(tmp_path):
     own = {"kind": "identification", "model": "serial_arm", "base_parameters": rows, "friction": friction,
            "robot": {"file": str(path), "joints": list(JOINTS)}}  # fmt: skip
     found = export(own, "mjcf")
-    model = mujoco.MjModel.from_xml_string(found.files["arm_patched.xml"])
+    model = mujoco.MjModel.from_xml_string(found.files["arm.xml"])
     for b in (1, 2):
         ten = np.zeros(10)
         ten[[0, 3, 5]], ten[9] = model.body_inertia[b], model.body_mass[b]
         assert fault("link", ten) is None
     assert any("nearest" in r.note for r in found.rows)
     assert model.dof_frictionloss[0] == 0.1 and model.dof_damping[1] == 0.3
-    new: Any = SerialArm(table_of(read_mjcf(path, found.files["arm_patched.xml"])))
+    new: Any = SerialArm(table_of(read_mjcf(path, found.files["arm.xml"])))
     phi = np.array([float(np.asarray(getattr(new, kind))[j]) for kind, j in map(split, base.standard)])
     np.testing.assert_allclose(base.values(phi), beta, atol=2e-3 * np.abs(beta).max())
 
@@ -479,12 +481,15 @@ def test_base_parameters_go_to_the_nearest_bodies_that_can_exist(tmp_path):
 
 def test_nothing_of_the_user_is_overwritten(arm, tmp_path):
     found = export(fit({"damping@lift": 0.5}, path=arm), "mjcf")
-    save(found, tmp_path)
-    save(found, tmp_path)  # its own files are replaced
-    (tmp_path / "apply.py").write_text("mine")
-    with pytest.raises(jaxid.UsageError, match=r"apply\.py was not written by jaxid export, or was edited"):
+    with pytest.raises(jaxid.UsageError, match=r"arm\.xml was not written by jaxid export"):
         save(found, tmp_path)
-    assert arm.read_text() == ARM and (tmp_path / "apply.py").read_text() == "mine"
+    out = tmp_path / "out"
+    save(found, out)
+    save(found, out)  # its own files are replaced
+    (out / "apply.py").write_text("mine")
+    with pytest.raises(jaxid.UsageError, match=r"apply\.py was not written by jaxid export, or was edited"):
+        save(found, out)
+    assert arm.read_text() == ARM and (out / "apply.py").read_text() == "mine"
     (tmp_path / "other").mkdir()
     (tmp_path / "other" / "export.json").symlink_to(arm)
     with pytest.raises(jaxid.UsageError, match="no plain file"):
@@ -535,7 +540,7 @@ def test_the_command(arm, tmp_path, capsys):
     result.write_text(json.dumps(fit({"damping@lift": 0.5}, [("stribeck_friction", "lift", {"extra": 0.1, "speed": 0.1})], arm)))
     assert main(["export", str(result), "--to", "mjcf", "--out", str(tmp_path / "out")]) == 0
     told = capsys.readouterr().out
-    assert "joint[lift]@damping" in told and "code" in told and "arm_patched.xml" in told
+    assert "joint[lift]@damping" in told and "code" in told and "arm.xml" in told
     assert main(["export", str(result), "--to", "mjcf", "--out", str(tmp_path / "out"), "--json"]) == 0
     assert json.loads(capsys.readouterr().out)[0]["effect"] == "damping"
     assert main(["export", str(result), "--to", "gazebo", "--out", str(tmp_path / "no")]) == 2
@@ -554,7 +559,7 @@ def test_the_page_of_a_robot_says_what_to_do():
     fit = sample_fit()
     assert "jaxid export" not in fit_page(fit)
     page = fit_page(replace(fit, robot={"file": "/somewhere/my arm.urdf"}))
-    assert "jaxid export fit.json --to urdf" in page and "my arm_patched.urdf" in page and "/somewhere" not in page
+    assert "jaxid export fit.json --to urdf" in page and "my arm.urdf" in page and "/somewhere" not in page
 
 
 # ---- replay
@@ -575,8 +580,8 @@ def test_replay_of_the_file_that_made_the_recording(bench, tmp_path):
     effects = [(e, where, n) for (e, where), n in NEUTRAL.items()]
     effects[2] = ("back_emf", "lift_tau", {"constant": 0.4})
     save(export(fit({"damping@bend": 0.4}, effects, bench.path), "mjcf"), tmp_path)
-    data = recorded_in_mujoco(bench, tmp_path / "arm_patched.xml")
-    found = jaxid.replay(data, tmp_path / "arm_patched.xml")
+    data = recorded_in_mujoco(bench, tmp_path / "arm.xml")
+    found = jaxid.replay(data, tmp_path / "arm.xml")
     assert any("exported from" in n for n in found.notes)
     for row in found.rows:
         assert row["mujoco"] < 1e-9 and 0 < row["difference"] < 1e-3 and abs(row["jaxid"] - row["difference"]) < 1e-9

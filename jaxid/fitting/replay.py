@@ -212,8 +212,8 @@ def _gravity(tree: Tree, data: Dataset) -> np.ndarray:
     """Gravity in the frame of the base as the dataset has it stand."""
     base = dict(data.model.base) if data.model is not None else {}
     own = dict(data.model.constants) if data.model is not None else {}
-    angles = [float(own.get(f"base_{k}", base.get(k, 0.0))) for k in ("roll", "pitch", "yaw")]
-    return rotation(*angles).T @ np.array(tree.gravity)
+    roll, pitch, yaw = (float(own.get(f"base_{k}", base.get(k) or 0.0)) for k in ("roll", "pitch", "yaw"))
+    return rotation(roll, pitch, yaw).T @ np.array(tree.gravity)
 
 
 def _law(data: Dataset, joints: tuple[str, ...], source: _Source | None, path: Path) -> Law:

@@ -16,7 +16,7 @@ def section(result: Any, file: str) -> Section | None:
         return None
     name = Path(robot["file"])
     to = "urdf" if name.suffix.lower() == ".urdf" else "mjcf"
-    patched = shlex.quote(f"patched/{name.stem}_patched{name.suffix}")
+    patched = shlex.quote(f"patched/{name.name}")
     lines = [
         (
             f"jaxid export {file} --to {to} --ranges --out patched",

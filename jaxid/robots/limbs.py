@@ -129,7 +129,7 @@ def _side_by_side(fits: Sequence[Fit]) -> Covariance | None:
     own = [f.covariance for f in fits if f.covariance is not None]
     if len(own) < len(fits):
         return None
-    return Covariance(tuple(n for c in own for n in c.names), block_diag(*(c.matrix for c in own)))
+    return Covariance(tuple(n for c in own for n in c.names), np.asarray(block_diag(*(c.matrix for c in own))))
 
 
 def each(limbs: Sequence[tuple[Any, Dataset]], work: Callable[[Any, Dataset], Fit], dataset: Dataset) -> Fit:

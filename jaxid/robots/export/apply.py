@@ -107,8 +107,8 @@ def _base(sheet: Sheet, found: Outcome) -> None:
     if not own or sheet.gravity is None:
         return
     base = found.robot.get("base") or {"roll": 0.0, "pitch": 0.0, "yaw": 0.0}
-    angles = [own[k].value if k in own else base[k] for k in ("roll", "pitch", "yaw")]
-    g = turned_gravity(sheet.gravity[1], *angles, (base["roll"], base["pitch"], base["yaw"]))
+    roll, pitch, yaw = (own[k].value if k in own else base[k] for k in ("roll", "pitch", "yaw"))
+    g = turned_gravity(sheet.gravity[1], roll, pitch, yaw, (base["roll"], base["pitch"], base["yaw"]))
     sheet.gravity = sheet.gravity[0], g
     sheet.record([Change(f"base_{k}", "base", "gravity", "", None, None, "m/s^2", n.doubt) for k, n in own.items()])
 

@@ -22,7 +22,6 @@ from jaxid.robots.export.target import (
     EXACT,
     Field,
     joined,
-    patched_name,
     Row,
     row,
     value_of,
@@ -251,7 +250,9 @@ class _Patch:
         geared = names & {"kp", "kd", "offset", "torque", "force", "lowest", "highest"}
         at_joint = f"at the joint: the file's number stands before gear {gear:g}" if gear != 1 else ""
         notes = {k: joined(note, at_joint if k in geared else "") for k in names}
-        out = {(k, joint): Field(at + name.get(k, "forcerange"), how, notes[k]) for k in names}
+        out: dict[tuple[str, str], Field | None] = {
+            (k, joint): Field(at + name.get(k, "forcerange"), how, notes[k]) for k in names
+        }
         if ("torque", joint) in out:
             limited = np.isfinite([now.lowest, now.highest]).any()
             shifted = "forcerange is shifted by as much" if limited else ""
@@ -369,10 +370,9 @@ class _Patch:
     def _texts(self) -> dict[str, str]:
         """The edited files, compiled as a last check."""
         path = self.file.path
-        names = {name: patched_name(name) if name == path.name else name for name in self.file.texts}
-        out = {names[name]: text.result() for name, text in self.file.texts.items()}
+        out = {name: text.result() for name, text in self.file.texts.items()}
         if len(out) == 1:
-            self._check(compiled(path, out[names[path.name]]))
+            self._check(compiled(path, out[path.name]))
         return out
 
     def _check(self, new: Any) -> None:

@@ -25,7 +25,7 @@ FIELDS = {
     "delay": Field("delay_min_lag = delay_max_lag", "approximate", "whole physics steps of the command: rounded"),
 }  # fmt: skip
 XML = "no setting of an actuator: patch the MJCF (jaxid export --to mjcf) and load that"
-ELSEWHERE = dict.fromkeys(
+ELSEWHERE: dict[str, str] = dict.fromkeys(
     ("quadratic", "cubic", "stiffness", "springref", "bias", "torque", "offset", "drive", "lag", "inertial", "gravity", "lowest"),
     XML,
 )

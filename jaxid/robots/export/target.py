@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import asdict, dataclass, field
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -150,8 +149,3 @@ def by_joint(sheet: Sheet, quantities: Iterable[str]) -> dict[str, dict[str, Any
         if c.quantity in wanted and c.place in sheet.after:
             out.setdefault(c.place, {})[c.quantity] = value_of(sheet, c)
     return out
-
-
-def patched_name(name: str) -> str:
-    """The name of the patched copy of a file."""
-    return f"{Path(name).stem}_patched{Path(name).suffix}"

@@ -11,7 +11,7 @@ from jaxid.errors import UsageError
 from jaxid.robots.export.laws import code, lawful
 from jaxid.robots.export.outcome import Outcome
 from jaxid.robots.export.sheet import Body, from_ten, JointNumbers, Sheet
-from jaxid.robots.export.target import APPROXIMATE, coded, EXACT, Field, joined, NONE, patched_name, rows_of, Written
+from jaxid.robots.export.target import APPROXIMATE, coded, EXACT, Field, joined, NONE, rows_of, Written
 from jaxid.robots.export.xml_text import Element, number as digits, numbers, XmlText
 from jaxid.robots.tree import motion, roll_pitch_yaw
 from jaxid.storage.small_files import read_small
@@ -50,7 +50,7 @@ def write(sheet: Sheet, found: Outcome, path: Path | None) -> Written:
         _patch(patch, sheet, path, text, fields)
         new = patch.result()
         read_links(path, new)  # what was written can be read
-        out.files[patched_name(path.name)] = new
+        out.files[path.name] = new
     out.rows = rows_of(sheet, fields, coded("effects.py", ELSEWHERE, NONE))
     if path is not None and not any(r.how in (EXACT, APPROXIMATE) for r in out.rows):
         out.files.clear()
@@ -124,7 +124,9 @@ def _origin(element: Element) -> np.ndarray:
 
 def _inertial(patch: XmlText, element: Element, body: Body) -> None:
     I = body.inertia
-    tensor = dict(zip(("ixx", "ixy", "ixz", "iyy", "iyz", "izz"), map(digits, I[np.triu_indices(3)]), strict=True))
+    tensor: dict[str, str] = dict(
+        zip(("ixx", "ixy", "ixz", "iyy", "iyz", "izz"), map(digits, I[np.triu_indices(3)]), strict=True)
+    )
     inertial = element.child("inertial")
     if inertial is None:
         inside = " ".join(f'{k}="{v}"' for k, v in tensor.items())
