@@ -127,6 +127,7 @@ class Fit:
     """The fitted model with its effects, None where the fit failed: `.ode()`, `jaxid.simulate(fit.chain, other_data)`."""
     solver: str = "own"  # what simulated: jaxid's own stepping, or a solver of diffrax
     data: tuple[DataFinding, ...] = ()  # what the recording says about itself
+    reweighted_loss: float | None = None  # of channels weighed by what the model leaves of them, where that was fitted
 
     @property
     def state(self) -> str:
@@ -152,6 +153,7 @@ class Fit:
             "converged": self.converged,
             "stopped_because": self.stopped_because,
             "loss": self.loss,
+            "reweighted_loss": self.reweighted_loss,
             "parameters": {k: v.to_dict() for k, v in self.parameters.items()},
             "simulation": self.simulation,
             **{split: {c: s.to_dict() for c, s in rows.items()} for split, rows in self.scores.items()},
