@@ -191,6 +191,25 @@ def test_a_diverged_run_is_compared_by_torque_and_says_so(driven, monkeypatch):
     assert asked == ["inverse_dynamics"] and fit.residual == "inverse_dynamics" and lost_runs.DIVERGES in fit.notes
 
 
+@pytest.mark.slow
+def test_windows_of_a_pendulum_thrown_over_the_top_have_intervals_that_mean_something():
+    """0.18 kg m^2, 3.6 N m and a drag that the model lacks."""
+    t = np.arange(0, 20, 0.01)
+    u = 1.6 * np.sin(2 * np.pi * 0.62 * t) + 1.2 * np.sin(2 * np.pi * 0.23 * t + 1) + 0.08
+    q, v, out = 0.0, 0.0, []
+    for tau in u:
+        out.append(q)
+        for _ in range(20):
+            v += 5e-4 * (tau - 3.6 * np.sin(q) - 0.02 * v - 0.02 * v * abs(v) - 0.05 * np.tanh(v / 1e-3)) / 0.18
+            q += 5e-4 * v
+    y = np.array(out) + 1e-3 * np.random.default_rng(0).standard_normal(len(t))
+    data = jaxid.Dataset.from_arrays(t, {"tau": u}, {"q": y}, noise_std={"q": 1e-3}, at_rest=True)
+    fit = jaxid.fit("pendulum", data, residual="multiple_shooting")
+    for name, value in {"inertia": 0.18, "gravity_torque": 3.6}.items():
+        p = fit.parameters[name]
+        assert p.std and abs(p.value - value) < 4 * p.std and p.std < 0.2 * value
+
+
 # ---- channels of different resolution
 
 
