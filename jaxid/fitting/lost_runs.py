@@ -51,7 +51,8 @@ def by_torque(binding: Binding) -> bool:
 def by_windows(binding: Binding, fitter: AbstractFitter | None = None) -> bool:
     """Whether runs can be compared over windows, and a fitter can find the many starts that these bring."""
     chain = binding.chain
-    able = not chain.mechanism.hidden_states and (bool(binding.motions) or not chain.has_states())
+    led = getattr(chain.mechanism, "drive_law", None) is not None  # by its goals: it does not get lost
+    able = not led and not chain.mechanism.hidden_states and (bool(binding.motions) or not chain.has_states())
     return able and bool(binding.experiments("fit")) and (fitter is None or fitter.name in ("lm", "bfgs", "optimistix_lm"))
 
 

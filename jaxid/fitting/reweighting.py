@@ -22,7 +22,7 @@ from jaxid.problem.problem import Problem
 #: Channels whose errors, in their own noise, differ by less than this weigh alike.
 UNEVEN = 3.0
 #: Rounds at most; they end where no channel's weight moves by more than this share.
-ROUNDS, SETTLED = 8, 0.02
+ROUNDS, SETTLED = 6, 0.03
 
 
 class Reweighed(NamedTuple):
@@ -38,7 +38,7 @@ def reweighed(
     found: Minimum,
     starts: Sequence[np.ndarray],
     key,
-    fitters: tuple[AbstractFitter, AbstractFitter],
+    fitter: AbstractFitter,
     budget: int | None = None,
     progress: Progress | None = None,
 ) -> Reweighed | None:
@@ -56,9 +56,8 @@ def reweighed(
         if budget is not None and budget - spent < 2 * (1 + problem.size):
             return None
         weighed = problem.weighed(1 / level)
-        end = fitters[min(number, 1)].minimise_each(
-            [(weighed, begin, key)], None if budget is None else budget - spent, progress
-        )[0]
+        left = None if budget is None else budget - spent
+        end = fitter.minimise_each([(weighed, begin, key)], left, progress)[0]
         spent += end.evaluations
         if end.failed:
             return None

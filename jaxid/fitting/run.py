@@ -86,7 +86,7 @@ def fit_seeds(
     notes: dict[int, list[str]] = {seed: [] for seed in seeds}
     ended: dict[int, tuple[Bench, Problem, Minimum]] = {}
     level: dict[int, np.ndarray | None] = dict.fromkeys(seeds, begin)  # where each seed's coarser step ended
-    step, label, restarts = samples.STEP, label_of(fitter), getattr(fitter, "restarts", 0)
+    step, label = samples.STEP, label_of(fitter)
     while level:
         bench, finer = benches.of(step), {}
         # Cores compile side by side: what descents run while start values are found, what is asked of their end while they run.
@@ -130,10 +130,11 @@ def fit_seeds(
     if reweigh and isinstance(fitter, LevenbergMarquardt) and loss == "sum_of_squares":
         for seed, (bench, problem, result) in list(ended.items()):
             guesses = [problem.z(g) for g in benches.starts(bench, residual, loss, seed)] if begin is None else []
-            searches = replace(fitter, restarts=restarts), replace(fitter, restarts=0)
-            other = reweighed(problem, result, guesses, jax.random.key(seed), searches, budget, progress)
+            single, own = replace(fitter, restarts=0), jax.random.key(seed)
+            other = reweighed(problem, result, guesses, own, single, budget, progress)
             if other is not None:
-                ended[seed] = bench, other.problem, other.found
+                again = looked_again([(other.problem, [], own)], [other.found], fitter, budget, progress)[0]
+                ended[seed] = bench, other.problem, again
                 notes[seed].append(other.note)
     share = 1 / len(seeds)
     fits = [assemble(*ended[seed], residual, label, seed, 0.0, 0.0, notes[seed]) for seed in seeds]
