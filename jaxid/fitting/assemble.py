@@ -135,7 +135,7 @@ def assemble(
         stated = tuple(Stated(**row) for row in rows)
     else:
         stated = stated_numbers(binding, found)
-    noise = dict(zip((name for name, _ in problem.runs.channels), map(float, problem.runs.noise), strict=True))
+    noise = dict(zip((name for name, _ in problem.runs.channels), map(float, problem.runs.noise), strict=False))
     notes[:0] = lost(table, noise)
     reweighted = None if problem.weights is problem.runs.weights else result.loss
     loss = result.loss if reweighted is None else problem.weighed(np.ones(len(problem.runs.noise))).loss(result.z)
