@@ -149,7 +149,9 @@ def _no_larger(noise: Autoregression, variance: float) -> Autoregression:
     """The same with less noise, where its variance is more than this: a smooth residual of short windows fits roots at the unit
     circle, whose stationary variance has nothing to do with what was seen."""
     own = float(noise.covariance(1)[0])
-    return noise if own <= variance else Autoregression(noise.ar, noise.innovation * float(np.sqrt(variance / own)))
+    return (
+        noise if own <= variance or variance == 0 else Autoregression(noise.ar, noise.innovation * float(np.sqrt(variance / own)))
+    )
 
 
 def _products(a: np.ndarray, b: np.ndarray, order: int) -> np.ndarray:
