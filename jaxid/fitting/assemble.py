@@ -13,6 +13,7 @@ from jaxid.fitting.fitter import Minimum
 from jaxid.fitting.own_simulation import own_simulation, simulated_scores, SIMULATIONS
 from jaxid.fitting.problem_builder import Bench, estimate_starts
 from jaxid.fitting.result import EffectEstimate, Estimate, Fit, Score, Trace
+from jaxid.fitting.reweighting import weighed_by
 from jaxid.fitting.scores import free_runs, lost, make_traces, response_scores, scores, torque_scores
 from jaxid.fitting.stated import Stated, stated_numbers
 from jaxid.problem.binding import Binding
@@ -138,7 +139,7 @@ def assemble(
     noise = dict(zip((name for name, _ in problem.runs.channels), map(float, problem.runs.noise), strict=False))
     notes[:0] = lost(table, noise)
     reweighted = None if problem.weights is problem.runs.weights else result.loss
-    loss = result.loss if reweighted is None else problem.weighed(np.ones(len(problem.runs.noise))).loss(result.z)
+    loss = result.loss if reweighted is None else weighed_by(problem, np.ones(len(problem.runs.noise))).loss(result.z)
     end = ending(problem, result, cov, [] if windowed else [t for t in traces if t.split == "fit"])
     return Fit(
         binding.chain.mechanism.name, added, fitter, residual.name, problem.loss_name, seed, end.state == "converged",

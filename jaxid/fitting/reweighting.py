@@ -55,7 +55,7 @@ def reweighed(
     for number in range(ROUNDS):
         if budget is not None and budget - spent < 2 * (1 + problem.size):
             return None
-        weighed = problem.weighed(1 / level)
+        weighed = weighed_by(problem, 1 / level)
         left = None if budget is None else budget - spent
         end = fitter.minimise_each([(weighed, begin, key)], left, progress)[0]
         spent += end.evaluations
@@ -67,10 +67,17 @@ def reweighed(
             break
     if counts @ np.log(level) >= counts @ np.log(first):
         return None
-    weighed = problem.weighed(1 / level)
+    weighed = weighed_by(problem, 1 / level)
     named = ", ".join(f"{name} {x:.3g}" for (name, _), x in zip(problem.runs.channels, level, strict=True))
     note = f"channels are weighed by what the model leaves of them, in times their noise: {named}"
     return Reweighed(weighed, replace(end, loss=weighed.loss(end.z), evaluations=spent), note)
+
+
+def weighed_by(problem: Problem, factors: np.ndarray) -> Problem:
+    """The same problem with every residual column [columns] multiplied by a factor; its loss counts samples by it."""
+    twin = problem.part(range(problem.pieces), [1.0] * problem.pieces)
+    twin.weights = problem.runs.weights * factors
+    return twin
 
 
 def _errors(problem: Problem, z: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

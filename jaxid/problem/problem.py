@@ -175,11 +175,6 @@ class Problem(AbstractProblem):
         """d theta / d z of the free parameters."""
         return np.where(self.log, self.theta(z)[self.free], 1.0)
 
-    @property
-    def windowed(self) -> bool:
-        """Whether records are windows of runs, so that there are many more starts than runs."""
-        return len(self.records) > len(self.runs.experiments)
-
     def columns(self, row: int) -> list[int]:
         """Columns of z on which one record depends: the parameters and its own start."""
         return [*range(self.free.size), *(self.free.size + np.flatnonzero(self.start_rows == row)).tolist()]
@@ -290,12 +285,6 @@ class Problem(AbstractProblem):
         to compare with the recorded ones."""
         twin = copy.copy(self)
         twin.targets, twin._pure = targets, None
-        return twin
-
-    def weighed(self, columns: np.ndarray) -> Problem:
-        """The same problem with every residual column [columns] multiplied by a factor; its loss counts samples by it."""
-        twin = copy.copy(self)
-        twin.weights, twin._data, twin._pure = self.runs.weights * columns, None, None
         return twin
 
     def _scales(self) -> tuple[np.ndarray, np.ndarray]:
