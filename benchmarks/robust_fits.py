@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import sys
 from collections import Counter
+from collections.abc import Iterable
 from dataclasses import replace
 from pathlib import Path
 from typing import Any, ClassVar
@@ -136,21 +137,28 @@ def by_scipy(chain: Chain, data: jaxid.Dataset) -> tuple[bool, dict[str, tuple[f
     return bool(end.success), numbers
 
 
-def main(count: int = 500, seed: int = 0) -> dict[str, Any]:
+def counted(numbers: Iterable[int], seed: int = 0) -> tuple[Counter[str], Counter[str]]:
+    """Outcomes of these cases, ours and SciPy's; who is not right is printed."""
     ours: Counter[str] = Counter()
     theirs: Counter[str] = Counter()
-    for number in range(count):
+    for number in numbers:
         rng = np.random.default_rng([seed, number])
         chain, data, truth, blind = one_case(number, rng)
         fit = jaxid.fit(chain, data, seed=number)
         found = {k: (p.value, p.std if p.identifiable else None) for k, p in fit.parameters.items()}
         said = outcome(right(found, truth) and fit.state != "failed", fit.state)
         ours[said] += 1
-        success, numbers = by_scipy(chain, data)
-        theirs[outcome(right(numbers, truth), "converged" if success else "failed")] += 1
+        success, scipys = by_scipy(chain, data)
+        theirs[outcome(right(scipys, truth), "converged" if success else "failed")] += 1
         if said != "right":
             name = f"{number} {chain.mechanism.name}{', blind' if blind else ''}"
             print(f"{name}: {said}, loss {fit.loss:.3g}, {fit.stopped_because}", file=sys.stderr)
+    return ours, theirs
+
+
+def result(ours: Counter[str], theirs: Counter[str]) -> dict[str, Any]:
+    """The table of both."""
+    count = ours.total()
     rows = [
         {"fitter": name, **{k: f"{100 * table[k] / count:.1f} %" for k in OUTCOMES}}
         for name, table in (("jaxid", ours), ("SciPy least_squares", theirs))
@@ -160,6 +168,10 @@ def main(count: int = 500, seed: int = 0) -> dict[str, Any]:
         "text": f"{count} fits. {' '.join((__doc__ or '').split())}",
         "rows": rows,
     }
+
+
+def main(count: int = 500, seed: int = 0) -> dict[str, Any]:
+    return result(*counted(range(count), seed))
 
 
 OUTCOMES = ("right", "right, says it did not converge", "wrong, says it did not converge", "wrong, says converged")

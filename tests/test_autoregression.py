@@ -79,3 +79,24 @@ def test_a_column_without_data_is_silent():
     noise = autoregressions([Part(np.stack([rng.normal(size=100), np.zeros(100)], 1), J)], inverse)
     assert noise[1].innovation < 1e-100 and np.isfinite(noise[1].memory())
     assert noise[0].innovation == pytest.approx(1, rel=0.3)
+
+
+def test_smooth_residuals_of_short_windows_have_a_variance_like_what_is_seen(monkeypatch):
+    """Eight windows of a residual without noise of its own, each with two numbers of its own: roots lie at the unit circle."""
+    from jaxid.fitting import noise_model
+
+    rng, t = np.random.default_rng(0), np.linspace(-1, 1, 175)
+    smooth = np.polynomial.legendre.legvander(t, 7)
+    parts, seen = [], []
+    for k in range(8):
+        J = np.zeros((175, 1, 18))
+        J[:, 0, 2 * k : 2 * k + 2] = smooth[:, :2]
+        J[:, 0, 16:] = np.sin(np.outer(t, [2.0, 3.0]) + k)
+        r = 40 * smooth[:, 2:] @ rng.standard_normal(6) + 0.5 * rng.standard_normal(175)
+        parts.append(noise_model.Part(r[:, None], J))
+        seen.append(np.mean(r**2))
+    inverse = np.linalg.inv(sum(p.J[:, 0].T @ p.J[:, 0] for p in parts))
+    variance = lambda: float(noise_model.autoregressions(parts, inverse)[0].covariance(1)[0])
+    assert variance() <= 1.001 * noise_model.LARGEST * np.mean(seen)
+    monkeypatch.setattr(noise_model, "LARGEST", np.inf)
+    assert variance() > 100 * np.mean(seen)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from jaxid.data.signals import decimate, differentiate, filter_ends, start_state, zero_phase
+from jaxid.data.signals import decimate, differentiate, filter_ends, followed, start_state, zero_phase
 
 
 T = 0.001 * np.arange(4000)
@@ -98,3 +98,14 @@ def test_impossible_signals_are_refused():
 def test_short_records_are_filtered_too():
     t = 0.01 * np.arange(12)
     assert np.isfinite(zero_phase(t, np.sin(t), 5.0)).all()
+
+
+def test_a_polynomial_is_asked_no_more_than_it_follows():
+    t, rng = np.arange(500) * 2e-4, np.random.default_rng(0)
+    noise = 1e-3 * rng.standard_normal((500, 1))
+    assert followed(t, 0.3 + 2 * t[:, None] + noise) == pytest.approx(t[-1])
+    assert followed(t, np.floor(40 * t[:, None])) == pytest.approx(t[-1])  # a counter's steps
+    fast = np.sin(60 * t) + noise[:, 0]
+    short = followed(t, fast[:, None])
+    near, far = (abs(float(start_state(t, fast, window)[0])) for window in (short, float(t[-1])))
+    assert short < 0.06 and near < 0.1 < far

@@ -132,6 +132,25 @@ def start_state(
     )
 
 
+def followed(t: np.ndarray, x: np.ndarray, degree: int = 2, least: int = 20) -> float:
+    """The longest of the window of all samples, its half, its quarter …, in s, over which a polynomial follows every signal of
+    x [time n]: to within twice its noise (third differences, or the step of a counter), or 2 % of what it moves there."""
+    count = len(t)
+    while count // 2 >= max(least, degree + 2):
+        part = x[:count]
+        basis = np.vander((t[:count] - t[0]) / (t[count - 1] - t[0]), degree + 1, increasing=True)
+        rest = part - basis @ np.linalg.lstsq(basis, part, rcond=None)[0]
+        steps = np.abs(np.diff(part, axis=0))
+        counter = np.min(np.where(steps > 0, steps, np.inf), axis=0)
+        noise = np.maximum(
+            np.std(np.diff(part, 3, axis=0), axis=0) / np.sqrt(20), np.where(np.isfinite(counter), 0.3 * counter, 0)
+        )
+        if np.all(np.std(rest, axis=0) <= np.maximum(2 * noise, 0.02 * np.ptp(part, axis=0))):
+            break
+        count //= 2
+    return float(t[count - 1] - t[0])
+
+
 def _on_grid(t: np.ndarray, x: np.ndarray) -> tuple[np.ndarray, np.ndarray, bool]:
     t, x = np.asarray(t, dtype=float), np.asarray(x, dtype=float)
     if t.ndim != 1 or len(t) != len(x) or len(t) < 4:

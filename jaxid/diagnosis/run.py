@@ -30,9 +30,9 @@ from jaxid.fitting.assemble import assemble
 from jaxid.fitting.covariance import covariance
 from jaxid.fitting.fitter import Minimum, Progress
 from jaxid.fitting.least_squares import descend
+from jaxid.fitting.lost_runs import by_torque, by_windows, decays, DIVERGES, growth, SENSITIVE
 from jaxid.fitting.problem_builder import Bench, default_residual, estimate_starts, start_values
 from jaxid.fitting.result import EffectEstimate, Fit
-from jaxid.fitting.run import by_torque, DIVERGES
 from jaxid.fitting.scores import free_runs, make_traces, torque_traces
 from jaxid.problem.binding import bind, Binding, JITTER, resolve_model
 from jaxid.problem.residual import InverseDynamics, MultipleShooting, OutputError, Residual
@@ -41,9 +41,8 @@ from jaxid.storage.interim import Interim
 from jaxid.wording import number, percent, times
 
 
-#: Free runs in which a difference at the start (rad, m) grows by more than this are not trusted where they find no answer, or one
-#: that leaves so many times the noise.
-SENSITIVE, DIFFERENCE, REMAINDER = 50.0, 1e-7, 10.0
+#: Free runs that forget how they began are not trusted where they find no answer, or one that leaves so many times the noise.
+REMAINDER = 10.0
 
 
 #: Verdict by free runs that are not trusted -> verdicts by windows that take its place.
@@ -138,17 +137,20 @@ def _run(
     found, grown = _diagnosed(question)
     verdict = found.which.verdict
     doubtful = verdict in ("unknown", "partly") or (verdict == "named" and found.how_far.gap_after > REMAINDER)
-    if residual is None and grown > SENSITIVE and doubtful and not still:
+    long_decay = residual is None and doubtful and by_windows(binding) and decays(binding)
+    if residual is None and (grown > SENSITIVE or long_decay) and doubtful and not still:
         known.tell(found)
         try:
             again, _ = _diagnosed(dataclasses.replace(question, residual=MultipleShooting(), known=Interim(silent=True)))
         except Interrupted as stop:
             raise Interrupted(found) from stop
         if again.which.verdict in PREFERRED[verdict]:
+            why = f"a difference at the start of a run grows {grown:.2g} times within it"
+            why = why if grown > SENSITIVE else "the runs are free swings through several amplitudes"
+            left = times(found.how_far.gap_after)
             note = (
-                f"a difference at the start of a run grows {grown:.2g} times within it, and by free runs the answer was "
-                f"{verdict} with {times(found.how_far.gap_after)} times the noise left: models are compared over windows, each "
-                "with its own start"
+                f"{why}, and by free runs the answer was {verdict} with {left} times the noise left: models are compared over "
+                "windows, each with its own start"
             )
             found = dataclasses.replace(again, notes=(*again.notes, note))
     notes = (*found.notes, *(s.text for s in stamps.values()))
@@ -255,27 +257,6 @@ def _diagnosed(question: Question, scatter: timing.Scatter | None = None) -> tup
     if stopped:
         raise Interrupted(found) from stopped
     return found, growth(bench, search.nominal.theta) if isinstance(residual, OutputError) else 0.0
-
-
-def growth(bench: Bench, theta: np.ndarray) -> float:
-    """How much a small difference of the joints' positions at the start of a free run has grown where it is largest, over the
-    runs that are fitted and those that choose; 0 where joints are not measured, or have inner states."""
-    b = bench.binding
-    names = [n for n, _ in b.chain.signature.outputs]
-    seen = [names.index(j) for j in b.chain.signature.joints if j in names]
-    if not b.motions or b.chain.mechanism.hidden_states or not seen:
-        return 0.0
-    largest, n = 0.0, b.chain.nq
-    for split in ("fit", "validation"):
-        if not b.experiments(split):
-            continue
-        start = estimate_starts(bench, split, [theta])[0]
-        starts = np.repeat(start[None], n + 1, 0)
-        starts[np.arange(n) + 1, :, np.arange(n)] += DIFFERENCE
-        base, *moved = free_runs(bench, split, [theta] * (n + 1), starts)
-        apart = [np.abs(y[:, seen] - y0[:, seen]).max() for run in moved for y, y0 in zip(run, base, strict=True)]
-        largest = max(largest, float(np.nanmax(apart)) / DIFFERENCE)
-    return largest
 
 
 def _search(question: Question) -> tuple[Bench, Fit, Search, float]:

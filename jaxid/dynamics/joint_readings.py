@@ -158,13 +158,14 @@ def stated_positions(e: Experiment, signature: Signature) -> list[float]:
 
 
 def start_of(chain: Chain, e: Experiment, y: np.ndarray, first: int, until: int) -> tuple[np.ndarray, np.ndarray]:
-    """Positions and velocities of the joints at sample `first` [nq], by polynomials through the samples up to `until`; zero for
-    what is not read. `y` [time ny] are the outputs of the whole run."""
-    from jaxid.data.signals import start_state
+    """Positions and velocities of the joints at sample `first` [nq], by polynomials through the samples up to `until`, or through
+    as many of them as polynomials follow; zero for what is not read. `y` [time ny] are the outputs of the whole run."""
+    from jaxid.data.signals import followed, start_state
 
     t, own = e.t[first:until], joint_readings(chain)
     q0, qd0 = np.zeros(chain.nq), np.zeros(chain.nq)
-    window = t[-1] - t[0]
+    read = [k for r in own for k in r if k is not None]
+    window = followed(t, y[first:until, read]) if read else t[-1] - t[0]
     seen = [(j, r.q) for j, r in enumerate(own) if r.q is not None]
     if seen and (len(seen) == chain.nq or any(r.qd is not None for r in own)):
         joints, columns = (list(x) for x in zip(*seen, strict=True))

@@ -14,7 +14,8 @@ from jaxid.fitting.fitter import Minimum
 from jaxid.fitting.own_simulation import own_simulation, simulated_scores, SIMULATIONS
 from jaxid.fitting.problem_builder import Bench, estimate_starts
 from jaxid.fitting.result import EffectEstimate, Estimate, Fit, Score, Trace
-from jaxid.fitting.scores import free_runs, make_traces, response_scores, scores, torque_scores
+from jaxid.fitting.reweighting import weighed_by
+from jaxid.fitting.scores import free_runs, lost, make_traces, response_scores, scores, torque_scores
 from jaxid.fitting.stated import Stated, stated_numbers
 from jaxid.problem.binding import Binding
 from jaxid.problem.frequency_response import FrequencyResponseError
@@ -137,14 +138,18 @@ def assemble(
         stated = tuple(Stated(**row) for row in rows)
     else:
         stated = stated_numbers(binding, found)
+    noise = dict(zip((name for name, _ in problem.runs.channels), map(float, problem.runs.noise), strict=False))
+    notes[:0] = lost(table, noise)
+    reweighted = None if problem.weights is problem.runs.weights else result.loss
+    loss = result.loss if reweighted is None else weighed_by(problem, np.ones(len(problem.runs.noise))).loss(result.z)
     end = ending(problem, result, cov, [] if windowed else [t for t in traces if t.split == "fit"])
     return Fit(
         binding.chain.mechanism.name, added, fitter, residual.name, problem.loss_name, seed, end.state == "converged",
-        end.state == "failed", end.because, result.loss, own, table, windowed, result.evaluations, wall_time, compile_time,
+        end.state == "failed", end.because, loss, own, table, windowed, result.evaluations, wall_time, compile_time,
         binding.dataset.name, binding.dataset.sha256, tuple(notes), groups, tuple(result.history), tuple(traces), theta,
         end.state == "stalled", SIMULATIONS.get(residual.name, "free_run"), free, stated, joints,
         fitted_chain(binding, theta, added), solver_name(binding), robot=origin_of(binding, added),
-        covariance=numbers_covariance(binding, problem, result.z, cov),
+        covariance=numbers_covariance(binding, problem, result.z, cov), reweighted_loss=reweighted,
     )  # fmt: skip
 
 

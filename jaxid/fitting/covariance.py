@@ -55,6 +55,8 @@ def covariance(problem: Problem, z: np.ndarray) -> Covariance:
         finite = np.isfinite(part.J).all((0, 1))  # a derivative that a run leaves undefined tells nothing
         broken[np.array(part.z_columns, int)[~finite]] = True
         part = part._replace(J=np.where(finite, part.J, 0.0))
+        if len(problem.records) > len(problem.runs.experiments):  # windows of runs, with many starts
+            part = part._replace(J=_beside_its_start(part.J, np.array(part.z_columns), problem.free.size, at_bound))
         J = part.J.reshape(part.r.size, len(part.z_columns))
         index = np.ix_(part.z_columns, part.z_columns)
         H[index] += J.T @ J
@@ -118,6 +120,22 @@ def covariance(problem: Problem, z: np.ndarray) -> Covariance:
         else f"residuals are coloured (memory {memory} samples): standard deviations count it"
     )
     return Covariance(matrix, std, identifiable, at_bound, groups, white, statement, noise, widened, slope, H)
+
+
+def _beside_its_start(J: np.ndarray, columns: np.ndarray, free: int, at_bound: np.ndarray) -> np.ndarray:
+    """A window's Jacobian [samples channels size] with what its own start could do as well taken out of the parameters' columns
+    (Frisch and Waugh 1933). The covariance of the parameters stays the same, but no longer needs the inverse of a matrix in which
+    a window that forgets its start has two all but equal columns; that of the starts is the one with the parameters known."""
+    flat = J.reshape(-1, J.shape[-1]).copy()
+    own = (columns >= free) & ~at_bound[columns]
+    size = np.linalg.norm(flat, axis=0)
+    own &= size > 1e-150
+    if own.any():
+        U, s, _ = np.linalg.svd(flat[:, own] / size[own], full_matrices=False)
+        Q = U[:, s > 1e-10 * s[0]]
+        rest = flat[:, columns < free]
+        flat[:, columns < free] = rest - Q @ (Q.T @ rest)
+    return flat.reshape(J.shape)
 
 
 def null_directions(scaled: np.ndarray, kept: np.ndarray) -> tuple[np.ndarray, tuple[tuple[int, ...], ...]]:

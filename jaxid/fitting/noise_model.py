@@ -18,6 +18,8 @@ from jaxid.simulation.sample_buffers import LONG
 #: The longest autoregression tried.
 ORDER = 8
 ROUNDS = 40
+#: What a fit takes away of a disturbance may be most of it: its variance may be so many times what is left, and no more.
+LARGEST = 10.0
 
 
 @dataclass(frozen=True)
@@ -79,7 +81,8 @@ def autoregressions(parts: Sequence[Part], inverse: np.ndarray) -> list[Autoregr
     count = np.array([max(1, sum(np.count_nonzero(p.r[order:, c]) for p in parts)) for c in range(columns)])
     raw = np.array([sum(_products(p.r[:, c], p.r[:, c], order) for p in parts) / count[c] for c in range(columns)])
     orders = [_order(m, n) for m, n in zip(raw, count, strict=True)]
-    found = [_fitted(m, k, n) for m, k, n in zip(raw, orders, count, strict=True)]
+    most = LARGEST * raw[:, 0, 0]
+    found = [_no_larger(_fitted(m, k, n), v) for m, k, n, v in zip(raw, orders, count, most, strict=True)]
     before = np.array([f.covariance(order + 1) for f in found])
     for _ in range(ROUNDS):
         noise = [f.covariance(max(len(p.r) for p in parts)) for f in found]
@@ -94,7 +97,8 @@ def autoregressions(parts: Sequence[Part], inverse: np.ndarray) -> list[Autoregr
             for c in range(columns):
                 both = next(cross)
                 taken[c] += both + both.T - _products(q[c], q[c] @ G, order)
-        found = [_fitted(m + t / n, k, n) for m, t, k, n in zip(raw, taken, orders, count, strict=True)]
+        new = [_fitted(m + t / n, k, n) for m, t, k, n in zip(raw, taken, orders, count, strict=True)]
+        found = [_no_larger(f, v) for f, v in zip(new, most, strict=True)]
         now = np.array([f.covariance(order + 1) for f in found])
         if np.all(np.abs(now - before) <= 1e-3 * now[:, :1]):
             break
@@ -139,6 +143,15 @@ def _fitted(products: np.ndarray, order: int, count: int) -> Autoregression:
     if np.any(size > 1 - 1 / count):
         ar = -np.real(np.poly(np.where(size > 1 - 1 / count, roots / size * (1 - 1 / count), roots)))[1:]
     return Autoregression(ar, float(np.sqrt(error)))
+
+
+def _no_larger(noise: Autoregression, variance: float) -> Autoregression:
+    """The same with less noise, where its variance is more than this: a smooth residual of short windows fits roots at the unit
+    circle, whose stationary variance has nothing to do with what was seen."""
+    own = float(noise.covariance(1)[0])
+    return (
+        noise if own <= variance or variance == 0 else Autoregression(noise.ar, noise.innovation * float(np.sqrt(variance / own)))
+    )
 
 
 def _products(a: np.ndarray, b: np.ndarray, order: int) -> np.ndarray:

@@ -9,6 +9,7 @@ from typing import NamedTuple
 import numpy as np
 
 from jaxid.fitting.least_squares import descend
+from jaxid.fitting.scale_free import shrinking
 from jaxid.problem.binding import Binding
 from jaxid.problem.frequency_response import FrequencyResponseError
 from jaxid.problem.problem import Problem
@@ -145,11 +146,13 @@ def start_values(bench: Bench, free: Sequence[int], seed: int) -> list[np.ndarra
     if b.motions and linear and not b.chain.mechanism.hidden_states:
         quick = InverseDynamics(decimate=1)
         problem = bench.problem(quick, "fit", linear, b.theta)
+        if shrinking(problem, problem.z(b.theta)):
+            return guesses
         path = descend([(problem, problem.z(b.theta))], 15, 1e-8)[0]
         if np.isfinite(path.cost):
             guesses.insert(0, problem.theta(path.z))
-            if b.stated & set(free):
-                both = bench.problem(quick, "fit", free, b.theta)
+            both = bench.problem(quick, "fit", free, b.theta)
+            if b.stated & set(free) and not shrinking(both, both.z(guesses[0])):
                 path = descend([(both, both.z(guesses[0]))], 15, 1e-8)[0]
                 if np.isfinite(path.cost):
                     guesses.insert(0, both.theta(path.z))

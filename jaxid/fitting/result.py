@@ -147,6 +147,7 @@ class Fit(Exportable):
     data: tuple[DataFinding, ...] = ()  # what the recording says about itself
     robot: dict[str, Any] = field(default_factory=dict)  # the file of a robot and its drive: see `jaxid.robots.origin`
     covariance: Covariance | None = None  # of the fitted numbers
+    reweighted_loss: float | None = None  # of channels weighed by what the model leaves of them, where that was fitted
 
     @property
     def state(self) -> str:
@@ -172,6 +173,7 @@ class Fit(Exportable):
             "converged": self.converged,
             "stopped_because": self.stopped_because,
             "loss": self.loss,
+            "reweighted_loss": self.reweighted_loss,
             "parameters": {k: v.to_dict() for k, v in self.parameters.items()},
             "simulation": self.simulation,
             **{split: {c: s.to_dict() for c, s in rows.items()} for split, rows in self.scores.items()},

@@ -5,6 +5,7 @@ from __future__ import annotations
 import time
 from collections.abc import Sequence
 from dataclasses import replace
+from typing import Any
 
 import jax
 import numpy as np
@@ -14,12 +15,15 @@ from jaxid.fitting.assemble import assemble
 from jaxid.fitting.effect_starts import probe_starts
 from jaxid.fitting.ending import looked_again
 from jaxid.fitting.fitter import AbstractFitter, Minimum, Progress
+from jaxid.fitting.lost_runs import believed
 from jaxid.fitting.problem_builder import Bench, default_residual, start_values
 from jaxid.fitting.result import Fit
+from jaxid.fitting.reweighting import reweighed
+from jaxid.fitting.scale_free import refuse_scale_free
 from jaxid.fitting.settings import label_of
 from jaxid.problem.binding import Binding
 from jaxid.problem.problem import Problem
-from jaxid.problem.residual import InverseDynamics, Residual
+from jaxid.problem.residual import InverseDynamics, OutputError, Residual
 from jaxid.problem.step_error import step_error, STEP_SHARE
 from jaxid.runtime import Interrupted
 from jaxid.simulation import sample_buffers as samples
@@ -36,29 +40,25 @@ def fit_binding(
     progress: Progress | None,
 ) -> Fit:
     """The whole of `jaxid.fit` once model and data are bound."""
-    known = Interim()
+    known, benches = Interim(), Benches(binding)
+
+    def fitted(residual: Residual | None, begin: np.ndarray | None, spent: int) -> Fit:
+        left = None if budget is None else max(1, budget - spent)
+        return fit_seeds(binding, fitter, residual, loss, [seed], left, progress, benches, known, begin, True)[0]
+
     try:
-        fit = fit_seeds(binding, fitter, residual, loss, [seed], budget, progress, known=known)[0]
-        if residual is None and fit.failed and not fit.parameters and by_torque(binding) and loss == "sum_of_squares":
-            torque = InverseDynamics()
-            again = fit_seeds(binding, fitter, torque, loss, [seed], budget, progress, known=known)[0]
-            fit = fit if again.failed else replace(again, notes=(*again.notes, DIVERGES))
-        return fit
+        fit = fitted(residual, None, 0)
+        free = residual is None and isinstance(default_residual(binding), OutputError) and loss == "sum_of_squares"
+        if not free or (budget is not None and fit.evaluations >= budget):
+            return fit
+
+        def again(*what: Any) -> Fit:
+            known.tell(fit)
+            return fitted(*what)
+
+        return believed(benches.of(samples.STEP), fit, fitter, again)
     except KeyboardInterrupt as stop:
         raise Interrupted(known.latest()) from stop
-
-
-#: Said where the torque equation stands in for a free run.
-DIVERGES = (
-    "the free run diverges at every candidate, as that of an arm does which was recorded under position control: the torque that "
-    "the measured motion needs is compared instead (inverse_dynamics)"
-)
-
-
-def by_torque(binding: Binding) -> bool:
-    """Whether a measured motion under measured torques can be compared without being simulated."""
-    chain = binding.chain
-    return bool(binding.motions) and chain.direct and not chain.mechanism.hidden_states and bool(binding.experiments("fit"))
 
 
 def fit_seeds(
@@ -71,10 +71,13 @@ def fit_seeds(
     progress: Progress | None = None,
     benches: Benches | None = None,
     known: Interim | None = None,
+    begin: np.ndarray | None = None,
+    reweigh: bool = False,
 ) -> list[Fit]:
     """A fit of each seed, the same as each alone. What does not depend on the seed is done once, and fitters take all seeds in
     the same batches where they can; each fit states its share of the time. `benches` keeps runs from call to call.
-    `known` is told of a fit before it is refined."""
+    `known` is told of a fit before it is refined. `begin`: numbers to begin with in place of guesses. `reweigh`: several
+    channels are weighed by what the model leaves of them where their noises differ much from that."""
     began = time.perf_counter()
     residual = residual or default_residual(binding)
     simulated = not isinstance(residual, InverseDynamics) and bool(binding.dataset.split("fit"))
@@ -82,7 +85,7 @@ def fit_seeds(
     compiled = benches.compile_time()
     notes: dict[int, list[str]] = {seed: [] for seed in seeds}
     ended: dict[int, tuple[Bench, Problem, Minimum]] = {}
-    level: dict[int, np.ndarray | None] = dict.fromkeys(seeds)  # where each seed's coarser step ended
+    level: dict[int, np.ndarray | None] = dict.fromkeys(seeds, begin)  # where each seed's coarser step ended
     step, label = samples.STEP, label_of(fitter)
     while level:
         bench, finer = benches.of(step), {}
@@ -96,6 +99,8 @@ def fit_seeds(
             if (key := guesses[0].tobytes()) not in common:
                 common[key] = bench.problem(residual, "fit", binding.free, guesses[0], loss=loss)
             problem = common[key]
+            if isinstance(residual, InverseDynamics):
+                refuse_scale_free(problem, problem.z(guesses[0]))
             jobs.append((problem, [problem.z(g) for g in guesses], jax.random.key(seed)))
         if engine:
             engine.compile_ahead("outputs", binding.theta, binding.free)
@@ -122,6 +127,15 @@ def fit_seeds(
         level, step = finer, step / 2
         if isinstance(fitter, LevenbergMarquardt):
             fitter = replace(fitter, restarts=0)
+    if reweigh and isinstance(fitter, LevenbergMarquardt) and loss == "sum_of_squares":
+        for seed, (bench, problem, result) in list(ended.items()):
+            guesses = [problem.z(g) for g in benches.starts(bench, residual, loss, seed)] if begin is None else []
+            single, own = replace(fitter, restarts=0), jax.random.key(seed)
+            other = reweighed(problem, result, guesses, own, single, budget, progress)
+            if other is not None:
+                again = looked_again([(other.problem, [], own)], [other.found], fitter, budget, progress)[0]
+                ended[seed] = bench, other.problem, again
+                notes[seed].append(other.note)
     share = 1 / len(seeds)
     fits = [assemble(*ended[seed], residual, label, seed, 0.0, 0.0, notes[seed]) for seed in seeds]
     compiling, wall = share * (benches.compile_time() - compiled), share * (time.perf_counter() - began)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 
 import numpy as np
 
@@ -14,6 +14,7 @@ from jaxid.problem.frequency_response import FrequencyResponseError
 from jaxid.problem.problem import Problem
 from jaxid.problem.residual import OutputError, Residual
 from jaxid.simulation import sample_buffers as samples
+from jaxid.wording import percent
 
 
 def free_runs(bench: Bench, split: str, thetas: Sequence[np.ndarray], starts: np.ndarray) -> list[list[np.ndarray]]:
@@ -55,6 +56,24 @@ def scores(bench: Bench, split: str, predictions: Sequence[np.ndarray]) -> dict[
 def score(y: np.ndarray, error: np.ndarray, unit: str) -> Score:
     rmse = float(np.sqrt(np.mean(error**2)))
     return Score(rmse, rmse / max(float(np.std(y)), 1e-300), rmse / max(float(np.sqrt(np.mean(y**2))), 1e-300), unit)
+
+
+#: On data that were not fitted a channel is lost where its error is more than its own standard deviation, so many times its
+#: noise, and so many times what it is on those that were.
+LOST, ABOVE_NOISE, ABOVE_FIT = 1.0, 3.0, 3.0
+
+
+def lost(table: Mapping[str, Mapping[str, Score]], noise: Mapping[str, float]) -> tuple[str, ...]:
+    """A sentence where the numbers of a fit predict data that were not fitted worse than a constant would; `noise` by channel."""
+    fit, found = table.get("fit", {}), {}
+    for split in ("validation", "report"):
+        for name, s in table.get(split, {}).items():
+            seen = s.nrmse > LOST and s.rmse > ABOVE_NOISE * noise.get(name, 0.0)
+            if seen and name in fit and s.nrmse > ABOVE_FIT * fit[name].nrmse:
+                found.setdefault(name, f"{name} is off by {percent(s.nrmse)} of its standard deviation there ({split})")
+    if not found:
+        return ()
+    return (f"worse than no model on data that were not fitted: {', '.join(found.values())}",)
 
 
 def response_scores(

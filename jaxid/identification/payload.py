@@ -11,7 +11,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -25,6 +25,8 @@ from jaxid.storage.small_files import read_small
 
 
 Z95 = 1.959963984540054
+#: How far the torque constant of a motor's data sheet is off, more or less.
+USUAL_GAIN_STD = 0.05
 
 
 @dataclass(frozen=True)
@@ -45,6 +47,17 @@ class Payload:
         """Mass and its standard deviation (kg), that of the drive gains included."""
         m = float(self.phi[9])
         return m, float(np.hypot(np.sqrt(self.covariance[9, 9]), self.gain_std * m))
+
+    @property
+    def exact_gains(self) -> str:
+        """What the interval leaves out, in words; nothing where it counts the error of the drive gains."""
+        if self.gain_std > 0:
+            return ""
+        with_gains = replace(self, gain_std=USUAL_GAIN_STD).mass[1]
+        return (
+            "the interval takes the drive gains, which make torque of current, as exact: their relative error is one of the mass "
+            f"(gain_std = {USUAL_GAIN_STD:g} would make it ± {with_gains:.2g} kg)"
+        )
 
     def com(self) -> list[tuple[float, float]]:
         """Centre of mass and standard deviations (m); gains cancel in first order."""
@@ -69,6 +82,7 @@ class Payload:
             "nearest_body": {"mass": self.body[9], "com": self.body[6:9] / self.body[9], "inertia": self.body[:6]},
             "frame": "last link; inertia about its origin",
             "gain_std": self.gain_std,
+            "gains": self.exact_gains or "their stated error is in the interval",
             "rows": self.rows,
             "converged_after_s": self.converged_after_s,
         }  # fmt: skip

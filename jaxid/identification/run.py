@@ -37,7 +37,7 @@ from jaxid.identification.regression import (
     spacing,
     torques,
 )
-from jaxid.identification.stated import beside_the_file
+from jaxid.identification.stated import answered
 from jaxid.problem.binding import resolve_model
 from jaxid.problem.torque_filter import drive_gains
 from jaxid.robots.arms import as_arm
@@ -278,7 +278,7 @@ def identify(
         traces=tuple((r.name, r.split, r.t, r.tau, own[chosen]) for r, own in zip(runs, predicted, strict=True)),
         data=checked.findings, robot=robot,
     )  # fmt: skip
-    result = replace(result, **beside_the_file(arm, base, law, runs, result))
+    result = replace(result, **answered(arm, data.model, base, law, runs, result))
     if before is None:
         return result
     payload = payload_by_difference(result, before, base, np.asarray(arm.prismatic), gain_std)

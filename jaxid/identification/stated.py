@@ -1,4 +1,4 @@
-"""The numbers of an arm's own file beside those that were identified: which of them are wrong, and by how much."""
+"""The numbers of an arm's own file, or of its dataset, beside those that were identified: which are wrong, and by how much."""
 
 from __future__ import annotations
 
@@ -7,21 +7,66 @@ from typing import Any
 
 import numpy as np
 
+from jaxid.data.dataset import ModelSpec
 from jaxid.dynamics.base_parameters import BaseParameters
 from jaxid.identification.regression import Law, Run, torques
+from jaxid.wording import number
 
 
 #: Standard deviations from which a difference is worth a sentence.
 MANY = 3.0
 
 
+def answered(
+    arm: Any, spec: ModelSpec | None, base: BaseParameters, law: Law, runs: Sequence[Run], result: Any
+) -> dict[str, Any]:
+    """What a file states, or else the dataset under [model.parameters] and [model.constants], beside what was identified: fields
+    of an identification."""
+    if getattr(arm, "friction", ()):
+        return beside_the_file(arm, base, law, runs, result)
+    known = dict(spec.constants) if spec is not None else {}
+    known |= {k: p.value for k, p in (spec.parameters if spec is not None else {}).items() if p.value is not None}
+    rows = [_answer(name, value, known, base, result) for name, value in known.items() if name in (*base.standard, *result.names)]
+    rows.sort(key=lambda row: -abs(row["deviation"] or 0.0))
+    said = [row["text"] for row in rows if abs(row["deviation"] or 0.0) > MANY]
+    return {"stated": tuple(rows), "notes": (*result.notes, *said)}
+
+
+def _answer(name: str, value: float, known: dict[str, float], base: BaseParameters, result: Any) -> dict[str, Any]:
+    """One stated number beside what was identified of it: of a body's, the base parameter that it leads, where nothing regroups
+    with it that is not stated, too."""
+    members = {name: 1.0}
+    if name in base.names:
+        row = base.K[base.names.index(name)]
+        members = {base.standard[k]: float(row[k]) for k in np.flatnonzero(row)}
+    alone = name in result.names and all(k in known for k in members)
+    stated = sum(weight * known[k] for k, weight in members.items()) if alone else value
+    at = result.names.index(name) if name in result.names else None
+    found = float(result.theta[at]) if at is not None else float("nan")
+    std = float(result.std()[at]) if at is not None else float("nan")
+    deviation = (found - stated) / std if alone and std > 0 else None
+    unit = result.units[at] if at is not None else ""
+    joint = name[len(name.rstrip("0123456789")) :]
+    what = f"your stated {name} {number(value)} {unit}".rstrip()
+    if at is None or not alone:
+        text = f"{what} can be neither confirmed nor refuted: the motion shows it only together with other numbers of the arm"
+    elif deviation is None:
+        text = f"{what} can be neither confirmed nor refuted: the data do not determine it"
+    else:
+        led = f"{what}{f' (with what regroups with it {number(stated)})' if len(members) > 1 else ''}"
+        far = f"{number(abs(deviation), 2)} standard deviations from {number(found)} ± {number(std, 2)} {unit}"
+        text = f"{led} is {far}" if abs(deviation) > MANY else f"{led} agrees with the data: it is {far}"
+    return {
+        "joint": f"q{joint}", "link": f"link {joint}", "parameter": name, "stated": stated, "unit": unit, "text": text,
+        "fitted": found if alone else None, "std": std if alone and std > 0 else None, "deviation": deviation,
+    }  # fmt: skip
+
+
 def beside_the_file(arm: Any, base: BaseParameters, law: Law, runs: Sequence[Run], result: Any) -> dict[str, Any]:
-    """Fields `stated`, `per_joint` and `notes` of an identification whose arm comes from a file; none for any other arm.
+    """Fields `stated`, `per_joint` and `notes` of an identification whose arm comes from a file.
 
     A base parameter's stated value is the file's own combination. Torque errors are relative, of the filtered torque.
     """
-    if not getattr(arm, "friction", ()):
-        return {}
     n = len(arm.prismatic)
     split = lambda name: (name.rstrip("0123456789"), int(name[len(name.rstrip("0123456789")) :]) - 1)
     phi = np.array([float(np.asarray(getattr(arm, kind))[j]) for kind, j in map(split, base.standard)])

@@ -36,7 +36,8 @@ def headline(result: Identification) -> str:
     """One sentence: the torque error on data that were not fitted, or the payload."""
     if result.payload is not None:
         value, std = result.payload.mass
-        return f"The payload is {pair(value, std)} kg."
+        more = result.payload.exact_gains
+        return f"The payload is {pair(value, std)} kg{': ' if more else ''}{more}."
     rest = [e for e in result.experiments if e.split != "fit"] or list(result.experiments)
     worst = max(rest, key=lambda e: e.relative_error)
     kind = "held-out motion" if worst.split != "fit" else "the fitted motion"

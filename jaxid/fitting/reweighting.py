@@ -1,0 +1,95 @@
+"""Several channels of very different resolution: weighed by what the model leaves of each, not by its sensor's noise.
+
+An encoder's step is not the model's error. Where a model error far above all noises exists, the fine channel would pin every
+number and the coarse one say nothing. With a standard deviation of its own for each channel, never below its noise, the
+likelihood is greatest where sum of n_c log s_c is least, s_c the root mean square that the model leaves; least squares with the
+weights 1 / s_c of the last round, again and again, goes there (iteratively reweighted; Seber and Wild, Nonlinear Regression,
+1989, ch. 11).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+from typing import NamedTuple
+
+import numpy as np
+
+from jaxid.fitting.fitter import AbstractFitter, Minimum, Progress
+from jaxid.problem.problem import Problem
+
+
+#: Channels whose errors, in their own noise, differ by less than this weigh alike.
+UNEVEN = 3.0
+#: Rounds at most; they end where no channel's weight moves by more than this share.
+ROUNDS, SETTLED = 6, 0.03
+
+
+class Reweighed(NamedTuple):
+    """A problem whose channels are weighed by what the model leaves, its minimum, and a sentence."""
+
+    problem: Problem
+    found: Minimum
+    note: str
+
+
+def reweighed(
+    problem: Problem,
+    found: Minimum,
+    starts: Sequence[np.ndarray],
+    key,
+    fitter: AbstractFitter,
+    budget: int | None = None,
+    progress: Progress | None = None,
+) -> Reweighed | None:
+    """The fit with channels weighed by what it leaves of them; None where they weigh alike by their noise already, or where that
+    ends no better. `starts` are guesses beside the end of the first fit. Evaluations count in the budget."""
+    noise = problem.runs.noise
+    if found.failed or noise.size < 2 or problem.loss_name != "sum_of_squares":
+        return None
+    first, counts = _errors(problem, found.z)
+    if first.max() < UNEVEN * first.min():
+        return None
+    level, spent = np.maximum(1.0, _sizes(problem)), found.evaluations  # at first all channels by the size of their signals
+    begin, end = [found.z, *starts], found
+    for number in range(ROUNDS):
+        if budget is not None and budget - spent < 2 * (1 + problem.size):
+            return None
+        weighed = weighed_by(problem, 1 / level)
+        left = None if budget is None else budget - spent
+        end = fitter.minimise_each([(weighed, begin, key)], left, progress)[0]
+        spent += end.evaluations
+        if end.failed:
+            return None
+        old, (level, _) = level, _errors(problem, end.z)
+        begin = [end.z]
+        if number and np.all(np.abs(np.log(level / old)) < SETTLED):
+            break
+    if counts @ np.log(level) >= counts @ np.log(first):
+        return None
+    weighed = weighed_by(problem, 1 / level)
+    named = ", ".join(f"{name} {x:.3g}" for (name, _), x in zip(problem.runs.channels, level, strict=True))
+    note = f"channels are weighed by what the model leaves of them, in times their noise: {named}"
+    return Reweighed(weighed, replace(end, loss=weighed.loss(end.z), evaluations=spent), note)
+
+
+def weighed_by(problem: Problem, factors: np.ndarray) -> Problem:
+    """The same problem with every residual column [columns] multiplied by a factor; its loss counts samples by it."""
+    twin = problem.part(range(problem.pieces), [1.0] * problem.pieces)
+    twin.weights = problem.runs.weights * factors
+    return twin
+
+
+def _errors(problem: Problem, z: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Root mean square of each channel's residual in its noise, at least 1, and its number of samples."""
+    r = np.concatenate(problem.residuals(z))
+    w = np.concatenate([problem.weights[problem.runs.record(k).samples] for k in problem.records]) > 0
+    counts = np.maximum(1, w.sum(0))
+    return np.maximum(1.0, np.sqrt(np.sum(np.where(w, r, 0.0) ** 2, 0) / counts)), counts.astype(float)
+
+
+def _sizes(problem: Problem) -> np.ndarray:
+    """Standard deviation of each measured channel in its noise."""
+    at = np.concatenate([np.asarray(problem.runs.record(k).samples) for k in problem.records])
+    y, w = problem.targets[at], problem.weights[at]
+    return np.array([np.std((y[:, c] * w[:, c])[w[:, c] > 0]) if (w[:, c] > 0).any() else 1.0 for c in range(y.shape[1])])
