@@ -36,6 +36,8 @@ from jaxid.fitting.run import by_torque, DIVERGES
 from jaxid.fitting.scores import free_runs, make_traces, torque_traces
 from jaxid.problem.binding import bind, Binding, JITTER, resolve_model
 from jaxid.problem.residual import InverseDynamics, MultipleShooting, OutputError, Residual
+from jaxid.robots.match import is_robot
+from jaxid.robots.yardstick import as_it_stands, with_effects
 from jaxid.runtime import Interrupted
 from jaxid.storage.interim import Interim
 from jaxid.wording import number, percent, times
@@ -226,6 +228,7 @@ def _diagnosed(question: Question, scatter: timing.Scatter | None = None) -> tup
     if verdict == "named" and (against := doubts(estimates)):
         verdict, text = "partly", f"{text} It is not to be believed as it stands: {'; '.join(against)}."
     final_fit = _fit(bench, final, residual, seed, compile_time, time.perf_counter() - began)
+    how_far = dataclasses.replace(how_far, per_joint=with_effects(nominal_fit.per_joint, final_fit.per_joint))
     mates = search.confusable if named else []
     findings, pictures, rows = _where(bench, search.nominal, final, verdict, estimates, seed)
     ranking = (*(scatter.ranked(bench, residual, search.nominal) if scatter else ()), *_ranked(search))
@@ -337,7 +340,10 @@ def _so_far(question: Question, bench: Bench, nominal: Fit, search: Search, bega
 
 
 def _before(binding: Binding, nominal: Hypothesis) -> tuple[np.ndarray, str]:
-    """The model before anything was fitted: the values that the dataset states; what it does not state is re-tuned."""
+    """The model before anything was fitted: a robot's file as it stands; of other models the values that the dataset states, and
+    what it does not state re-tuned."""
+    if is_robot(binding.chain.mechanism):
+        return as_it_stands(binding)
     theta = nominal.theta.copy()
     stated = [i for i in binding.free if i in binding.stated]
     if not stated:

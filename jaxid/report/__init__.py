@@ -19,6 +19,7 @@ from jaxid.report import (
     recorded,
     traces,
     unseen,
+    yardstick,
 )
 from jaxid.report.page import render, render_fragment
 from jaxid.serialise import json_bytes
@@ -40,6 +41,7 @@ def diagnosis_page(diagnosis: Diagnosis) -> str:
     sections = [
         checked.before(diagnosis.data),
         answer.section(diagnosis),
+        yardstick.section(diagnosis.how_far.per_joint, diagnosis.final.stated),
         unseen.section(diagnosis.unseen),
         traces.section(diagnosis.traces),
         breakdown.section(diagnosis),
@@ -56,6 +58,7 @@ def fit_page(fit: Fit) -> str:
     sections = [
         checked.before(fit.data),
         fitted.section(fit),
+        yardstick.section(fit.per_joint, fit.stated),
         parameters.section(fit),
         traces.section(fit.traces),
         background.of_fit(fit),

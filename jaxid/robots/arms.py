@@ -38,7 +38,7 @@ def as_arm(model: object, dataset: Dataset) -> tuple[Any, Dataset]:
     joints = ", ".join(f"{k + 1} {j}" for k, j in enumerate(tree.joints))
     note = f"numbers of parameters are joints: {joints}"
     law = mechanism.drive_law
-    said = (note,) if law is None else (note, f"torque is what the law asked for: {law.text}")
+    said = (note,) if law is None else (note, "torque is what the law asked for")
     spec = dataset.model
     spec = (
         None
@@ -84,6 +84,8 @@ def _numbered(dataset: Dataset, tree: Tree, law: Any) -> Dataset:
     outputs, inputs = ([c.name for c in group] for group in (dataset.outputs, dataset.inputs))
     iy = [outputs.index(j) for j in tree.joints]
 
+    held = all(c.hold == "zero" for c in dataset.inputs if c.name.endswith("_cmd"))
+
     def one(e: Experiment) -> Experiment:
         y = e.y[:, iy]
         if law is None:
@@ -91,7 +93,8 @@ def _numbered(dataset: Dataset, tree: Tree, law: Any) -> Dataset:
             goals = {f"q{k + 1}_cmd": e.auxiliary[f"{j}_cmd"] for k, j in enumerate(tree.joints) if f"{j}_cmd" in e.auxiliary}
         else:
             goal = e.u[:, [inputs.index(f"{j}_cmd") for j in tree.joints]]
-            tau = law.torque(e.t, goal, y)
+            rate = e.u[:, [inputs.index(n) for n in law.rates]] if law.rates else None
+            tau = law.torque(e.t, goal, y, rate, held)
             goals = {f"q{k + 1}_cmd": goal[:, k] for k in range(tree.n)}
         return replace(e, u=tau, y=y, auxiliary=goals, past=None, initial=None, scatter=None, constants={})
 

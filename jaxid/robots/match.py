@@ -6,15 +6,19 @@ import re
 from collections.abc import Mapping
 from dataclasses import replace
 from functools import lru_cache
-from typing import Any
+from pathlib import Path
+from typing import Any, TypeGuard
 
 import numpy as np
 
-from jaxid.data.dataset import Dataset, Experiment, ModelSpec
+from jaxid.data.dataset import Dataset, Experiment, Geometry, ModelSpec
 from jaxid.dynamics.chain import Chain
+from jaxid.dynamics.joint_readings import with_speeds
 from jaxid.dynamics.parameter import with_fields
 from jaxid.errors import nearest, UsageError
+from jaxid.robots.beside import as_inputs, rides, with_base, with_rates
 from jaxid.robots.drives import file_law, stated_law
+from jaxid.robots.mjcf_text import expanded
 from jaxid.robots.tree import Tree
 
 
@@ -38,6 +42,17 @@ def robot_from(path: str, tip: str | None = None) -> Any:
     from jaxid.models import Robot
 
     return (Robot.from_urdf if path.lower().endswith(".urdf") else Robot.from_mjcf)(path, tip=tip)
+
+
+def is_file(model: object) -> TypeGuard[str]:
+    """Whether a model is named by the path of a robot's file."""
+    return isinstance(model, str) and model.lower().endswith((".urdf", ".xml", ".mjcf"))
+
+
+def spec_of_file(path: str) -> ModelSpec:
+    """What a dataset says of a robot by its file, includes in place."""
+    text = Path(path).read_text(encoding="utf-8-sig") if path.lower().endswith(".urdf") else expanded(Path(path))
+    return ModelSpec("robot", geometry=Geometry(file=Path(path).name, tip=getattr(path, "tip", None), robot=text))
 
 
 def is_robot(model: object) -> bool:
@@ -101,24 +116,22 @@ def driving(dataset: Dataset, tree: Tree) -> Dataset:
     free = spec is not None and spec.free and dataset.controller is None
     if not goals or free or any(n.removesuffix("_tau") in tree.joints or n.removesuffix("_cmd") in tree.joints for n in inputs):
         return dataset
-    chosen = {c.name for c in goals}
-    moved = tuple(replace(c, role="input") if c.name in chosen else c for c in dataset.channels)
-    order = [c.name for c in moved if c.role == "input"]
-    before = [c.name for c in dataset.inputs]
-
-    def driven(e: Experiment) -> Experiment:
-        columns = [e.auxiliary[n] if n in chosen else e.u[:, before.index(n)] for n in order]
-        rest = {k: v for k, v in e.auxiliary.items() if k not in chosen}
-        return replace(e, u=np.stack(columns, 1), auxiliary=rest, past=None if e.past is None else driven(e.past))
-
     note = "no torque was recorded: the goals drive through the stated law"
-    return replace(
-        dataset,
-        channels=moved,
-        experiments=tuple(map(driven, dataset.experiments)),
-        model=None if spec is None else replace(spec, free=False),
-        notes=(*dataset.notes, note),
-    )
+    moved = as_inputs(dataset, [c.name for c in goals])
+    return replace(moved, model=None if spec is None else replace(spec, free=False), notes=(*dataset.notes, note))
+
+
+def for_a_robot(dataset: Dataset) -> Dataset:
+    """The dataset without the numbers that it states of a model that is no robot, which is not the one that was asked for."""
+    spec = dataset.model
+    if spec is None or spec.name in (None, "robot"):
+        return dataset
+    own = lambda numbers: {k: v for k, v in numbers.items() if "@" in k or k == "smoothing_velocity"}
+    constants, parameters = own(spec.constants), own(spec.parameters)
+    gone = [k for k in (*spec.constants, *spec.parameters) if k not in (*constants, *parameters)]
+    note = f"dataset.toml states {', '.join(gone)} of {spec.name}, which is not the model asked for: not used" if gone else ""
+    spec = replace(spec, name="robot", geometry=None, without=(), constants=constants, parameters=parameters)
+    return replace(dataset, model=spec, notes=(*dataset.notes, *([note] if note else [])))
 
 
 def prepared(model: object, dataset: Dataset) -> tuple[object, Dataset]:
@@ -134,7 +147,10 @@ def prepared(model: object, dataset: Dataset) -> tuple[object, Dataset]:
     if not is_robot(model):
         return model, dataset
     tree: Tree = model.tree.tree  # type: ignore[attr-defined]
-    return model, driving(named(dataset, tree, spec.joints if spec is not None else None), tree)
+    dataset = for_a_robot(dataset)
+    spec = dataset.model
+    dataset = driving(named(dataset, tree, spec.joints if spec is not None else None), tree)
+    return model, with_base(with_rates(dataset, tree))
 
 
 def _beyond_an_arm(path: str, dataset: Dataset) -> Any:
@@ -179,7 +195,7 @@ def matched(robot: Any, dataset: Dataset) -> Chain:
         raise UsageError(
             f"nothing drives the robot: add goals ({joints[0]}_cmd) or torques ({joints[0]}_tau) as inputs, or say free = true"
         )
-    out = type(robot)(tree, driven=False)
+    out = type(robot)(tree, driven=False, rides=rides(dataset) and bool(goals or torques))
     if goals:
         first = (dataset.split("fit") or dataset.experiments)[0]
         period = float(np.median(np.diff(first.t)))
@@ -187,7 +203,12 @@ def matched(robot: Any, dataset: Dataset) -> Chain:
         out = out.driven_by(law)
     out = _placed(out, spec)
     smoothing = spec.constants.get("smoothing_velocity", 0.0) if spec is not None else 0.0
-    return Chain(out, signature=out.signatures[0], smoothing_velocity=smoothing)
+    signature = with_speeds(out.signatures[0], {c.name: c.unit for c in dataset.outputs})
+    for name, unit in signature.inputs:
+        have = next((c.unit for c in dataset.inputs if c.name == name), unit)
+        if have != unit and not free:
+            raise UsageError(f"channel {name!r} is in {have}; the robot takes it in {unit}: correct its unit")
+    return Chain(out, signature=signature, smoothing_velocity=smoothing)
 
 
 def recorded(tree: Tree, dataset: Dataset) -> tuple[Tree, tuple[str, ...]]:
@@ -195,7 +216,7 @@ def recorded(tree: Tree, dataset: Dataset) -> tuple[Tree, tuple[str, ...]]:
     outputs = {c.name for c in dataset.outputs}
     names = [c.name for c in dataset.channels]
     constants = dataset.model.constants if dataset.model is not None else {}
-    measured = [j for j in tree.leading if j in outputs]
+    measured = [j for j in tree.leading if j in outputs or f"{j}_qd" in outputs]
     if not measured:
         raise UsageError(
             f"no channel is a joint of {tree.file or 'the robot'}: its joints are {', '.join(tree.leading)}, the outputs of the "
@@ -230,7 +251,10 @@ def _placed(robot: Any, spec: ModelSpec | None) -> Any:
     base = dict(spec.base) if spec is not None else {}
     kind = base.pop("kind", "fixed")
     if kind not in ("fixed", "prescribed"):
-        raise UsageError(f"[model.base] kind = {kind!r}: jaxid simulates a base that is fixed or prescribed (roll, pitch, yaw)")
+        raise UsageError(
+            f"[model.base] kind = {kind!r}: jaxid simulates a base that is fixed or prescribed (roll, pitch, yaw as constants, "
+            "or measured as channels base_roll, base_pitch, base_yaw). Hold the robot by its trunk, or record how that turns"
+        )
     return with_fields(robot, {f"base_{k}": np.float64(v) for k, v in base.items()})
 
 
@@ -238,5 +262,7 @@ def notes_of(model: Any, dataset: Dataset) -> tuple[str, ...]:
     """What a result says of how a robot and a recording were brought together."""
     tree: Tree = model.tree.tree
     _, notes = recorded(tree, dataset)
+    law = matched(model, dataset).mechanism.drive_law  # type: ignore[attr-defined]
+    notes = notes if law is None else (*notes, law.text)
     impossible = [f"{text}: no body has it, the nearest one is simulated" for text in tree.impossible]
     return (*tree.notes, *impossible, *notes)
