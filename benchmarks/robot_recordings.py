@@ -1,7 +1,7 @@
-"""Position-controlled and torque-driven robots as they were recorded: error of each joint with the file as it stands and re-tuned.
+"""Position-controlled and torque-driven robots as recorded: error of each joint with its file as it stands and re-tuned.
 
-A quadruped hung by its trunk (free runs from the goals; its maintainers' identified numbers leave 0.0066 rad), a hobby arm of six
-servos (free runs; 5.6 mrad at joint 1 by hand, 21.7 mrad at joint 2), and a seven-joint arm (torque; its file leaves 38 to 101 %).
+A quadruped hung by its trunk (free runs from the goals; its maintainers' identified numbers leave 0.0066 rad), a hobby arm of
+six servos (free runs; by hand 5.6 mrad at joint 1, 21.7 mrad at joint 2), a seven-joint arm (torque; file: 38 to 101 %).
 
 Data: the folder named by JAXID_DATA (default `../shared/data` beside the repository); they are not part of the repository.
 """

@@ -71,7 +71,7 @@ def test_stated_gains_are_priors_and_the_result_says_so():
     assert "prior of kp@lift: 20 ± 4 N m/rad (stated)" in b.said
     i = names["kp@turn"]
     assert 0 < b.lower[i] < 5 - 4 < 5 + 4 < b.upper[i] and b.theta[i] == 5.0
-    own = bind(Robot.from_mjcf("robot.xml", text=ARM), recording(pd(fit="kp")))
+    own = bind(Robot.from_mjcf("robot.xml", text=ARM), recording(pd(fit=["kp"])))
     assert "prior of kp@lift, kp@turn: 20 ± 2 N m/rad (stated)" in own.said  # 10 % where no spread is stated
 
 

@@ -204,10 +204,10 @@ def matched(robot: Any, dataset: Dataset) -> Chain:
     out = _placed(out, spec)
     smoothing = spec.constants.get("smoothing_velocity", 0.0) if spec is not None else 0.0
     signature = with_speeds(out.signatures[0], {c.name: c.unit for c in dataset.outputs})
-    for name, unit in signature.inputs:
-        have = next((c.unit for c in dataset.inputs if c.name == name), unit)
-        if have != unit and not free:
-            raise UsageError(f"channel {name!r} is in {have}; the robot takes it in {unit}: correct its unit")
+    units = {c.name: c.unit for c in dataset.channels}
+    for name, unit in (*signature.outputs, *(() if free else signature.inputs)):
+        if (have := units.get(name, unit)) != unit:
+            raise UsageError(f"channel {name!r} is in {have}; {tree.file or 'the robot'} has it in {unit}: correct its unit")
     return Chain(out, signature=signature, smoothing_velocity=smoothing)
 
 
@@ -229,6 +229,13 @@ def recorded(tree: Tree, dataset: Dataset) -> tuple[Tree, tuple[str, ...]]:
             f"output {unknown[0]!r} is no joint of {tree.file or 'the robot'}{nearest(unknown[0], tree.leading)}; map it under "
             '[model.joints], or give it role = "auxiliary"'
         )
+    followers = {c.follower: c.leader for c in tree.couplings if c.follower in outputs}
+    for follower, leader in followers.items():
+        if leader not in measured:
+            raise UsageError(
+                f"{follower} is recorded and {leader}, which it follows, is not: record {leader}, or work its position out "
+                f'of that of {follower} (`scale`, `offset`) and give {follower} role = "auxiliary"'
+            )
     held: dict[str, float] = {}
     for joint in tree.leading:
         if joint in measured:
@@ -243,6 +250,9 @@ def recorded(tree: Tree, dataset: Dataset) -> tuple[Tree, tuple[str, ...]]:
         held[joint] = constants.get(f"{POSE}{joint}", value)
     notes = (f"not recorded and held: {', '.join(f'{j} at {v:.4g}' for j, v in held.items())} (state {POSE}NAME under "
              "[model.constants] where that is wrong)",) if held else ()  # fmt: skip
+    if followers:
+        listed = ", ".join(f"{a} follows {b}" for a, b in followers.items())
+        notes = (*notes, f"{listed}, as the file says: not compared")
     return tree.locked(held), notes
 
 
