@@ -11,13 +11,21 @@ import pytest
 
 from jaxid import Dataset, UsageError
 from jaxid.data.dataset import Controller, ModelSpec
+from jaxid.diagnosis.limbs import joined
+from jaxid.dynamics.chain import Chain
 from jaxid.dynamics.effect import Command, Signals
+from jaxid.excitation.bounds import bounds_of
+from jaxid.excitation.design import mechanism_of
+from jaxid.fitting.problem_builder import Bench
+from jaxid.fitting.simulate import own_numbers
 from jaxid.models import Robot
 from jaxid.models.effects import SensorBias
 from jaxid.problem.binding import bind, resolve_model
-from jaxid.robots.beside import rides
+from jaxid.problem.residual import InverseDynamics
+from jaxid.robots.beside import left_out as without_channels, rides
 from jaxid.robots.drives import stated_law
-from jaxid.robots.match import prepared
+from jaxid.robots.match import prepared, spec_of_file
+from report_sample import sample_diagnosis
 
 
 mujoco: Any = importlib.import_module("mujoco")
@@ -180,3 +188,103 @@ def test_speeds_of_joints_are_outputs():
     )  # fmt: skip
     signature = chain_of(both).signature
     assert [n for n, _ in signature.outputs] == ["lift", "lift_qd", "turn_qd"] and signature.joints == JOINTS
+
+
+@pytest.mark.parametrize(
+    "verdicts, whole",
+    [
+        (("none", "none"), "none"),
+        (("named", "none"), "named"),
+        (("named", "unknown"), "partly"),
+        (("partly", "none"), "partly"),
+        (("unknown", "none"), "unknown"),
+    ],
+)
+def test_limbs_that_were_diagnosed_one_by_one_are_one_answer(verdicts, whole):
+    sample = sample_diagnosis(200)
+    parts = [
+        replace(sample, which=replace(sample.which, verdict=v, effects=sample.which.effects if v in ("named", "partly") else ()))
+        for v in verdicts
+    ]
+    found = joined(parts, [("a1", "a2"), ("b1",)], recording(pd()))
+    assert found.which.verdict == whole
+    assert len(found.which.effects) == sum(len(p.which.effects) for p in parts)
+    assert np.isclose(found.how_far.gap_before, sample.how_far.gap_before)
+    assert (found.how_far.shrinkage is None) == (whole in ("none", "unknown"))
+    assert "a1 and a2: " in found.which.text and "limbs" in found.notes[-1]
+    assert found.to_dict()["which"]["verdict"] == whole
+
+
+def test_a_robots_file_is_a_model_for_designs_and_lists(tmp_path):
+    path = tmp_path / "robot.xml"
+    path.write_text(ARM.replace('name="lift"', 'name="lift" range="-60 60"'))
+    mechanism, table = mechanism_of(str(path))
+    bounds = bounds_of(mechanism.name, mechanism.signatures[0], None, table)
+    assert mechanism.name == "robot" and np.isclose(bounds.upper[0], 0.9 * np.pi / 3) and bounds.upper[1] > 1.1
+    spec: Any = spec_of_file(str(path))
+    assert spec.name == "robot" and "<mujoco" in spec.geometry.robot
+    assert np.isfinite([p["value"] for p in own_numbers(Chain(mechanism))["parameters"].values()]).all()
+
+
+def test_numbers_of_another_model_are_not_those_of_a_robot():
+    spec = ModelSpec("serial_arm", constants={"gravity": 9.8, "armature@turn": 0.3})
+    chain, data = (
+        chain_of(recording(pd(), model=spec)),
+        prepared(Robot.from_mjcf("robot.xml", text=ARM), recording(model=spec))[1],
+    )
+    assert "gravity of serial_arm" in data.notes[-1]
+    assert chain.mechanism.name == "robot"
+    b = bind(Robot.from_mjcf("robot.xml", text=ARM), recording(pd(), model=spec))
+    assert b.theta[b.layout.index("armature@turn")] == 0.3
+
+
+def test_a_follower_without_its_leader_is_refused_and_units_are_checked():
+    coupled = ARM.replace(
+        "<actuator>", '<equality><joint joint1="turn" joint2="lift" polycoef="0 1 0 0 0"/></equality><actuator>'
+    )
+    coupled = coupled.replace('<position joint="turn"/>', "")
+    robot = Robot.from_mjcf("robot.xml", text=coupled)
+    alone = Dataset.from_arrays(
+        T, {"turn_cmd": wave(0)}, {"turn": wave(1)}, units={"turn": "rad", "turn_cmd": "rad"}, controller=pd(), check_model=False
+    )
+    with pytest.raises(UsageError, match="turn is recorded and lift, which it follows, is not"):
+        resolve_model(*prepared(robot, alone))
+    metres = Dataset.from_arrays(
+        T, {f"{j}_cmd": wave(k) for k, j in enumerate(JOINTS)}, {j: wave(k) for k, j in enumerate(JOINTS)},
+        units={"lift": "m", "turn": "rad", "lift_cmd": "rad", "turn_cmd": "rad"}, controller=pd(), check_model=False,
+    )  # fmt: skip
+    with pytest.raises(UsageError, match="'lift' is in m; robot.xml has it in rad"):
+        chain_of(metres)
+
+
+def test_torques_tell_nothing_of_the_gains_that_make_them():
+    b = bind(Robot.from_mjcf("robot.xml", text=ARM), recording(pd(fit=["kp", "delay"])))
+    with pytest.raises(UsageError, match="kp@lift, kp@turn make the torque"):
+        Bench(b).problem(InverseDynamics(), "fit", b.free, b.theta)
+
+
+def test_names_are_matched_as_drivers_write_them_and_a_gripper_is_left_out():
+    def mapped(**joints):
+        names = [f"q{k + 1}" for k in range(len(joints))]
+        return Dataset.from_arrays(
+            T, {f"{n}_cmd": wave(k) for k, n in enumerate(names)}, {n: wave(k + 0.3) for k, n in enumerate(names)},
+            controller=pd(), check_model=False, model=ModelSpec(joints=dict(zip(names, joints.values(), strict=True))),
+        )  # fmt: skip
+
+    robot = Robot.from_mjcf("robot.xml", text=ARM)
+    _, data = prepared(robot, mapped(a="gripper", b="arm/Turn_joint", c="lift.pos"))
+    assert [c.name for c in data.outputs] == ["turn", "lift"] and [c.name for c in data.inputs] == ["turn_cmd", "lift_cmd"]
+    assert np.allclose(data.experiments[0].y[:, 0], wave(1.3)) and "left out" in data.notes[-1] and "gripper" in data.notes[-1]
+    assert prepared(robot, data)[1].notes == data.notes
+    with pytest.raises(UsageError, match="'gripper', no joint of"):
+        prepared(robot, mapped(a="gripper", b="turn"))
+
+
+def test_readings_that_count_in_no_loss_keep_their_place():
+    data = recording(pd())
+    e = data.experiments[0]
+    unread = np.zeros(e.y.shape, bool)
+    unread[7, 1] = True
+    marked = replace(data, experiments=(replace(e, left_out=unread),))
+    cut = without_channels(marked, ["lift", "lift_cmd"])
+    assert cut.experiments[0].left_out.shape == cut.experiments[0].y.shape and cut.experiments[0].left_out[7, 0]

@@ -88,7 +88,7 @@ def excite(
         )
     if harmonics * base > rate_hz / 8:
         raise UsageError(f"the highest line, {harmonics * base:.3g} Hz, needs a rate of at least {8 * harmonics * base:.3g} Hz")
-    mechanism, table = _mechanism(model)
+    mechanism, table = mechanism_of(model)
     chain = _with(Chain(mechanism), parameters)
     bounds = bounds_of(mechanism.name, chain.signature, limits, table)
     t = np.arange(round(duration_s * rate_hz) + 1) / rate_hz
@@ -110,7 +110,7 @@ def chain_of(path: str) -> bool:
     return not tree.couplings and all(up == k - 1 for k, up in enumerate(tree.parent))
 
 
-def _mechanism(model: object) -> tuple[Any, Any]:
+def mechanism_of(model: object) -> tuple[Any, Any]:
     """(mechanism, table with the maker's limits or None)."""
     if is_file(model) and not (model.lower().endswith(".urdf") and chain_of(model)):
         robot = robot_from(model, getattr(model, "tip", None))

@@ -35,6 +35,25 @@ def as_inputs(dataset: Dataset, names: Sequence[str]) -> Dataset:
     return replace(dataset, channels=moved, experiments=tuple(map(one, dataset.experiments)))
 
 
+def left_out(dataset: Dataset, names: Sequence[str]) -> Dataset:
+    """The dataset without these channels."""
+    gone = set(names)
+    iu = [i for i, c in enumerate(dataset.inputs) if c.name not in gone]
+    iy = [i for i, c in enumerate(dataset.outputs) if c.name not in gone]
+    cut = lambda a: None if a is None else a[:, iy]
+
+    def one(e: Experiment) -> Experiment:
+        return replace(
+            e, u=e.u[:, iu], y=e.y[:, iy], scatter=cut(e.scatter), left_out=cut(e.left_out),
+            auxiliary={k: v for k, v in e.auxiliary.items() if k not in gone},
+            initial=None if e.initial is None else {k: v for k, v in e.initial.items() if k not in gone},
+            past=None if e.past is None else one(e.past),
+        )  # fmt: skip
+
+    kept = tuple(c for c in dataset.channels if c.name not in gone)
+    return replace(dataset, channels=kept, experiments=tuple(map(one, dataset.experiments)))
+
+
 def with_rates(dataset: Dataset, tree: Tree) -> Dataset:
     """The dataset with the channels that [controller] reference_velocity names as inputs, where goals drive.
 

@@ -47,6 +47,7 @@ def part(dataset: Dataset, tree: Tree, joints: Sequence[str]) -> Dataset:
             u=e.u[:, iu],
             y=e.y[:, iy],
             scatter=None if e.scatter is None else e.scatter[:, iy],
+            left_out=None if e.left_out is None else e.left_out[:, iy],
             auxiliary={k: v for k, v in e.auxiliary.items() if k in kept},
             initial=None if e.initial is None else {k: v for k, v in e.initial.items() if mine(k)},
             constants=_own(e.constants, names),

@@ -13,10 +13,11 @@ import numpy as np
 
 from jaxid.data.dataset import Dataset, Experiment, Geometry, ModelSpec
 from jaxid.dynamics.chain import Chain
+from jaxid.dynamics.joint_names import plain_name
 from jaxid.dynamics.joint_readings import with_speeds
 from jaxid.dynamics.parameter import with_fields
 from jaxid.errors import nearest, UsageError
-from jaxid.robots.beside import as_inputs, rides, with_base, with_rates
+from jaxid.robots.beside import as_inputs, left_out, rides, with_base, with_rates
 from jaxid.robots.drives import file_law, stated_law
 from jaxid.robots.mjcf_text import expanded
 from jaxid.robots.tree import Tree
@@ -59,16 +60,45 @@ def is_robot(model: object) -> bool:
     return getattr(model, "name", "") == "robot" and hasattr(model, "matched")
 
 
+def forms_of(channel: str, joint: str) -> dict[str, str]:
+    """Names that channels of a joint may have where its position is `channel`, and what they are under the joint's name."""
+    forms = {channel: joint, **{channel + end: joint + end for end in KINDS}}
+    if re.fullmatch(r"q\d*", channel):
+        number = channel[1:]
+        forms |= {f"tau{number}": f"{joint}_tau", f"qd{number}": f"{joint}_qd", f"force{number}": f"{joint}_tau"}
+    return forms
+
+
+def of_the_file(joints: Mapping[str, str], tree: Tree, have: set[str]) -> tuple[dict[str, str], dict[str, str]]:
+    """Channel -> joint of the file, whose names may be written a little differently (`arm/Shoulder-Pan`, `shoulder_pan.pos`); and
+    those that the file lacks while all joints that it has are recorded.
+
+    Raises `UsageError` for a joint that it lacks while another one is not recorded: that may be a slip.
+    """
+    found, gone = {}, {}
+    for channel, joint in joints.items():
+        alike = [joint] if joint in tree.joints else [j for j in tree.joints if plain_name(j) == plain_name(joint)]
+        if len(alike) == 1:
+            found[channel] = alike[0]
+        else:
+            gone[channel] = joint
+    if gone and not set(tree.leading) <= {*found.values(), *have}:
+        first = next(iter(gone.values()))
+        raise UsageError(f"[model.joints] names {first!r}, no joint of {tree.file}{nearest(first, tree.joints)}")
+    return found, gone
+
+
 def named(dataset: Dataset, tree: Tree, joints: Mapping[str, str] | None = None) -> Dataset:
     """The dataset with its channels under the joints' names: as [model.joints] says, else q1 … in the order of the file.
 
     Raises `UsageError` for a joint that the robot lacks.
     """
     notes, have = [], {c.name for c in dataset.channels}
-    joints = dict(joints or {})
-    for joint in joints.values():
-        if joint not in tree.joints:
-            raise UsageError(f"[model.joints] names {joint!r}, no joint of {tree.file}{nearest(joint, tree.joints)}")
+    joints, gone = of_the_file(dict(joints or {}), tree, have)
+    if out := [c for channel in gone for c in forms_of(channel, channel) if c in have]:
+        dataset = left_out(dataset, out)
+        notes = [f"left out, for {tree.file or 'the robot'} lacks them: {', '.join(gone.values())}"]
+        have = {c.name for c in dataset.channels}
     numbered = sorted((c.name for c in dataset.outputs if re.fullmatch(r"q\d*", c.name)), key=lambda c: int(c[1:] or 1))
     if not joints and numbered and not have & set(tree.joints):
         places = [int(c[1:] or 1) for c in numbered]
@@ -76,16 +106,13 @@ def named(dataset: Dataset, tree: Tree, joints: Mapping[str, str] | None = None)
             raise UsageError(f"channel {numbered[-1]} has no joint: {tree.file} has {', '.join(tree.leading)}")
         joints = {c: tree.leading[k - 1] for c, k in zip(numbered, places, strict=True)}
         listed = ", ".join(f"{c} = {j}" for c, j in joints.items())
-        notes = [f"joints by the order of the file, as the recording does not name them: {listed} (else state [model.joints])"]
+        notes += [f"joints by the order of the file, as the recording does not name them: {listed} (else state [model.joints])"]
     names = {}
     for channel, joint in joints.items():
-        number = channel[1:] if re.fullmatch(r"q\d*", channel) else None
-        forms = {channel: joint, **{channel + end: joint + end for end in KINDS}}
-        if number is not None:
-            forms |= {f"tau{number}": f"{joint}_tau", f"qd{number}": f"{joint}_qd", f"force{number}": f"{joint}_tau"}
+        forms = forms_of(channel, joint)
         names |= {old: new for old, new in forms.items() if old in have and old not in names}
     if not names:
-        return dataset
+        return replace(dataset, notes=(*dataset.notes, *notes)) if notes else dataset
     clash = sorted({new for new in names.values() if new in have and new not in names})
     if clash:
         raise UsageError(f"the recording has a channel {clash[0]!r} beside the one that [model.joints] names so: rename one")
@@ -217,6 +244,13 @@ def recorded(tree: Tree, dataset: Dataset) -> tuple[Tree, tuple[str, ...]]:
     names = [c.name for c in dataset.channels]
     constants = dataset.model.constants if dataset.model is not None else {}
     measured = [j for j in tree.leading if j in outputs or f"{j}_qd" in outputs]
+    followers = {c.follower: c.leader for c in tree.couplings if c.follower in outputs}
+    for follower, leader in followers.items():
+        if leader not in measured:
+            raise UsageError(
+                f"{follower} is recorded and {leader}, which it follows, is not: record {leader}, or work its position out "
+                f'of that of {follower} (`scale`, `offset`) and give {follower} role = "auxiliary"'
+            )
     if not measured:
         raise UsageError(
             f"no channel is a joint of {tree.file or 'the robot'}: its joints are {', '.join(tree.leading)}, the outputs of the "
@@ -229,13 +263,6 @@ def recorded(tree: Tree, dataset: Dataset) -> tuple[Tree, tuple[str, ...]]:
             f"output {unknown[0]!r} is no joint of {tree.file or 'the robot'}{nearest(unknown[0], tree.leading)}; map it under "
             '[model.joints], or give it role = "auxiliary"'
         )
-    followers = {c.follower: c.leader for c in tree.couplings if c.follower in outputs}
-    for follower, leader in followers.items():
-        if leader not in measured:
-            raise UsageError(
-                f"{follower} is recorded and {leader}, which it follows, is not: record {leader}, or work its position out "
-                f'of that of {follower} (`scale`, `offset`) and give {follower} role = "auxiliary"'
-            )
     held: dict[str, float] = {}
     for joint in tree.leading:
         if joint in measured:
