@@ -82,7 +82,7 @@ def of_the_file(joints: Mapping[str, str], tree: Tree, have: set[str]) -> tuple[
             found[channel] = alike[0]
         else:
             gone[channel] = joint
-    if gone and not set(tree.leading) <= {*found.values(), *have}:
+    if gone and not set(tree.leading) <= {*found.values(), *(have - set(gone))}:
         first = next(iter(gone.values()))
         raise UsageError(f"[model.joints] names {first!r}, no joint of {tree.file}{nearest(first, tree.joints)}")
     return found, gone
