@@ -189,7 +189,7 @@ def _classes(places: list[Place], alike: set[frozenset[Place]]) -> tuple[tuple[P
     return tuple(out)
 
 
-def _rich_motion(chain: Chain, model: str, owner: Any) -> tuple[Dataset, str]:
+def _rich_motion(chain: Chain, model: str, owner: Any = None) -> tuple[Dataset, str]:
     """A command of sines, steps and rests as strong as keeps the motion within about a radian (or metre), and its recording."""
     from jaxid.fitting.simulate import own_numbers, simulate_dataset
 
