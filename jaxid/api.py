@@ -109,8 +109,16 @@ def diagnose(
     than about an hour, the first part is looked at, and a note says so.
     The recording is checked first (`jaxid.check`), and decisive findings are applied unless `as_recorded`.
     """
+    from jaxid.diagnosis.limbs import diagnose_each
     from jaxid.diagnosis.run import run_diagnosis
 
+    if len(limbs := limbs_of(model, dataset)) > 1:
+        asked = None if effects is None else tuple(effects)
+        work = lambda robot, data, words: diagnose(
+            robot, data, max_effects=max_effects, effects=asked, without=without, residual=residual, seed=seed,
+            progress=_of_limb(progress, words), as_recorded=as_recorded,
+        )  # fmt: skip
+        return diagnose_each(limbs, work, dataset)
     if max_effects < 1:
         raise UsageError(f"max_effects is {max_effects}; a diagnosis needs at least 1")
     without = tuple(without)
@@ -122,6 +130,11 @@ def diagnose(
         partial = None if stop.partial is None else replace(stop.partial, data=checked.findings)
         raise Interrupted(partial) from stop
     return replace(found, data=checked.findings)
+
+
+def _of_limb(progress: Progress | None, words: str) -> Progress | None:
+    """The progress with what is worked on in front."""
+    return None if progress is None else lambda stage, done, total, text: progress(f"{words}: {stage}", done, total, text)
 
 
 def check(model: object, dataset: Dataset, *, without: Iterable[str] = (), as_recorded: bool = False) -> Checked:

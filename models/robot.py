@@ -4,9 +4,11 @@ from __future__ import annotations
 
 from functools import lru_cache
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any, ClassVar
 
 import equinox as eqx
+import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
@@ -42,14 +44,23 @@ def torque(joint: str) -> str:
     return f"{joint}_tau"
 
 
-def signature_of(tree: Tree, driven: bool) -> Signature:
-    """Channels of a robot: goals or torques in, joint positions out, by the joints' names."""
+#: How a base that is measured moves: its angles, their rates and accelerations.
+RIDE = tuple((f"base_{k}{end}", unit) for end, unit in (("", "rad"), ("_qd", "rad/s"), ("_qdd", "rad/s^2")) for k in PLACE[3:])
+
+
+def signature_of(tree: Tree, driven: bool, rates: tuple[str, ...] = (), rides: bool = False) -> Signature:
+    """Channels of a robot: goals or torques in, then the goals' rates and the motion of the base, joint positions out, by the
+    joints' names."""
     joints = tree.leading
     slides = tuple(tree.slides[tree.joints.index(j)] for j in joints)
     outputs = tuple((j, "m" if s else "rad") for j, s in zip(joints, slides, strict=True))
     goals = tuple((goal(j), unit) for j, (_, unit) in zip(joints, outputs, strict=True))
     torques = tuple((torque(j), "N" if s else "N m") for j, s in zip(joints, slides, strict=True))
-    return Signature(goals if driven else torques, outputs, joints, prismatic=slides if any(slides) else ())
+    beside = (*((n, f"{unit}/s") for n, (_, unit) in zip(rates, outputs, strict=bool(rates))), *(RIDE if rides else ()))
+    return Signature(
+        (*(goals if driven else torques), *beside), outputs, joints, prismatic=slides if any(slides) else (),
+        beside=len(beside), rates=len(rates),
+    )  # fmt: skip
 
 
 class Robot(Staged):
@@ -112,14 +123,15 @@ class Robot(Staged):
     reference: tuple[float, ...] = eqx.field(static=True, default=())
     coupling: tuple[tuple[float, ...], ...] | None = eqx.field(static=True, default=None)  # all joints = coupling q + shift
     shift: tuple[float, ...] = eqx.field(static=True, default=())
-    fitted: tuple[tuple[str, float, float], ...] = eqx.field(static=True, default=())  # number, bounds
+    fitted: tuple[Any, ...] = eqx.field(static=True, default=())  # numbers of the law: `drives.Fitted`
     prepared: Any = None
     added: Any = None  # ten numbers more at each node
     tilt: Any = None  # (angle, axis): the base turned further
     tree: Any = eqx.field(static=True, default=None)  # the file's own numbers: a `Stated`
     drive_law: Any = eqx.field(static=True, default=None)
+    rides: bool = eqx.field(static=True, default=False)  # whether the last inputs are the motion of the base
 
-    def __init__(self, tree: Tree | None = None, driven: bool | None = None, law: Any = None):
+    def __init__(self, tree: Tree | None = None, driven: bool | None = None, law: Any = None, rides: bool = False):
         tree = default_tree() if tree is None else tree
         leading = tree.leading
         S, c = tree.follow()
@@ -152,7 +164,8 @@ class Robot(Staged):
         self.fitted = ()
         if driven is None:
             driven = law is not None or all(j in tree.actuators and tree.actuators[j].kind == "position" for j in leading)
-        self.signatures = (signature_of(tree, driven),)
+        self.rides = rides
+        self.signatures = (signature_of(tree, driven, () if law is None else law.rates, rides),)
         own: list[tuple[type, dict[str, str]]] = [
             (ViscousFriction, {"coefficient": "damping@{joint}"}),
             (CoulombFriction, {"level": "frictionloss@{joint}"}),
@@ -177,7 +190,7 @@ class Robot(Staged):
 
     def driven_by(self, law: Any) -> Robot:
         """The same driven by goals through a law (a `jaxid.robots.drives.Law`)."""
-        return type(self)(self.tree.tree, law=law)
+        return type(self)(self.tree.tree, law=law, rides=self.rides)
 
     @classmethod
     def from_mjcf(cls, path: str | Path, *, tip: str | None = None, text: str | None = None) -> Robot:
@@ -195,6 +208,12 @@ class Robot(Staged):
         from jaxid.robots.urdf_tree import read_urdf_tree
 
         return cls(up_to(read_urdf_tree(path, text), tip))
+
+    def limits(self) -> Any:
+        """`lower`, `upper` (rad, m), `velocity` and `effort` [joints] of the joints that move by themselves, by the file."""
+        tree: Tree = self.tree.tree
+        own = [tree.joints.index(j) for j in tree.leading]
+        return SimpleNamespace(**{k: getattr(tree, k)[own] for k in ("lower", "upper", "velocity", "effort")})
 
     def matched(self, dataset: Dataset) -> Chain:
         """The model of a recording: its joints by name, joints that it lacks held, its drive law. See `jaxid.robots.match`."""
@@ -238,7 +257,7 @@ class Robot(Staged):
         return f"{field}@{names[place]}"
 
     def held(self) -> frozenset[str]:
-        joints, fitted = self.signatures[0].joints, {name for name, _, _ in self.fitted}
+        joints, fitted = self.signatures[0].joints, {one.name for one in self.fitted}
         out = {f"{field}@{link}" for field in BODY for link in self.links} - self.tree.tree.free_moments()
         out |= {f"{field}@{j}" for field in ("encoder_bias", "stiffness", "quadratic_damping") for j in self.joints}
         out |= {"base_roll", "base_pitch"}
@@ -247,7 +266,7 @@ class Robot(Staged):
         return frozenset(out | {f"{field}@{j}" for field in law for j in joints} - fitted)
 
     def known(self):
-        return {name: (lower, upper) for name, lower, upper in self.fitted}
+        return {one.name: one.known for one in self.fitted}
 
     def spec_of(self, field: str, place: int, spec: ParameterSpec) -> ParameterSpec:
         """Bounds by the robot's own size."""
@@ -282,7 +301,20 @@ class Robot(Staged):
 
     def standing(self) -> dynamics.Base:
         """Gravity in the frame of the tilted base."""
-        R = dynamics.turn(self.base_roll, self.base_pitch, self.base_yaw)
+        return dynamics.still(self._fall((self.base_roll, self.base_pitch, self.base_yaw)))  # type: ignore[arg-type]
+
+    def riding(self, ride: Float[Array, " 9"]) -> dynamics.Base:
+        """Gravity and the base's own motion (`RIDE`), turned about its origin, in its frame."""
+        offset = jnp.stack([jnp.asarray(self.base_roll), jnp.asarray(self.base_pitch), jnp.asarray(self.base_yaw)])
+        angles, rates = ride[:3] + offset, ride[3:6]
+        w, wd = jax.jvp(_angular_velocity, (angles, rates), (rates, ride[6:]))
+        fall = self._fall(tuple(angles))
+        zero = 0.0 * w[0]
+        return dynamics.Base(tuple(w), tuple(wd), tuple(zero - f for f in fall))  # type: ignore[arg-type]
+
+    def _fall(self, angles: Any) -> tuple[Any, ...]:
+        """Vector of free fall in the frame of a base that is turned so."""
+        R = dynamics.turn(*angles)
         g = jnp.asarray(self.gravity)
         fall = tuple(sum(R[i][k] * g[i] for i in range(3)) for k in range(3))
         if self.tilt is not None:  # v cos - (axis x v) sin + axis (axis . v) (1 - cos)
@@ -291,7 +323,7 @@ class Robot(Staged):
             sine, cosine = sincos(angle)
             along, across = scaled((1 - cosine) * inner(axis, fall), axis), scaled(-sine, cross(axis, fall))
             fall = add(scaled(cosine, fall), add(along, across))
-        return dynamics.still(fall)  # type: ignore[arg-type]
+        return fall
 
     def prepare(self, h):
         return eqx.tree_at(lambda m: m.prepared, self, (self.body(), self.standing()), is_leaf=lambda x: x is None)
@@ -335,7 +367,18 @@ class Robot(Staged):
 
     def drive(self, signature, u, q, qd):
         tau = u[: q.shape[0]] if signature.inputs else jnp.zeros_like(q)
+        if self.rides and signature.inputs:
+            tau = tau - self._carried(u[-len(RIDE) :], q, qd)
         return tau - self.cubic_damping * qd**3 if np.any(self.tree.tree.damping[:, 2]) else tau
+
+    def _carried(self, ride: Any, q: Any, qd: Any) -> Any:
+        """Joint torque that the base's motion takes beside that of the base at rest."""
+        body, base = self._worked_out()
+        plan = plan_of(self.parent)
+        q, qd = self.all_joints(q - self.encoder_bias), self.all_joints(qd, moves=True)
+        E, still = dynamics.frames(plan, body, q - np.array(self.reference)), jnp.zeros_like(qd)
+        moving, resting = (dynamics.inverse_dynamics(plan, body, E, b, qd, still) for b in (self.riding(ride), base))
+        return self._leading(moving - resting)
 
     def outline(self, x, signature):
         """The tree as one line that goes out along each limb and back."""
@@ -371,6 +414,13 @@ class Robot(Staged):
 
     def _with(self, field: str, value: Any) -> Robot:
         return eqx.tree_at(lambda m: getattr(m, field), self, value, is_leaf=lambda x: x is None)
+
+
+def _angular_velocity(angles: Float[Array, " 3"], rates: Float[Array, " 3"]) -> Float[Array, " 3"]:
+    """Of a frame turned by Rz(yaw) Ry(pitch) Rx(roll), in itself."""
+    (sr, cr), (sp, cp) = sincos(angles[0]), sincos(angles[1])
+    roll, pitch, yaw = rates
+    return jnp.stack([roll - yaw * sp, pitch * cr + yaw * sr * cp, yaw * cr * cp - pitch * sr])
 
 
 def default_tree() -> Tree:

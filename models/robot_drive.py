@@ -21,12 +21,14 @@ class PositionLaw(InputEffect):
     """Goal -> torque. Continuous (`period` 0, as in MuJoCo and Isaac), or sampled every `period` s and held in between.
 
     `kind` pd: v = kp (goal - q) - kd qd; pid: the same + ki times the integral of the error, which stands still while the output
-    is saturated and the error drives it further; cascade: v = kd (kp (goal - q) - qd). With `rate` the goal's own rate, the
-    difference to its last sample, is taken off qd (sampled laws alone). Torque = gain clip(v + offset, lowest, highest).
+    is saturated and the error drives it further; cascade: v = kd (kp (goal - q) - qd). The goal's own rate is taken off qd where
+    it is `recorded`, or with `rate`, which takes the difference to the last sample (sampled laws alone). Torque = gain clip(v +
+    offset, lowest, highest).
     """
 
     name: ClassVar[str] = "position_law"
     stage: ClassVar[int] = 5
+    reads_encoders: ClassVar[bool] = True
     equation: ClassVar[str] = "tau = gain clip(kp (goal - q) + kd (rate - qd) + ki integral + offset, lowest, highest)"
     signature: ClassVar[str] = "none: it is stated with the recording or by the robot's file"
     source: ClassVar[str] = "textbook; MuJoCo's position actuator"
@@ -45,6 +47,7 @@ class PositionLaw(InputEffect):
     kind: str = eqx.field(static=True, default="pd")
     velocity: str = eqx.field(static=True, default="measured")
     rate: bool = eqx.field(static=True, default=False)
+    recorded: bool = eqx.field(static=True, default=False)
     period: float = eqx.field(static=True, default=0.0)
     control: tuple[tuple[float, float], ...] = eqx.field(static=True, default=())
 
@@ -54,13 +57,21 @@ class PositionLaw(InputEffect):
         # time since the start, ticks so far, held torque, last two positions, last goal, integral
         return jnp.zeros(()), jnp.full((), -1.0), jnp.zeros((5, *u.shape))
 
+    def settled(self, z, u, q, hold):
+        """The integral of a pid begins where the joint is held."""
+        if self.kind != "pid":
+            return z
+        u = jnp.clip(u, *np.array(self.control).T) if self.control else u
+        integral = jnp.where(self.ki > 0, hold() / self.gain - self._output(u - q, 0.0), 0.0)
+        return integral if self.period <= 0 else (*z[:2], z[2].at[4].set(integral))
+
     def __call__(self, u, s, z):
         if self.control:
             u = jnp.clip(u, *np.array(self.control).T)
         if self.period > 0:
             return self._sampled(u, s, z)
         error = u - s.q
-        output = self._output(error, -s.qd)
+        output = self._output(error, (s.beside[: u.shape[0]] if self.recorded else 0.0) - s.qd)
         if self.kind == "pid":
             return self._limited(output + z), self._integrated(z, output + z, error, s.h)
         return self._limited(output), z
@@ -86,7 +97,7 @@ class PositionLaw(InputEffect):
         count = jnp.floor(elapsed / T + 0.5 * jnp.minimum(1.0, s.h / T))
         now = count > ticks
         measured = {"measured": qd, "difference": (q - last) / T, "averaged_difference": (q - before) / (2 * T)}[self.velocity]
-        wanted = (u - goal) / T if self.rate else 0.0
+        wanted = s.beside[: u.shape[0]] if self.recorded else (u - goal) / T if self.rate else 0.0
         output = self._output(u - q, wanted - measured) + integral
         new = jnp.stack([self._limited(output), q, last, u, self._integrated(integral, output, u - q, T)])
         kept = jnp.where(now, new, jnp.stack([held, last, before, goal, integral]))

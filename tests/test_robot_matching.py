@@ -107,7 +107,9 @@ def test_the_law_is_stated_by_number_list_or_name():
     assert law(kp=[1.0, 2.0, 3.0]).drive_law.kp == (1.0, 2.0, 3.0)
     named = law(kp={"right3": 3.0, "right1": 1.0, "right2": 2.0}, fit=["kp", "delay"], spread={"kp": 0.5}, delay=0.01)
     assert named.drive_law.kp == (1.0, 2.0, 3.0)
-    assert named.known()["kp@right2"] == (2 / 3, 6.0) and named.known()["delay@right1"] == (0.0, 0.1)
+    kp, late = named.known()["kp@right2"], named.known()["delay@right1"]
+    assert (kp.lower, kp.upper, kp.prior) == (0.02, 7.0, {"mean": 2.0, "std": 1.0})
+    assert (late.lower, late.upper, late.prior) == (0.0, 0.1, {"mean": 0.01, "std": 0.001})
     for settings, words in (
         ({"kp": {"right1": 1.0}}, "right2, right3"),
         ({"kp": [1.0, 2.0]}, "a list of 3"),

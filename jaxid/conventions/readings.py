@@ -87,12 +87,12 @@ class Names:
 
     def __init__(self, binding: Binding):
         iu, _ = columns(binding.dataset, binding.chain)
-        inputs = [binding.dataset.inputs[i] for i in iu]
+        inputs = [binding.dataset.inputs[i] for i in iu[: len(binding.chain.signature.commands)]]
         self.inputs = [c.name for c in inputs]
         self.input_units = [c.unit for c in inputs]
         outputs = dict(binding.chain.signature.outputs)
         self.joints = list(binding.chain.signature.joints)
-        self.joint_units = [outputs[j] for j in self.joints]
+        self.joint_units = [outputs.get(j, binding.chain.signature.unit("{X}", k)) for k, j in enumerate(self.joints)]
 
 
 def signs(names: Names) -> Iterator[Reading]:

@@ -253,7 +253,7 @@ class Controller:
     """The feedback law under which the data were recorded; sample time, saturation and gains stand in `settings`."""
 
     kind: str
-    settings: dict[str, float | list[float] | str | list[str] | dict[str, float]] = field(default_factory=dict)
+    settings: dict[str, float | list[float] | str | list[str] | dict[str, float] | dict[str, str]] = field(default_factory=dict)
 
 
 @dataclass(frozen=True)

@@ -278,7 +278,7 @@ class ControllerEntry(BaseModel):
     spread: dict[str, FiniteFloat] | None = None
     velocity: str | None = None
     reference: str | list[str] | None = None
-    reference_velocity: str | None = None
+    reference_velocity: str | list[str] | dict[str, str] | None = None
     disturbance: str | list[str] | None = None
 
     @property

@@ -56,7 +56,7 @@ def by_regime(bench: Bench, split: str, models: Sequence[HeldOut]) -> tuple[Shar
     moved = []
     for e in runs:
         m = b.motions[e.name]
-        load = e.u[:, iu] if b.chain.direct and len(iu) else np.zeros((len(e.t), b.chain.nq))
+        load = e.u[:, iu[: b.chain.nq]] if b.chain.direct and len(iu) else np.zeros((len(e.t), b.chain.nq))
         none = np.zeros((0, len(e.t), b.chain.nq))
         moved.append(Missing(e, np.ones(len(e.t), bool), m.q, m.qd, m.qdd, load, none, none))
     for j, joint in enumerate(b.chain.signature.joints):

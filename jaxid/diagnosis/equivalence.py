@@ -19,7 +19,6 @@ from jaxid.data.dataset import Dataset
 from jaxid.diagnosis.hypothesis import Candidate, candidates, probes_of
 from jaxid.diagnosis.screen import probe_residuals, Retuning
 from jaxid.dynamics.chain import Chain
-from jaxid.dynamics.parameter_vector import Layout
 from jaxid.errors import UsageError
 from jaxid.fitting.effect_starts import probes
 from jaxid.fitting.least_squares import search
@@ -27,6 +26,7 @@ from jaxid.fitting.problem_builder import Bench
 from jaxid.problem.binding import bind, Binding
 from jaxid.problem.problem import Problem, rows
 from jaxid.problem.residual import OutputError
+from jaxid.robots.match import is_file, robot_from
 
 
 #: An effect is absorbed where re-tuning leaves less than this share of what a weak one (WEAK of a probe) changes: as much as a
@@ -87,10 +87,11 @@ def equivalences(model: str, without: Sequence[str] = ()) -> Equivalences:
     """
     from jaxid import catalogue
 
-    chain = Chain(catalogue.model_class(model)()).without(*without)
+    owner = robot_from(model, getattr(model, "tip", None)) if is_file(model) else catalogue.model_class(model)()
+    chain = Chain(owner).without(*without)
     library = [k for n in catalogue.effect_names() if n not in chain.contents and chain.offers(k := catalogue.effect_class(n))]
-    data, text = _rich_motion(chain, model)
-    binding = bind(model, data, without=without, candidates=library, splits=False)
+    data, text = _rich_motion(chain, model, owner)
+    binding = bind(owner, data, without=without, candidates=library, splits=False)
     bench = Bench(binding)
     theta = _with_friction(binding)
     p = bench.problem(OutputError(), "fit", binding.free, theta)
@@ -188,9 +189,9 @@ def _classes(places: list[Place], alike: set[frozenset[Place]]) -> tuple[tuple[P
     return tuple(out)
 
 
-def _rich_motion(chain: Chain, model: str) -> tuple[Dataset, str]:
+def _rich_motion(chain: Chain, model: str, owner: Any = None) -> tuple[Dataset, str]:
     """A command of sines, steps and rests as strong as keeps the motion within about a radian (or metre), and its recording."""
-    from jaxid.fitting.simulate import simulate_dataset
+    from jaxid.fitting.simulate import own_numbers, simulate_dataset
 
     t = np.arange(int(RATE * SECONDS)) / RATE
     rng = np.random.default_rng(0)
@@ -214,15 +215,14 @@ def _rich_motion(chain: Chain, model: str) -> tuple[Dataset, str]:
             warnings.simplefilter("ignore")  # a switch that stays on is meant
             named = {n: units[n] for n in (*inputs, *outputs)}
             return Dataset.from_arrays(
-                t, inputs, outputs, units=named, noise_std=noise, at_rest=True, model=model, split="fit", check_model=False
-            )
+                t, inputs, outputs, units=named, noise_std=noise, at_rest=True, split="fit", check_model=False,
+                model=None if is_file(model) else model,
+            )  # fmt: skip
 
-    stated = {
-        e.name: {"value": float(v)} for e, v in zip(Layout(chain).entries, Layout(chain).values, strict=True) if not e.spec.fixed
-    }
+    content = own_numbers(chain) | {"effects": []}
     best, limit = None, TRAVEL
     for strength in 10.0 ** np.arange(-3, 4.1, 0.5) if names else [1.0]:
-        run = simulate_dataset({"parameters": stated, "effects": []}, recorded(strength), None).runs[0]
+        run = simulate_dataset(content, recorded(strength), owner).runs[0]
         y = {n: np.asarray(run[n]) for n, _ in chain.signature.outputs}
         spread = max(float(np.ptp(y[j])) for j in chain.signature.joints if j in y)
         limit = max(limit, 1.2 * min(spread, 2 * np.pi)) if best is None else limit  # what falls by itself moves more
@@ -231,7 +231,9 @@ def _rich_motion(chain: Chain, model: str) -> tuple[Dataset, str]:
         best = strength, y, spread
     if best is None or best[2] < 1e-6:
         raise UsageError(f"{model} has no moderate motion at its default parameters, so nothing can be compared")
-    text = f"sines of 0.3 to 8 Hz, steps and rests, {SECONDS:g} s at {RATE} Hz, travel {best[2]:.2g}, open loop, from rest"
+    law = getattr(owner, "drive_law", None)
+    how = "open loop" if law is None else law.text
+    text = f"sines of 0.3 to 8 Hz, steps and rests, {SECONDS:g} s at {RATE} Hz, travel {best[2]:.2g}, {how}, from rest"
     moving = {n: v for n, v in best[1].items() if np.ptp(v)}  # what stands still by design has another signature without it
     return recorded(best[0], moving), text
 

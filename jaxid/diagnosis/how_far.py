@@ -12,7 +12,10 @@ from jaxid.diagnosis.breakdown import by_regime, by_run, Share
 from jaxid.diagnosis.evidence import held_out, HeldOut, memory
 from jaxid.diagnosis.result import ChannelGap, HowFar
 from jaxid.fitting.problem_builder import Bench
+from jaxid.problem.binding import Binding
 from jaxid.problem.residual import InverseDynamics, MultipleShooting, Residual
+from jaxid.robots.match import is_robot
+from jaxid.robots.yardstick import as_it_stands
 from jaxid.simulation.sample_buffers import columns
 from jaxid.wording import times
 
@@ -97,6 +100,19 @@ def measure(
         gaps[0], gaps[1], gaps[2], 1.0, shrinkage, interval, reason, per_channel, f"{text}. {note}".strip(),
         by_runs, by_regime(bench, split, runs), made_of, split,
     )  # fmt: skip
+
+
+def model_before(binding: Binding, retuned: np.ndarray) -> tuple[np.ndarray, str]:
+    """The model before anything was fitted: a robot's file as it stands; of other models the values that the dataset states, and
+    what it does not state re-tuned."""
+    if is_robot(binding.chain.mechanism):
+        return as_it_stands(binding)
+    theta = retuned.copy()
+    stated = [i for i in binding.free if i in binding.stated]
+    if not stated:
+        return theta, "The dataset states no parameter values, so the gap before is that of the re-tuned model."
+    theta[stated] = binding.theta[stated]
+    return theta, ""
 
 
 def whole_runs(bench: Bench, residual: Residual, split: str, held: HeldOut) -> HeldOut:

@@ -176,6 +176,9 @@ class HowFar:
     per_regime: tuple[Share, ...] = ()
     interval_from: str = ""
     split: str = "report"  # of the data: "validation" where none is kept for the report
+    per_joint: tuple[
+        dict[str, Any], ...
+    ] = ()  # of a robot: error of each joint with the file as it stands, re-tuned, with effects
 
     def to_dict(self) -> dict[str, Any]:
         return {
@@ -191,6 +194,7 @@ class HowFar:
             "per_channel": {k: v.to_dict() for k, v in self.per_channel.items()},
             "per_experiment": [s.to_dict() for s in self.per_run],
             "per_regime": [s.to_dict() for s in self.per_regime],
+            "per_joint": list(self.per_joint),
             "text": self.text,
         }
 

@@ -36,6 +36,7 @@ from jaxid.fitting.result import EffectEstimate, Fit
 from jaxid.fitting.scores import free_runs, make_traces, torque_traces
 from jaxid.problem.binding import bind, Binding, JITTER, resolve_model
 from jaxid.problem.residual import InverseDynamics, MultipleShooting, OutputError, Residual
+from jaxid.robots.yardstick import with_effects
 from jaxid.runtime import Interrupted
 from jaxid.storage.interim import Interim
 from jaxid.wording import number, percent, times
@@ -177,7 +178,7 @@ def _diagnosed(question: Question, scatter: timing.Scatter | None = None) -> tup
         progress("how far", 0, 1, "report data")
 
     repeated = any(n.source == "repeatability" for n in binding.noise.values())
-    before, note = _before(binding, search.nominal)
+    before, note = shrinking.model_before(binding, search.nominal.theta)
     alike = scatter.bench(bench) if scatter else bench
 
     def measure(verdict: str, after: np.ndarray) -> HowFar:
@@ -228,6 +229,7 @@ def _diagnosed(question: Question, scatter: timing.Scatter | None = None) -> tup
     if verdict == "named" and (against := doubts(estimates)):
         verdict, text = "partly", f"{text} It is not to be believed as it stands: {'; '.join(against)}."
     final_fit = _fit(bench, final, residual, seed, compile_time, time.perf_counter() - began)
+    how_far = dataclasses.replace(how_far, per_joint=with_effects(nominal_fit.per_joint, final_fit.per_joint))
     mates = search.confusable if named else []
     findings, pictures, rows = _where(bench, search.nominal, final, verdict, estimates, seed)
     ranking = (*(scatter.ranked(bench, residual, search.nominal) if scatter else ()), *_ranked(search))
@@ -305,7 +307,7 @@ def _search(question: Question) -> tuple[Bench, Fit, Search, float]:
 def _so_far(question: Question, bench: Bench, nominal: Fit, search: Search, began: float) -> Diagnosis:
     """What is known while effects are still compared: where the gap lies and how wide it is; nothing is claimed yet."""
     binding, residual = question.binding, question.residual
-    before, note = _before(binding, search.nominal)
+    before, note = shrinking.model_before(binding, search.nominal.theta)
     how_far = shrinking.measure(bench, residual, before, search.nominal.theta, search.nominal.theta, "unknown", note, bench)
     findings, pictures, rows = _where(bench, search.nominal, search.nominal, "unknown", (), question.seed)
     ranking = tuple(_ranked(search))
@@ -315,16 +317,6 @@ def _so_far(question: Question, bench: Bench, nominal: Fit, search: Search, bega
         Which("unknown", (), (), ranking, text), how_far, "Let the diagnosis run to its end.", time.perf_counter() - began,
         nominal, nominal, _traces(bench, residual, search.nominal, search.nominal, ()), pictures, rows, binding.dataset.notes,
     )  # fmt: skip
-
-
-def _before(binding: Binding, nominal: Hypothesis) -> tuple[np.ndarray, str]:
-    """The model before anything was fitted: the values that the dataset states; what it does not state is re-tuned."""
-    theta = nominal.theta.copy()
-    stated = [i for i in binding.free if i in binding.stated]
-    if not stated:
-        return theta, "The dataset states no parameter values, so the gap before is that of the re-tuned model."
-    theta[stated] = binding.theta[stated]
-    return theta, ""
 
 
 def _effect_estimates(binding: Binding, h: Hypothesis, named: Sequence[Candidate]) -> tuple[EffectEstimate, ...]:

@@ -80,7 +80,7 @@ def missing_forces(bench: Bench, theta: np.ndarray, starts: np.ndarray | None, s
         record = runs.record(runs.records[k])
         keep = np.zeros(len(e.t), bool)
         keep[np.searchsorted(_positions(runs, k), record.samples)] = True
-        load = e.u[:, iu] if b.chain.direct and len(iu) else np.zeros((len(e.t), b.chain.nq))
+        load = e.u[:, iu[: b.chain.nq]] if b.chain.direct and len(iu) else np.zeros((len(e.t), b.chain.nq))
         out.append(Missing(e, keep, m.q[keep], m.qd[keep], m.qdd[keep], load[keep], force[k], np.array(nulls[k])))
     return out
 

@@ -43,6 +43,15 @@ def _first_state(e: Effect, q: Array, u: Array, y: Array, rate: Array) -> Any:
 _REMEMBERING: dict[Any, tuple[bool, ...]] = {}
 
 
+def _first(command: Command, n: int) -> Command:
+    """The first n inputs of a command."""
+
+    def delayed(delay: Array) -> Array:
+        return command.delayed(jnp.concatenate([delay, jnp.zeros(command.u.shape[0] - n)]))[:n]
+
+    return command._replace(u=command.u[:n], other=command.other[:n], delayed=delayed)
+
+
 class Carry(NamedTuple):
     """State of a simulation between steps: mechanism, effects, and two predictors (dry torque, acceleration)."""
 
@@ -85,14 +94,14 @@ class Chain(eqx.Module):
     @property
     def direct(self) -> bool:
         """Whether each input is the drive torque or force of a joint."""
-        inputs = self.signature.inputs
+        inputs = self.signature.commands
         return len(inputs) == self.nq and all(unit in ("N m", "N") for _, unit in inputs)
 
     @property
     def torque_channels(self) -> tuple[tuple[str, str], ...]:
         """(name, unit) of each joint's drive torque: the input channels, or the joints where inputs are something else."""
         if self.direct:
-            return self.signature.inputs
+            return self.signature.commands
         return tuple((f"torque at {joint}", self.signature.unit("{F}")) for joint in self.signature.joints)
 
     @property
@@ -109,8 +118,9 @@ class Chain(eqx.Module):
 
     def offers(self, effect: Effect | type[Effect]) -> tuple[str, ...]:
         """Those of its places where an effect makes sense in this model: its candidates in a diagnosis."""
-        anywhere = effect.offered is None or self.mechanism.behind_law(effect)
-        return self.places(effect) if anywhere else effect.offered(self.mechanism, self.signature)  # type: ignore[misc]
+        if self.mechanism.behind_law(effect):
+            return self.places(effect)[: self.nq]
+        return self.places(effect) if effect.offered is None else effect.offered(self.mechanism, self.signature)
 
     def _widened(self, effect: Effect) -> Effect:
         n = len(self.places(effect))
@@ -163,7 +173,7 @@ class Chain(eqx.Module):
         """Which effects remember the motion before a record; sensors do not, they begin anew with it."""
         key = jax.tree.structure(self)
         if key not in _REMEMBERING:
-            q, u = jnp.zeros(self.nq), jnp.zeros(len(self.signature.inputs))
+            q, u = jnp.zeros(self.nq), jnp.zeros(len(self.signature.commands))
 
             def states(e: Effect) -> Any:
                 hidden = isinstance(e, BodyEffect) and e(self.mechanism).hidden_states
@@ -179,7 +189,11 @@ class Chain(eqx.Module):
         body = self.body().prepare(None) if body is None else body
         x = body.start(q, qd)
         y, rate = self.begins(body, q, qd) if self.at(OutputEffect) else (jnp.zeros(0), jnp.zeros(0))
-        return Carry(x, tuple(_first_state(e, q, u, y, rate) for e in self.effects), jnp.zeros_like(q), jnp.zeros_like(q))
+        u = u[: len(self.signature.commands)]
+        z = [_first_state(e, q, u, y, rate) for e in self.effects]
+        for i, e in self.at(InputEffect):
+            z[i] = e.settled(z[i], u, q, lambda: body.inverse(q, jnp.zeros_like(q), jnp.zeros_like(q)))
+        return Carry(x, tuple(z), jnp.zeros_like(q), jnp.zeros_like(q))
 
     def sensed_anew(self, z: tuple, fresh: tuple, here: Array) -> tuple:
         """States z, with those of the sensors as in `fresh` where `here`."""
@@ -196,12 +210,27 @@ class Chain(eqx.Module):
 
         return jax.jvp(outputs, (q,), (qd,))
 
+    def _off(self) -> Array | float:
+        """By how much the encoders of the joints are off, [nq]."""
+        names = [n for n, _ in self.signature.outputs]
+        total: Array | float = 0.0
+        for _, e in self.at(OutputEffect):
+            if (off := e.offset()) is not None:
+                total += jnp.stack([off[names.index(j)] if j in names else 0.0 * off[0] for j in self.signature.joints])
+        return total
+
     def commanded(self, s: Signals, z: tuple) -> tuple[Float[Array, " nu"], tuple]:
-        """Inputs after the input effects."""
-        u, z_new = s.command.u, list(z)
+        """Inputs after the input effects, which act on what commands joints alone."""
+        whole, n = s.command, len(self.signature.commands)
+        u, beside, z_new = whole.u[:n], whole.u[n:], list(z)
+        if n < whole.u.shape[0]:
+            s = s._replace(command=_first(whole, n), beside=beside)
         for i, e in self.at(InputEffect):
-            u, z_new[i] = e(u, s, z[i])
-        return u, tuple(z_new)
+            if self.signature.rates and (late := e.late()) is not None:
+                still = jnp.zeros(beside.shape[0] - self.signature.rates)
+                s = s._replace(beside=whole.delayed(jnp.concatenate([late, late, still]))[n:])
+            u, z_new[i] = e(u, s._replace(q=s.q + self._off()) if e.reads_encoders else s, z[i])
+        return (jnp.concatenate([u, beside]) if n < whole.u.shape[0] else u), tuple(z_new)
 
     def friction(self, s: Signals, z: tuple) -> tuple[Array, Array, Array, tuple]:
         """Smooth opposing torque, dry levels (minus, plus), effect states at the end of the step."""

@@ -35,6 +35,7 @@ class Signals(NamedTuple):
     h: Array
     command: Command
     qd0: Float[Array, " nq"]  # joint speed at the step's beginning
+    beside: Any = ()  # inputs that are no commands of joints, [k]
 
 
 class Effect(eqx.Module):
@@ -84,7 +85,7 @@ class Effect(eqx.Module):
 
 def drives(mechanism: Mechanism, signature: Signature) -> tuple[str, ...]:
     """The inputs that are no mere switches or shares."""
-    return tuple(name for name, unit in signature.inputs if unit != "1")
+    return tuple(name for name, unit in signature.commands if unit != "1")
 
 
 class InputEffect(Effect):
@@ -92,6 +93,16 @@ class InputEffect(Effect):
 
     location: ClassVar[str] = "input"
     offered: ClassVar = staticmethod(drives)
+    #: Whether it closes a loop: it is told what the encoders read in place of the joints' positions.
+    reads_encoders: ClassVar[bool] = False
+
+    def settled(self, z: Any, u: Float[Array, " nu"], q: Float[Array, " nq"], hold: Callable[[], Float[Array, " nq"]]) -> Any:
+        """State `z` of a run that begins at positions q, which the joint torque hold() [nq] keeps."""
+        return z
+
+    def late(self) -> Array | None:
+        """By how much it delays each command, s; None: not at all."""
+        return None
 
     @abc.abstractmethod
     def __call__(self, u: Float[Array, " nu"], s: Signals, z: Any) -> tuple[Float[Array, " nu"], Any]: ...
@@ -130,6 +141,10 @@ class OutputEffect(Effect):
     """Between mechanism and record: (y, signals, state) -> y, state."""
 
     location: ClassVar[str] = "output"
+
+    def offset(self) -> Array | None:
+        """By how much each reading is off at all times, which a loop that is closed through it is told too; None: not so."""
+        return None
 
     @abc.abstractmethod
     def __call__(self, y: Float[Array, " ny"], s: Signals, z: Any) -> tuple[Float[Array, " ny"], Any]: ...

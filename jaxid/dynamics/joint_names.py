@@ -70,12 +70,12 @@ def in_chain_order(dataset: Dataset, names: Sequence[str]) -> Dataset:
 def renumbered(joints: Mapping[str, str], names: Sequence[str]) -> dict[int, int]:
     """Number of each recorded joint (`joints`: q1 -> its name) -> its number in the chain; those that it lacks come behind."""
     own = {int(c[1:]): j for c, j in joints.items() if re.fullmatch(r"q\d+", c)}
-    plain = [_plain(j) for j in own.values()]
+    plain = [plain_name(j) for j in own.values()]
     found: dict[int, int] = {}
     missing = []
     for place, name in enumerate(names, 1):
         exact = [k for k, j in own.items() if j == name]
-        alike = exact or [k for k, j in own.items() if _plain(j) == _plain(name) and plain.count(_plain(name)) == 1]
+        alike = exact or [k for k, j in own.items() if plain_name(j) == plain_name(name) and plain.count(plain_name(name)) == 1]
         if alike:
             found[alike[0]] = place
         else:
@@ -102,7 +102,7 @@ def _bynumber_of(dataset: Dataset, names: Sequence[str]) -> Dataset:
     return dataset if note in dataset.notes or len(names) == 1 else replace(dataset, notes=(*dataset.notes, note))
 
 
-def _plain(name: str) -> str:
+def plain_name(name: str) -> str:
     """A name without what drivers put around it: `arm/shoulder_pan_joint`, `Shoulder-Pan`, `shoulder_pan.pos`."""
     last = name.rpartition("/")[2].lower()
     last = re.sub(r"(\.pos|\.position)$", "", last)

@@ -22,6 +22,7 @@ from jaxid.numerics.fast_math import dot, inverse
 
 
 if TYPE_CHECKING:
+    from jaxid.data.dataset import ParameterPrior
     from jaxid.dynamics.ode import ODE
 
 
@@ -30,7 +31,8 @@ class Signature(NamedTuple):
     (`linear` all of them, `prismatic` one by one, or a joint's own output is in m).
 
     `speeds`: the joints whose speeds are the last outputs. Those before are what the mechanism's `output` gives: its `shown`
-    places, or the first ones (None).
+    places, or the first ones (None). `beside`: how many of the last inputs are no commands of joints, but what is known of the
+    motion beside them; the first `rates` of these are the commands' own rates, which arrive with them.
     """
 
     inputs: tuple[tuple[str, str], ...]
@@ -40,6 +42,13 @@ class Signature(NamedTuple):
     prismatic: tuple[bool, ...] = ()
     shown: tuple[int, ...] | None = None
     speeds: tuple[int, ...] = ()
+    beside: int = 0
+    rates: int = 0
+
+    @property
+    def commands(self) -> tuple[tuple[str, str], ...]:
+        """The inputs that command joints."""
+        return self.inputs[: len(self.inputs) - self.beside]
 
     def unit(self, template: str, joint: int = 0) -> str:
         """A parameter's unit with {F} force, {X} coordinate and {I} inertia of that joint filled in."""
@@ -113,7 +122,7 @@ class Mechanism(eqx.Module):
 
     def places(self, effect: Any, signature: Signature) -> tuple[str, ...]:
         """Names of the places of an effect at the inputs or outputs, one for each channel."""
-        return tuple(n for n, _ in (signature.inputs if effect.location == "input" else signature.outputs))
+        return tuple(n for n, _ in (signature.commands if effect.location == "input" else signature.outputs))
 
     def nominal_effects(self) -> list[Any]:
         """The built-in effects with what is known of them; by default at their start values."""
@@ -128,8 +137,8 @@ class Mechanism(eqx.Module):
         """Printed name of one number of a field that has one for each joint or link."""
         return f"{field}{place + 1}"
 
-    def known(self) -> dict[str, tuple[float, float]]:
-        """Bounds, by name, of numbers that this model has fitted though it would hold them."""
+    def known(self) -> dict[str, ParameterPrior]:
+        """What is known, by name, of numbers that this model has fitted though it would hold them."""
         return {}
 
     def spec_of(self, field: str, place: int, spec: ParameterSpec) -> ParameterSpec:

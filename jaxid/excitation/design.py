@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable, Mapping, Sequence
+from dataclasses import replace
 from typing import Any
 
 import jax.numpy as jnp
@@ -32,6 +33,7 @@ from jaxid.excitation.trajectories import (
 )
 from jaxid.identification.regression import LAWS, names_of
 from jaxid.numerics.precision import float64
+from jaxid.robots.match import is_file, robot_from, spec_of_file
 
 
 FRICTIONS = ("model", *LAWS)
@@ -86,7 +88,7 @@ def excite(
         )
     if harmonics * base > rate_hz / 8:
         raise UsageError(f"the highest line, {harmonics * base:.3g} Hz, needs a rate of at least {8 * harmonics * base:.3g} Hz")
-    mechanism, table = _mechanism(model)
+    mechanism, table = mechanism_of(model)
     chain = _with(Chain(mechanism), parameters)
     bounds = bounds_of(mechanism.name, chain.signature, limits, table)
     t = np.arange(round(duration_s * rate_hz) + 1) / rate_hz
@@ -97,15 +99,26 @@ def excite(
     else:
         made = _input(*settings, criterion or "d_optimal", starts, amplitude, gain, limits, progress)
     made.content["wall_time_s"] = time.perf_counter() - began
+    if is_file(model) and mechanism.name == "robot":
+        made = replace(made, dataset=replace(made.dataset, model=spec_of_file(model)))
     return made
 
 
-def _mechanism(model: object) -> tuple[Any, Any]:
+def chain_of(path: str) -> bool:
+    """Whether the joints of a URDF, up to its tip, are one chain without mimics, as a serial arm has them."""
+    tree = robot_from(path, getattr(path, "tip", None)).tree.tree
+    return not tree.couplings and all(up == k - 1 for k, up in enumerate(tree.parent))
+
+
+def mechanism_of(model: object) -> tuple[Any, Any]:
     """(mechanism, table with the maker's limits or None)."""
-    if isinstance(model, str) and model.endswith(".urdf"):
+    if is_file(model) and not (model.lower().endswith(".urdf") and chain_of(model)):
+        robot = robot_from(model, getattr(model, "tip", None))
+        return robot, robot.limits()
+    if isinstance(model, str) and model.lower().endswith(".urdf"):
         from jaxid.dynamics.urdf import read_urdf
 
-        table = read_urdf(model)
+        table = read_urdf(model, getattr(model, "tip", None))
         return catalogue.model_class("serial_arm")(table), table
     if isinstance(model, str):
         return catalogue.model_class(model)(), None

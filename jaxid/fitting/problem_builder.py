@@ -8,6 +8,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from jaxid.errors import UsageError
 from jaxid.fitting.least_squares import descend
 from jaxid.fitting.scale_free import shrinking
 from jaxid.problem.binding import Binding
@@ -97,6 +98,11 @@ class Bench:
         loss: str = "sum_of_squares",
     ) -> Problem:
         b = self.binding
+        if isinstance(residual, InverseDynamics) and (own := b.gains & {int(i) for i in free}):
+            raise UsageError(
+                f"inverse_dynamics compares torques, and {', '.join(b.layout.names[i] for i in sorted(own))} make the torque: "
+                "the smaller, the less is left. Take them out of [controller] fit, or use the residual output_error"
+            )
         runs = self.runs(residual, split)
         priors = b.priors if "fit" in split.split("+") else None  # they count once
         p = Problem(runs, theta, free, b.lower, b.upper, records, loss, b.scale, self.differences, priors)
@@ -142,7 +148,8 @@ def start_values(bench: Bench, free: Sequence[int], seed: int) -> list[np.ndarra
     """Guesses of every number of the model, best first: what inverse dynamics finds, what was stated or is the default."""
     b = bench.binding
     guesses = [b.theta]
-    linear = [i for i in free if i not in b.stated] or list(free)
+    told = [i for i in free if i not in b.gains]
+    linear = [i for i in told if i not in b.stated] or told
     if b.motions and linear and not b.chain.mechanism.hidden_states:
         quick = InverseDynamics(decimate=1)
         problem = bench.problem(quick, "fit", linear, b.theta)
@@ -151,8 +158,8 @@ def start_values(bench: Bench, free: Sequence[int], seed: int) -> list[np.ndarra
         path = descend([(problem, problem.z(b.theta))], 15, 1e-8)[0]
         if np.isfinite(path.cost):
             guesses.insert(0, problem.theta(path.z))
-            both = bench.problem(quick, "fit", free, b.theta)
-            if b.stated & set(free) and not shrinking(both, both.z(guesses[0])):
+            both = bench.problem(quick, "fit", told, b.theta)
+            if b.stated & set(told) and not shrinking(both, both.z(guesses[0])):
                 path = descend([(both, both.z(guesses[0]))], 15, 1e-8)[0]
                 if np.isfinite(path.cost):
                     guesses.insert(0, both.theta(path.z))

@@ -85,7 +85,7 @@ def own_numbers(chain: Chain) -> dict[str, Any]:
     """The numbers that a chain holds, as the content of a fit.json; constants are left to the dataset."""
     layout = Layout(chain)
     numbers = zip(layout.entries, layout.values, strict=True)
-    return {"parameters": {e.name: {"value": float(v)} for e, v in numbers if not e.spec.fixed}}
+    return {"parameters": {e.name: {"value": float(v)} for e, v in numbers if not e.spec.fixed and np.isfinite(v)}}
 
 
 def _label(effect: Any) -> str:

@@ -63,6 +63,12 @@ class Binding:
     def experiments(self, split: str) -> tuple[Experiment, ...]:
         return self.dataset.split(split)
 
+    @property
+    def gains(self) -> set[int]:
+        """Fitted numbers of a drive law that make the torque itself: no equation of torques can tell them."""
+        known = self.chain.mechanism.known()
+        return {i for i in self.free if (name := self.layout.names[i]) in known and not name.startswith("delay@")}
+
     def reference(self, effect: type[Effect] | Effect, place: int) -> Reference:
         """Typical magnitudes where an effect acts."""
         at_input = effect.location == "input" and not self.chain.mechanism.behind_law(effect)
@@ -86,8 +92,8 @@ class Binding:
 def resolve_model(model: object, dataset: Dataset, without: Iterable[str] = ()) -> Chain:
     """The chain that a dataset and a user mean: by id, by the path of a URDF, as a mechanism, or as a
     chain; None takes the dataset's."""
-    spec = dataset.model
     model, dataset = robots.prepared(model, dataset)
+    spec = dataset.model
     if model is None:
         if spec is None or spec.name is None:
             raise UsageError(f"the dataset names no model: give one (there is: {', '.join(catalogue.model_names())})")
@@ -214,7 +220,7 @@ def bind(
             theta[i] = value
             fixed.add(i)
             stated.add(i)
-    priors = {name: ParameterPrior(None, *known) for name, known in chain.mechanism.known().items()} | priors
+    priors = chain.mechanism.known() | priors
     for name, prior in priors.items():
         value = prior.value if prior.value is not None or prior.prior is None else prior.prior["mean"]
         if value is not None:
@@ -244,6 +250,8 @@ def bind(
                 raise UsageError(f"{name} = {theta[i]:g} lies outside its bounds [{lower[i]:g}, {upper[i]:g}]")
             theta[i] = np.sqrt(lower[i] * upper[i]) if lower[i] > 0 else (lower[i] + upper[i]) / 2
     known, said = _stated_scales(layout, priors, lower, upper)
+    if robots.is_robot(model):
+        said = (*robots.notes_of(model, dataset), *said)
     theta[free] = np.clip(theta[free], lower[free], upper[free])
     return Binding(
         dataset, chain, layout, noise, sigma, motions, references, inputs, theta, lower, upper, scale, free, stated, own,
@@ -256,7 +264,7 @@ def _stated_scales(
 ) -> tuple[dict[int, tuple[float, float]], tuple[str, ...]]:
     """Search scales as stated, set in the layout; the Gaussian priors, and sentences about both. Bounds that nobody states make
     room for a prior."""
-    known, said = {}, []
+    known, said, alike = {}, [], {}
     layout.log = layout.log.copy()
     for name, prior in priors.items():
         i = layout.index(name)
@@ -267,7 +275,7 @@ def _stated_scales(
             least = 0.0 if lower[i] >= 0 else -np.inf
             if prior.lower is None and not (lower[i] > 0 and reach[0] <= 0):
                 lower[i] = max(least, min(lower[i], reach[0]))
-            said.append(f"prior of {name}: {mean:.4g} ± {std:.4g} {layout.entries[i].unit} (stated)")
+            alike.setdefault(f"{mean:.4g} ± {std:.4g} {layout.entries[i].unit}", []).append(name)
         if prior.log is not None:
             if prior.log and not lower[i] > 0:
                 raise UsageError(
@@ -276,6 +284,7 @@ def _stated_scales(
                 )
             layout.log[i] = prior.log
             said.append(f"{name} is searched {'by its logarithm' if prior.log else 'linearly'} (stated)")
+    said += [f"prior of {', '.join(names)}: {text} (stated)" for text, names in alike.items()]
     return known, tuple(said)
 
 
@@ -328,11 +337,11 @@ def _references(
             torque = _inertia_program(layout)(theta, q[pick], qdd[pick])
             inertia = np.percentile(np.abs(np.asarray(torque)), 99, axis=0)
         if (asks := getattr(chain.mechanism, "drive_law", None)) is not None:  # what the law asks for says more
-            asked = asks.size(np.concatenate([e.u[:, iu[:nq]] for e in fit]) - np.concatenate([e.y for e in fit])[:, iy])
+            asked = asks.size(np.concatenate([e.u[:, iu[:nq]] for e in fit]) - np.concatenate([m.q for m in used]))
             inertia = np.maximum(inertia, asked)
         elif law:
             parts = zip(fit, used, strict=True)
             driven = [drive_torque(layout, theta, e.u[:, iu], np.concatenate([m.q, m.qd], 1)) for e, m in parts]
             inertia = np.maximum(inertia, np.percentile(np.abs(np.concatenate(driven)), 99, axis=0))
-        joints = measured_motion.references(fit, used, iu if direct else [], inertia)
+        joints = measured_motion.references(fit, used, iu[:nq] if direct else [], inertia)
     return joints, [joints[min(k, nq - 1)]._replace(torque=max(s, 1e-9)) for k, s in enumerate(size)]

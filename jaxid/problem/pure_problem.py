@@ -73,7 +73,8 @@ class Problem(eqx.Module):
 
     @property
     def loss(self) -> Callable[..., Float[Array, ""]]:
-        """loss(z, args=None) -> []: by default the mean square of the residual; huge where the simulation diverges."""
+        """loss(z, args=None) -> []: by default the mean square of the residual, each Gaussian prior one more square; huge where
+        the simulation diverges."""
         return types.MethodType(_loss, self)
 
     @property
@@ -131,8 +132,7 @@ def make_problem(
         raise UsageError(f"the dataset has no run in the split {split!r}")
     theta = start_values(Bench(binding), binding.free, 0)[0]
     problem = bench.problem(chosen, split, binding.free, theta, loss=loss)
-    stated = binding.dataset.model.parameters if binding.dataset.model is not None else {}
-    priors = [prior_of(stated.get(binding.layout.names[i])) for i in problem.free]
+    priors = [binding.priors.get(int(i), (np.nan, np.nan)) for i in problem.free]
     return pure(problem, problem.z(theta), np.array(priors, float).reshape(-1, 2))
 
 
@@ -162,15 +162,6 @@ def pure(problem: Runnable, z0: np.ndarray, priors: np.ndarray | None = None) ->
 def residual_of(z: Vector, problem: Problem) -> Float[Array, " n"]:
     """`problem.residual(z)` as a function of both."""
     return _residual(problem, z)
-
-
-def prior_of(stated: Any) -> tuple[float, float]:
-    """(mean, standard deviation) of the Gaussian prior that a dataset states of a parameter; nan without one."""
-    prior = getattr(stated, "prior", None)
-    if prior is None:
-        return np.nan, np.nan
-    mean, std = (prior[n] if isinstance(prior, Mapping) else getattr(prior, n) for n in ("mean", "std"))
-    return float(mean), float(std)
 
 
 @dataclass(frozen=True, eq=False)
@@ -237,7 +228,17 @@ def _loss(problem: Problem, z: Vector, args: Any = None) -> Float[Array, ""]:
     loss, d = LOSSES[problem.loss_name], problem._data
     r = _residual(problem, z)
     sums = jnp.zeros(d.count.shape).at[problem._rows[:, 2]].add(loss.summed(r / problem._weights, r))
+    if problem.loss_name == "sum_of_squares":  # no other has room for a prior, as `Problem` of fits says
+        sums = sums.at[0].add(jnp.sum(_beside_priors(problem, z) ** 2))
     return penalised(loss.total(sums, d.count, d.norm))
+
+
+def _beside_priors(problem: Problem, z: Vector) -> Float[Array, " free"]:
+    """How many standard deviations each free parameter is from the mean of its prior; 0 where it has none."""
+    mean, std = problem._prior.T
+    there = ~jnp.isnan(mean)
+    values = _physical(problem, jnp.asarray(z))[: mean.shape[0]]
+    return jnp.where(there, values - mean, 0.0) / jnp.where(there, std, 1.0)
 
 
 def _log_density(problem: Problem, z: Vector, args: Any = None) -> Float[Array, ""]:
@@ -246,7 +247,7 @@ def _log_density(problem: Problem, z: Vector, args: Any = None) -> Float[Array, 
     mean, std = problem._prior.T
     part = z[: mean.shape[0]]
     there = ~jnp.isnan(mean)
-    error = jnp.where(there, _physical(problem, z)[: mean.shape[0]] - mean, 0.0) / jnp.where(there, std, 1.0)
+    error = _beside_priors(problem, z)
     slope = jnp.where(problem._data.log, part, 0.0)  # log |d parameter / d z|
     prior = jnp.where(there, slope - error**2 / 2 - jnp.log(jnp.where(there, std, 1.0)) - np.log(2 * np.pi) / 2, 0.0)
     density = likelihood + jnp.sum(prior)

@@ -13,6 +13,7 @@ import numpy as np
 
 from jaxid.data.dataset import Dataset, Experiment
 from jaxid.dynamics.chain import Chain
+from jaxid.dynamics.effect import Command, Signals
 from jaxid.dynamics.parameter_vector import Layout
 from jaxid.errors import UsageError
 from jaxid.numerics.export_cache import key_of, Traced
@@ -103,13 +104,15 @@ def drive_gains(chain: Chain) -> np.ndarray:
 
 
 _DRIVES: dict[Any, Traced] = {}
+#: Length of a step in which nothing changes, s.
+MOMENT = 1e-9
 
 
 def drive_torque(layout: Layout, theta: np.ndarray | None, u: np.ndarray, motion: np.ndarray) -> np.ndarray:
     """Joint torque that the drive makes of recorded inputs u [time nu] in a measured motion (q, qd, ...) [time 2 nq or more],
     with the numbers theta (None: those of the layout), [time nq]."""
     chain, nq = layout.chain, layout.chain.nq
-    if chain.direct:
+    if chain.direct and not chain.signature.beside:
         return u * (drive_gains(chain) if theta is None else drive_gains(layout.model(theta)))
     structure = jax.tree.structure(chain)
     if structure not in _DRIVES:
@@ -123,7 +126,16 @@ def drive_torque(layout: Layout, theta: np.ndarray | None, u: np.ndarray, motion
 
 def _driven(chain: Chain, u: Any, q: Any, qd: Any) -> Any:
     body = chain.body()
-    return jax.vmap(lambda u, q, qd: body.drive(chain.signature, u, q, qd))(u, q, qd)
+    return jax.vmap(lambda u, q, qd: body.drive(chain.signature, _asked(chain, body, u, q, qd), q, qd))(u, q, qd)
+
+
+def _asked(chain: Chain, body: Any, u: Any, q: Any, qd: Any) -> Any:
+    """What a law makes of a goal that has been there for long, in a motion; other inputs as they are."""
+    if getattr(chain.mechanism, "drive_law", None) is None:
+        return u
+    command = Command(jnp.zeros(()), jnp.asarray(MOMENT), u, u, lambda delay: u)
+    signals = Signals(command.t, q, qd, jnp.zeros_like(q), command.h, command, qd)
+    return chain.commanded(signals, chain.start(q, qd, u, body).z)[0]
 
 
 def decimated_torque_lane(taps: np.ndarray) -> Lane:

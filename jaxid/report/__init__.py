@@ -20,6 +20,7 @@ from jaxid.report import (
     recorded,
     traces,
     unseen,
+    yardstick,
 )
 from jaxid.report.page import render, render_fragment
 from jaxid.serialise import json_bytes
@@ -42,6 +43,7 @@ def diagnosis_page(diagnosis: Diagnosis) -> str:
         checked.before(diagnosis.data),
         answer.section(diagnosis),
         carry.section(diagnosis.final, "diagnosis.json"),
+        yardstick.section(diagnosis.how_far.per_joint, diagnosis.final.stated),
         unseen.section(diagnosis.unseen),
         traces.section(diagnosis.traces),
         breakdown.section(diagnosis),
@@ -59,6 +61,7 @@ def fit_page(fit: Fit) -> str:
         checked.before(fit.data),
         fitted.section(fit),
         carry.section(fit, "fit.json"),
+        yardstick.section(fit.per_joint, fit.stated),
         parameters.section(fit),
         traces.section(fit.traces),
         background.of_fit(fit),

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from typing import Any, TYPE_CHECKING
 
 from jaxid.conventions.finding import data_lines
@@ -207,6 +207,7 @@ def diagnosis_text(diagnosis: Diagnosis) -> str:
     parts = [
         *map(wrapped, data_lines(diagnosis.data)),
         f"{one_line(diagnosis.dataset)}, model {one_line(diagnosis.model)}",
+        joint_table(how_far.per_joint),
         paragraph("STATED", stated_sentences(diagnosis.final.stated)),
         "" if which.verdict == "none" else paragraph("WHERE", (where_sentence(f) for f in diagnosis.where[:2])),
         paragraph("WHICH", [which_sentence(which, how_far), *meaning(which), confusable_sentence(which)]),
@@ -221,6 +222,24 @@ def diagnosis_text(diagnosis: Diagnosis) -> str:
         paragraph("NEXT", [diagnosis.next_experiment]),
     ]
     return "\n".join(filter(None, parts))
+
+
+def joint_rows(rows: Sequence[Mapping[str, Any]]) -> tuple[list[str], list[tuple[str, ...]]]:
+    """Head and rows of each joint's error with the file as it stands, re-tuned and with the effects, of the last split alone: the
+    first table of every robot's result."""
+    last = [r for r in rows if r["split"] == rows[-1]["split"]]
+    effects = any(r.get("with_effects") is not None and r["with_effects"] != r["retuned"] for r in last)
+    head = ["joint", "data", last[0]["text"] if last else "", "re-tuned", *(["with the effects"] if effects else [])]
+    columns = ("as_it_stands", "retuned", *(("with_effects",) if effects else ()))
+    return head, [(r["joint"], r["split"], *(f"{number(r[c])} {r['unit']}" for c in columns)) for r in last]
+
+
+def joint_table(rows: Sequence[Mapping[str, Any]]) -> str:
+    """The same as text; "" without rows."""
+    if not rows:
+        return ""
+    head, body = joint_rows(rows)
+    return table(tuple(head), body)
 
 
 def parameter_rows(fit: Fit) -> list[tuple[str, Estimate]]:
@@ -241,6 +260,7 @@ def fit_text(fit: Fit) -> str:
             f"{fit.dataset}, model {listed(names)}: {fit.fitter} on {fit.residual}, {state} ({fit.stopped_because}),"
             f" loss {number(fit.loss)} (1 = down to the noise)"
         ),
+        joint_table(fit.per_joint),
         table(
             ("parameter", "value", "unit", ""),
             [(name, value_with_std(p, unit=False), p.unit, remark(p)) for name, p in parameter_rows(fit)],
@@ -257,7 +277,7 @@ def fit_text(fit: Fit) -> str:
     parts += [paragraph("stated", [s.text]) for s in fit.stated]
     parts += [paragraph("note", [note]) for note in fit.notes]
     parts.append(f"{fit.evaluations} evaluations, {number(fit.wall_time_s)} s, {number(fit.compile_time_s)} s of it compiling")
-    return "\n".join(parts)
+    return "\n".join(filter(None, parts))
 
 
 def simulation_text(simulation: Simulation) -> str:

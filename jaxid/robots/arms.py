@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from jaxid.data.dataset import Channel, Dataset, Experiment
+from jaxid.data.dataset import Channel, Dataset, Experiment, ModelSpec
 from jaxid.dynamics.kinematics import ArmTable, geometry_of
 from jaxid.dynamics.urdf import z_to
 from jaxid.errors import UsageError
@@ -38,12 +38,10 @@ def as_arm(model: object, dataset: Dataset) -> tuple[Any, Dataset]:
     joints = ", ".join(f"{k + 1} {j}" for k, j in enumerate(tree.joints))
     note = f"numbers of parameters are joints: {joints}"
     law = mechanism.drive_law
-    said = (note,) if law is None else (note, f"torque is what the law asked for: {law.text}")
-    spec = dataset.model
-    spec = (
-        None
-        if spec is None
-        else replace(spec, name="serial_arm", geometry=None, constants=named, parameters={}, joints={}, base={})
+    said = (note,) if law is None else (note, "torque is what the law asked for")
+    order = {f"q{k + 1}": j for k, j in enumerate(tree.joints)}
+    spec = replace(
+        dataset.model or ModelSpec(), name="serial_arm", geometry=None, constants=named, parameters={}, joints=order, base={}
     )
     data = replace(_numbered(dataset, tree, law), model=spec)
     return arm, replace(data, notes=(*data.notes, *notes_of(robot, dataset), *said))
@@ -84,6 +82,8 @@ def _numbered(dataset: Dataset, tree: Tree, law: Any) -> Dataset:
     outputs, inputs = ([c.name for c in group] for group in (dataset.outputs, dataset.inputs))
     iy = [outputs.index(j) for j in tree.joints]
 
+    held = all(c.hold == "zero" for c in dataset.inputs if c.name.endswith("_cmd"))
+
     def one(e: Experiment) -> Experiment:
         y = e.y[:, iy]
         if law is None:
@@ -91,9 +91,11 @@ def _numbered(dataset: Dataset, tree: Tree, law: Any) -> Dataset:
             goals = {f"q{k + 1}_cmd": e.auxiliary[f"{j}_cmd"] for k, j in enumerate(tree.joints) if f"{j}_cmd" in e.auxiliary}
         else:
             goal = e.u[:, [inputs.index(f"{j}_cmd") for j in tree.joints]]
-            tau = law.torque(e.t, goal, y)
+            rate = e.u[:, [inputs.index(n) for n in law.rates]] if law.rates else None
+            tau = law.torque(e.t, goal, y, rate, held)
             goals = {f"q{k + 1}_cmd": goal[:, k] for k in range(tree.n)}
-        return replace(e, u=tau, y=y, auxiliary=goals, past=None, initial=None, scatter=None, constants={})
+        unread = None if e.left_out is None else e.left_out[:, iy]
+        return replace(e, u=tau, y=y, left_out=unread, auxiliary=goals, past=None, initial=None, scatter=None, constants={})
 
     experiments = tuple(map(one, dataset.experiments))
     goals = [Channel(n, "auxiliary", "rad") for n in (experiments[0].auxiliary if experiments else {})]

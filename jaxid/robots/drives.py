@@ -4,12 +4,13 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
-from jaxid.data.dataset import Controller
+from jaxid.data.dataset import Controller, ParameterPrior
 from jaxid.errors import nearest, UsageError
+from jaxid.robots.beside import rates_of
 from jaxid.robots.tree import Tree
 from jaxid.simulation.rollout import LONGEST_DELAY_S
 
@@ -21,13 +22,29 @@ VELOCITIES = ("difference", "averaged_difference", "measured")
 #: Words and lists of [controller] that are no numbers per joint.
 OTHER = ("velocity", "reference_velocity", "sample_time", "fit", "spread", "reference", "disturbance")
 SPREAD = 0.1
-#: A number of the law lies within so many standard deviations of its prior.
-WITHIN = 4.0
+#: A number of the law lies within so many standard deviations of what is stated, and is no less than this share of it.
+WITHIN, LEAST = 5.0, 0.01
+
+
+class Fitted(NamedTuple):
+    """A number of a law that is fitted: bounds, and mean and standard deviation of its prior (`std` 0: none)."""
+
+    name: str
+    lower: float
+    upper: float
+    mean: float
+    std: float
+
+    @property
+    def known(self) -> ParameterPrior:
+        prior = {"mean": self.mean, "std": self.std} if self.std else None
+        return ParameterPrior(None, self.lower, self.upper, prior=prior)
 
 
 @dataclass(frozen=True)
 class Law:
-    """A drive law of n joints. `period` s, 0 where it is continuous; `control` limits of the goal; `lag` s of the torque; `fit`
+    """A drive law of n joints. `period` s, 0 where it is continuous; `control` limits of the goal; `lag` s of the torque; `rates`
+    channels of the goals' rates; `fit`
     names of the numbers that are fitted and `spread` the relative standard deviation of their priors."""
 
     origin: str
@@ -45,6 +62,7 @@ class Law:
     velocity: str = "measured"
     rate: bool = False
     period: float = 0.0
+    rates: tuple[str, ...] = ()
     fit: tuple[str, ...] = ()
     spread: tuple[tuple[str, float], ...] = field(default=())
 
@@ -59,56 +77,69 @@ class Law:
 
     @property
     def words(self) -> dict[str, Any]:
-        return {k: getattr(self, k) for k in ("kind", "velocity", "rate", "period", "control")}
+        return {k: getattr(self, k) for k in ("kind", "velocity", "rate", "period", "control")} | {"recorded": bool(self.rates)}
 
-    def torque(self, t: np.ndarray, goal: np.ndarray, q: np.ndarray) -> np.ndarray:
-        """Torque that the law asks for along a recording (t [time], goal and q [time n]), read at its samples."""
+    def torque(
+        self, t: np.ndarray, goal: np.ndarray, q: np.ndarray, rate: np.ndarray | None = None, held: bool = True
+    ) -> np.ndarray:
+        """Torque that the law asks for along a recording (t [time]; goal, q and the goal's recorded rate [time n]).
+
+        What is `held` between samples jumps at each: the torque is the mean of both sides, so that a low-pass finds it in phase.
+        """
         if self.kind == "pid":
             raise UsageError(
                 "the torque of a pid law is not known without its integral's start; record the torque, or fit instead"
             )
         number = {k: np.array(v) for k, v in self.numbers.items()}
-        wanted = np.zeros_like(q)
-        late = np.stack([np.interp(t - d, t, g) for d, g in zip(self.delay, goal.T, strict=True)], 1)
-        if self.velocity == "measured":
-            speed = np.gradient(q, t, axis=0)
-        else:
-            back = 1 if self.velocity == "difference" else 2
-            step = np.maximum(t - back * self.period, t[0])
-            before = np.stack([np.interp(step, t, x) for x in q.T], 1)
-            speed = (q - before) / (back * self.period)
-        if self.rate:
-            before = np.stack([np.interp(np.maximum(t - self.period, t[0]), t, g) for g in late.T], 1)
-            wanted = (late - before) / self.period
+        jump = np.diff(t, prepend=t[0]) / 2 if held and self.period <= 0 else 0.0
+        late = _at(t, t[:, None] - np.array(self.delay) - np.reshape(jump, (-1, 1)), goal)
+        wanted = self._wanted(t, late, rate, jump)
+        speed = self._speed(t, q)
         if self.kind == "cascade":
             v = number["kd"] * (number["kp"] * (late - q) + wanted - speed)
         else:
             v = number["kp"] * (late - q) + number["kd"] * (wanted - speed)
-        return number["gain"] * np.clip(v + number["offset"], number["lowest"], number["highest"])
+        tau = number["gain"] * np.clip(v + number["offset"], number["lowest"], number["highest"])
+        return _at(t, np.tile(t - self.period / 2, (q.shape[1], 1)).T, tau) if self.period > 0 else tau
+
+    def _speed(self, t: np.ndarray, q: np.ndarray) -> np.ndarray:
+        if self.velocity == "measured":
+            return np.gradient(q, t, axis=0)
+        back = (1 if self.velocity == "difference" else 2) * self.period
+        return (q - _at(t, np.tile(t - back, (q.shape[1], 1)).T, q)) / back
+
+    def _wanted(self, t: np.ndarray, late: np.ndarray, rate: np.ndarray | None, jump: Any) -> np.ndarray:
+        if rate is not None:
+            return _at(t, t[:, None] - np.array(self.delay) - np.reshape(jump, (-1, 1)), rate)
+        if not self.rate:
+            return np.zeros_like(late)
+        return (late - _at(t, np.tile(t - self.period, (late.shape[1], 1)).T, late)) / self.period
 
     def size(self, error: np.ndarray) -> np.ndarray:
         """Torque that position errors [samples n] ask for, 99th percentile."""
         kp = np.abs(np.array(self.kp) * np.array(self.gain) * (np.array(self.kd) if self.kind == "cascade" else 1.0))
         return np.minimum(np.percentile(np.abs(error), 99, axis=0) * kp, np.abs(np.array(self.highest) * np.array(self.gain)))
 
-    def fitted(self, joints: Sequence[str]) -> tuple[tuple[str, float, float], ...]:
-        """(number, lower, upper) of what is fitted; bounds from the spread of the priors."""
+    def fitted(self, joints: Sequence[str]) -> tuple[Fitted, ...]:
+        """What is fitted: a stated number has a Gaussian prior of its spread, one that is stated as 0 none."""
         out = []
         for name in self.fit:
             field = {"kv": "kd", "saturation": "highest"}.get(name, name)
             spread = dict(self.spread).get(name, SPREAD)
             for joint, value in zip(joints, getattr(self, field), strict=True):
-                if name == "delay" or value == 0 or not np.isfinite(value):
-                    lower, upper = 0.0, LONGEST_DELAY_S if name == "delay" else self._room(name)
-                else:
-                    lower, upper = sorted((value / (1 + WITHIN * spread), value * (1 + WITHIN * spread)))
-                out.append((f"{field}@{joint}", lower, upper))
+                lower, upper, std = 0.0, self._room(name), 0.0
+                if value != 0 and np.isfinite(value):
+                    lower, upper = sorted((value * max(LEAST, 1 - WITHIN * spread), value * (1 + WITHIN * spread)))
+                    std = abs(value) * spread
+                if name == "delay":
+                    lower, upper = 0.0, LONGEST_DELAY_S
+                out.append(Fitted(f"{field}@{joint}", lower, upper, value if std else 0.0, std))
         return tuple(out)
 
     def _room(self, name: str) -> float:
         """Upper bound of a number that is stated as 0: damping that stops a joint within seconds, an integral within 0.01 s."""
         kp = max(map(abs, self.kp)) or 1.0
-        return {"kd": kp, "kv": kp, "ki": 100 * kp, "kp": 1e4}.get(name, 1e4)
+        return {"delay": LONGEST_DELAY_S, "kd": kp, "kv": kp, "ki": 100 * kp, "kp": 1e4}.get(name, 1e4)
 
     @property
     def text(self) -> str:
@@ -116,6 +147,11 @@ class Law:
         stated = "; ".join(f"{k} = {listed(a)}" for k, a in (("kp", self.kp), ("kd", self.kd), ("ki", self.ki)) if any(a))
         when = "continuous" if self.period <= 0 else f"every {self.period:g} s"
         return f"driven by the {self.kind} law of {self.origin} ({stated}; {when})"
+
+
+def _at(t: np.ndarray, when: np.ndarray, x: np.ndarray) -> np.ndarray:
+    """Series x [time n] between its samples at times `when` [time n], as at the first one before it."""
+    return np.stack([np.interp(w, t, column) for w, column in zip(when.T, x.T, strict=True)], 1)
 
 
 def stated_law(controller: Controller, joints: Sequence[str], period: float) -> Law:
@@ -144,7 +180,7 @@ def stated_law(controller: Controller, joints: Sequence[str], period: float) -> 
     every = settings.get("sample_time", period)
     if not isinstance(every, int | float) or every < 0:
         raise UsageError(f"[controller]: sample_time is {every!r}; it is a number of seconds, 0 where the law is continuous")
-    velocity, rate = _words(settings, float(every), kind)
+    velocity, rate, rates = _words(settings, float(every), kind, joints)
     fit: Any = settings.get("fit", ())
     fit = (fit,) if isinstance(fit, str) else tuple(fit)
     can = (*NEEDED[kind], "saturation", "delay")
@@ -157,13 +193,13 @@ def stated_law(controller: Controller, joints: Sequence[str], period: float) -> 
     n = len(joints)
     return Law(
         "[controller]", kind, number("kp"), number("kv" if kind == "cascade" else "kd"), number("ki"), gain,
-        tuple(-s for s in saturation), saturation, number("offset"), delay, (0.0,) * n, (), velocity, rate, float(every), fit,
-        tuple((k, float(v)) for k, v in spread.items()),
+        tuple(-s for s in saturation), saturation, number("offset"), delay, (0.0,) * n, (), velocity, rate, float(every), rates,
+        fit, tuple((k, float(v)) for k, v in spread.items()),
     )  # fmt: skip
 
 
-def _words(settings: Mapping[str, Any], period: float, kind: str) -> tuple[str, bool]:
-    """(velocity, whether the goal's rate enters)."""
+def _words(settings: Mapping[str, Any], period: float, kind: str, joints: Sequence[str]) -> tuple[str, bool, tuple[str, ...]]:
+    """(velocity, whether the goal's rate is its difference, channels of that rate)."""
     velocity = settings.get("velocity", "difference" if period > 0 else "measured")
     if velocity not in VELOCITIES:
         raise UsageError(f"[controller]: velocity = {velocity!r} is unknown{nearest(str(velocity), VELOCITIES)}")
@@ -171,12 +207,10 @@ def _words(settings: Mapping[str, Any], period: float, kind: str) -> tuple[str, 
         raise UsageError(f'[controller]: a continuous law (sample_time = 0) has no {velocity}: write velocity = "measured"')
     wanted = settings.get("reference_velocity", "none" if period <= 0 or kind == "cascade" else "difference")
     if wanted not in ("none", "difference"):
-        raise UsageError(
-            f"[controller]: reference_velocity = {wanted!r} is unknown{nearest(str(wanted), ('none', 'difference'))}"
-        )
+        return velocity, False, rates_of(wanted, joints)
     if period <= 0 and wanted != "none":
         raise UsageError('[controller]: a continuous law (sample_time = 0) has no difference: write reference_velocity = "none"')
-    return velocity, wanted == "difference"
+    return velocity, wanted == "difference", ()
 
 
 def per_joint(settings: Mapping[str, Any], key: str, default: float, joints: Sequence[str]) -> tuple[float, ...]:

@@ -11,6 +11,7 @@ from scipy.linalg import block_diag
 
 from jaxid.data.dataset import Controller, Dataset, Experiment
 from jaxid.fitting.result import Covariance, Fit, Score
+from jaxid.robots.beside import rates_of
 from jaxid.robots.drives import NUMBERS
 from jaxid.robots.match import is_robot, prepared, recorded
 from jaxid.robots.origin import joined
@@ -34,7 +35,10 @@ def part(dataset: Dataset, tree: Tree, joints: Sequence[str]) -> Dataset:
     names = {*own.joints, *links}
     mine = lambda name: name in own.joints or name.rsplit("_", 1)[0] in own.joints
     stray = lambda name: not any(name == j or name.rsplit("_", 1)[0] == j for j in tree.joints)
-    keep = [c for c in dataset.channels if mine(c.name) or (c.role == "auxiliary" and stray(c.name))]
+    law = None if dataset.controller is None else _law(dataset.controller, tree.leading, joints)
+    rates = _rates(law, own.leading)
+    also = lambda c: c.name.startswith("base_") or (c.role == "auxiliary" and stray(c.name))
+    keep = [c for c in dataset.channels if mine(c.name) or c.name in rates or also(c)]
     kept = {c.name for c in keep}
     iu = [i for i, c in enumerate(dataset.inputs) if c.name in kept]
     iy = [i for i, c in enumerate(dataset.outputs) if c.name in kept]
@@ -45,6 +49,7 @@ def part(dataset: Dataset, tree: Tree, joints: Sequence[str]) -> Dataset:
             u=e.u[:, iu],
             y=e.y[:, iy],
             scatter=None if e.scatter is None else e.scatter[:, iy],
+            left_out=None if e.left_out is None else e.left_out[:, iy],
             auxiliary={k: v for k, v in e.auxiliary.items() if k in kept},
             initial=None if e.initial is None else {k: v for k, v in e.initial.items() if mine(k)},
             constants=_own(e.constants, names),
@@ -59,7 +64,7 @@ def part(dataset: Dataset, tree: Tree, joints: Sequence[str]) -> Dataset:
         channels=tuple(keep),
         experiments=tuple(map(cut, dataset.experiments)),
         model=model,
-        controller=None if dataset.controller is None else _law(dataset.controller, tree.leading, joints),
+        controller=law,
     )
 
 
@@ -71,13 +76,19 @@ def _own(numbers: Mapping[str, Any], names: set[str]) -> dict[str, Any]:
 def _law(controller: Controller, every: Sequence[str], joints: Sequence[str]) -> Controller:
     settings: dict[str, Any] = dict(controller.settings)
     for key, value in settings.items():
-        if key not in (*NUMBERS, "kv"):
+        if key not in (*NUMBERS, "kv", "reference_velocity"):
             continue
         if isinstance(value, Mapping):
             settings[key] = {k: v for k, v in value.items() if k in joints or k not in every}
         elif isinstance(value, list) and len(value) == len(every):
             settings[key] = [v for v, j in zip(value, every, strict=True) if j in joints]
     return Controller(controller.kind, settings)
+
+
+def _rates(law: Controller | None, joints: Sequence[str]) -> tuple[str, ...]:
+    """Channels of the goals' rates that a law names."""
+    stated = None if law is None else law.settings.get("reference_velocity")
+    return () if stated in (None, "none", "difference") else rates_of(stated, joints)
 
 
 def effects_at(effects: Sequence[Any], robot: Any) -> tuple[Any, ...]:

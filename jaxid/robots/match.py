@@ -6,15 +6,20 @@ import re
 from collections.abc import Mapping
 from dataclasses import replace
 from functools import lru_cache
-from typing import Any
+from pathlib import Path
+from typing import Any, TypeGuard
 
 import numpy as np
 
-from jaxid.data.dataset import Dataset, Experiment, ModelSpec
+from jaxid.data.dataset import Dataset, Experiment, Geometry, ModelSpec
 from jaxid.dynamics.chain import Chain
+from jaxid.dynamics.joint_names import plain_name
+from jaxid.dynamics.joint_readings import with_speeds
 from jaxid.dynamics.parameter import with_fields
 from jaxid.errors import nearest, UsageError
+from jaxid.robots.beside import as_inputs, left_out, rides, with_base, with_rates
 from jaxid.robots.drives import file_law, stated_law
+from jaxid.robots.mjcf_text import expanded
 from jaxid.robots.tree import Tree
 
 
@@ -40,8 +45,47 @@ def robot_from(path: str, tip: str | None = None) -> Any:
     return (Robot.from_urdf if path.lower().endswith(".urdf") else Robot.from_mjcf)(path, tip=tip)
 
 
+def is_file(model: object) -> TypeGuard[str]:
+    """Whether a model is named by the path of a robot's file."""
+    return isinstance(model, str) and model.lower().endswith((".urdf", ".xml", ".mjcf"))
+
+
+def spec_of_file(path: str) -> ModelSpec:
+    """What a dataset says of a robot by its file, includes in place."""
+    text = Path(path).read_text(encoding="utf-8-sig") if path.lower().endswith(".urdf") else expanded(Path(path))
+    return ModelSpec("robot", geometry=Geometry(file=Path(path).name, tip=getattr(path, "tip", None), robot=text))
+
+
 def is_robot(model: object) -> bool:
     return getattr(model, "name", "") == "robot" and hasattr(model, "matched")
+
+
+def forms_of(channel: str, joint: str) -> dict[str, str]:
+    """Names that channels of a joint may have where its position is `channel`, and what they are under the joint's name."""
+    forms = {channel: joint, **{channel + end: joint + end for end in KINDS}}
+    if re.fullmatch(r"q\d*", channel):
+        number = channel[1:]
+        forms |= {f"tau{number}": f"{joint}_tau", f"qd{number}": f"{joint}_qd", f"force{number}": f"{joint}_tau"}
+    return forms
+
+
+def of_the_file(joints: Mapping[str, str], tree: Tree, have: set[str]) -> tuple[dict[str, str], dict[str, str]]:
+    """Channel -> joint of the file, whose names may be written a little differently (`arm/Shoulder-Pan`, `shoulder_pan.pos`); and
+    those that the file lacks while all joints that it has are recorded.
+
+    Raises `UsageError` for a joint that it lacks while another one is not recorded: that may be a slip.
+    """
+    found, gone = {}, {}
+    for channel, joint in joints.items():
+        alike = [joint] if joint in tree.joints else [j for j in tree.joints if plain_name(j) == plain_name(joint)]
+        if len(alike) == 1:
+            found[channel] = alike[0]
+        else:
+            gone[channel] = joint
+    if gone and not set(tree.leading) <= {*found.values(), *(have - set(gone))}:
+        first = next(iter(gone.values()))
+        raise UsageError(f"[model.joints] names {first!r}, no joint of {tree.file}{nearest(first, tree.joints)}")
+    return found, gone
 
 
 def named(dataset: Dataset, tree: Tree, joints: Mapping[str, str] | None = None) -> Dataset:
@@ -50,10 +94,11 @@ def named(dataset: Dataset, tree: Tree, joints: Mapping[str, str] | None = None)
     Raises `UsageError` for a joint that the robot lacks.
     """
     notes, have = [], {c.name for c in dataset.channels}
-    joints = dict(joints or {})
-    for joint in joints.values():
-        if joint not in tree.joints:
-            raise UsageError(f"[model.joints] names {joint!r}, no joint of {tree.file}{nearest(joint, tree.joints)}")
+    joints, gone = of_the_file(dict(joints or {}), tree, have)
+    if out := [c for channel in gone for c in forms_of(channel, channel) if c in have]:
+        dataset = left_out(dataset, out)
+        notes = [f"left out, for {tree.file or 'the robot'} lacks them: {', '.join(gone.values())}"]
+        have = {c.name for c in dataset.channels}
     numbered = sorted((c.name for c in dataset.outputs if re.fullmatch(r"q\d*", c.name)), key=lambda c: int(c[1:] or 1))
     if not joints and numbered and not have & set(tree.joints):
         places = [int(c[1:] or 1) for c in numbered]
@@ -61,16 +106,13 @@ def named(dataset: Dataset, tree: Tree, joints: Mapping[str, str] | None = None)
             raise UsageError(f"channel {numbered[-1]} has no joint: {tree.file} has {', '.join(tree.leading)}")
         joints = {c: tree.leading[k - 1] for c, k in zip(numbered, places, strict=True)}
         listed = ", ".join(f"{c} = {j}" for c, j in joints.items())
-        notes = [f"joints by the order of the file, as the recording does not name them: {listed} (else state [model.joints])"]
+        notes += [f"joints by the order of the file, as the recording does not name them: {listed} (else state [model.joints])"]
     names = {}
     for channel, joint in joints.items():
-        number = channel[1:] if re.fullmatch(r"q\d*", channel) else None
-        forms = {channel: joint, **{channel + end: joint + end for end in KINDS}}
-        if number is not None:
-            forms |= {f"tau{number}": f"{joint}_tau", f"qd{number}": f"{joint}_qd", f"force{number}": f"{joint}_tau"}
+        forms = forms_of(channel, joint)
         names |= {old: new for old, new in forms.items() if old in have and old not in names}
     if not names:
-        return dataset
+        return replace(dataset, notes=(*dataset.notes, *notes)) if notes else dataset
     clash = sorted({new for new in names.values() if new in have and new not in names})
     if clash:
         raise UsageError(f"the recording has a channel {clash[0]!r} beside the one that [model.joints] names so: rename one")
@@ -101,24 +143,22 @@ def driving(dataset: Dataset, tree: Tree) -> Dataset:
     free = spec is not None and spec.free and dataset.controller is None
     if not goals or free or any(n.removesuffix("_tau") in tree.joints or n.removesuffix("_cmd") in tree.joints for n in inputs):
         return dataset
-    chosen = {c.name for c in goals}
-    moved = tuple(replace(c, role="input") if c.name in chosen else c for c in dataset.channels)
-    order = [c.name for c in moved if c.role == "input"]
-    before = [c.name for c in dataset.inputs]
-
-    def driven(e: Experiment) -> Experiment:
-        columns = [e.auxiliary[n] if n in chosen else e.u[:, before.index(n)] for n in order]
-        rest = {k: v for k, v in e.auxiliary.items() if k not in chosen}
-        return replace(e, u=np.stack(columns, 1), auxiliary=rest, past=None if e.past is None else driven(e.past))
-
     note = "no torque was recorded: the goals drive through the stated law"
-    return replace(
-        dataset,
-        channels=moved,
-        experiments=tuple(map(driven, dataset.experiments)),
-        model=None if spec is None else replace(spec, free=False),
-        notes=(*dataset.notes, note),
-    )
+    moved = as_inputs(dataset, [c.name for c in goals])
+    return replace(moved, model=None if spec is None else replace(spec, free=False), notes=(*dataset.notes, note))
+
+
+def for_a_robot(dataset: Dataset) -> Dataset:
+    """The dataset without the numbers that it states of a model that is no robot, which is not the one that was asked for."""
+    spec = dataset.model
+    if spec is None or spec.name in (None, "robot"):
+        return dataset
+    own = lambda numbers: {k: v for k, v in numbers.items() if "@" in k or k == "smoothing_velocity"}
+    constants, parameters = own(spec.constants), own(spec.parameters)
+    gone = [k for k in (*spec.constants, *spec.parameters) if k not in (*constants, *parameters)]
+    note = f"dataset.toml states {', '.join(gone)} of {spec.name}, which is not the model asked for: not used" if gone else ""
+    spec = replace(spec, name="robot", geometry=None, without=(), constants=constants, parameters=parameters)
+    return replace(dataset, model=spec, notes=(*dataset.notes, *([note] if note else [])))
 
 
 def prepared(model: object, dataset: Dataset) -> tuple[object, Dataset]:
@@ -134,7 +174,10 @@ def prepared(model: object, dataset: Dataset) -> tuple[object, Dataset]:
     if not is_robot(model):
         return model, dataset
     tree: Tree = model.tree.tree  # type: ignore[attr-defined]
-    return model, driving(named(dataset, tree, spec.joints if spec is not None else None), tree)
+    dataset = for_a_robot(dataset)
+    spec = dataset.model
+    dataset = driving(named(dataset, tree, spec.joints if spec is not None else None), tree)
+    return model, with_base(with_rates(dataset, tree))
 
 
 def _beyond_an_arm(path: str, dataset: Dataset) -> Any:
@@ -179,7 +222,7 @@ def matched(robot: Any, dataset: Dataset) -> Chain:
         raise UsageError(
             f"nothing drives the robot: add goals ({joints[0]}_cmd) or torques ({joints[0]}_tau) as inputs, or say free = true"
         )
-    out = type(robot)(tree, driven=False)
+    out = type(robot)(tree, driven=False, rides=rides(dataset) and bool(goals or torques))
     if goals:
         first = (dataset.split("fit") or dataset.experiments)[0]
         period = float(np.median(np.diff(first.t)))
@@ -187,7 +230,12 @@ def matched(robot: Any, dataset: Dataset) -> Chain:
         out = out.driven_by(law)
     out = _placed(out, spec)
     smoothing = spec.constants.get("smoothing_velocity", 0.0) if spec is not None else 0.0
-    return Chain(out, signature=out.signatures[0], smoothing_velocity=smoothing)
+    signature = with_speeds(out.signatures[0], {c.name: c.unit for c in dataset.outputs})
+    units = {c.name: c.unit for c in dataset.channels}
+    for name, unit in (*signature.outputs, *(() if free else signature.inputs)):
+        if (have := units.get(name, unit)) != unit:
+            raise UsageError(f"channel {name!r} is in {have}; {tree.file or 'the robot'} has it in {unit}: correct its unit")
+    return Chain(out, signature=signature, smoothing_velocity=smoothing)
 
 
 def recorded(tree: Tree, dataset: Dataset) -> tuple[Tree, tuple[str, ...]]:
@@ -195,7 +243,14 @@ def recorded(tree: Tree, dataset: Dataset) -> tuple[Tree, tuple[str, ...]]:
     outputs = {c.name for c in dataset.outputs}
     names = [c.name for c in dataset.channels]
     constants = dataset.model.constants if dataset.model is not None else {}
-    measured = [j for j in tree.leading if j in outputs]
+    measured = [j for j in tree.leading if j in outputs or f"{j}_qd" in outputs]
+    followers = {c.follower: c.leader for c in tree.couplings if c.follower in outputs}
+    for follower, leader in followers.items():
+        if leader not in measured:
+            raise UsageError(
+                f"{follower} is recorded and {leader}, which it follows, is not: record {leader}, or work its position out "
+                f'of that of {follower} (`scale`, `offset`) and give {follower} role = "auxiliary"'
+            )
     if not measured:
         raise UsageError(
             f"no channel is a joint of {tree.file or 'the robot'}: its joints are {', '.join(tree.leading)}, the outputs of the "
@@ -222,6 +277,9 @@ def recorded(tree: Tree, dataset: Dataset) -> tuple[Tree, tuple[str, ...]]:
         held[joint] = constants.get(f"{POSE}{joint}", value)
     notes = (f"not recorded and held: {', '.join(f'{j} at {v:.4g}' for j, v in held.items())} (state {POSE}NAME under "
              "[model.constants] where that is wrong)",) if held else ()  # fmt: skip
+    if followers:
+        listed = ", ".join(f"{a} follows {b}" for a, b in followers.items())
+        notes = (*notes, f"{listed}, as the file says: not compared")
     return tree.locked(held), notes
 
 
@@ -230,7 +288,10 @@ def _placed(robot: Any, spec: ModelSpec | None) -> Any:
     base = dict(spec.base) if spec is not None else {}
     kind = base.pop("kind", "fixed")
     if kind not in ("fixed", "prescribed"):
-        raise UsageError(f"[model.base] kind = {kind!r}: jaxid simulates a base that is fixed or prescribed (roll, pitch, yaw)")
+        raise UsageError(
+            f"[model.base] kind = {kind!r}: jaxid simulates a base that is fixed or prescribed (roll, pitch, yaw as constants, "
+            "or measured as channels base_roll, base_pitch, base_yaw). Hold the robot by its trunk, or record how that turns"
+        )
     return with_fields(robot, {f"base_{k}": np.float64(v) for k, v in base.items()})
 
 
@@ -238,5 +299,7 @@ def notes_of(model: Any, dataset: Dataset) -> tuple[str, ...]:
     """What a result says of how a robot and a recording were brought together."""
     tree: Tree = model.tree.tree
     _, notes = recorded(tree, dataset)
+    law = matched(model, dataset).mechanism.drive_law  # type: ignore[attr-defined]
+    notes = notes if law is None else (*notes, law.text)
     impossible = [f"{text}: no body has it, the nearest one is simulated" for text in tree.impossible]
     return (*tree.notes, *impossible, *notes)

@@ -296,6 +296,10 @@ class _Reader:
             kind = "position"
         else:
             kind = "velocity" if b1 == 0 and abs(gain[0] + b2) <= 1e-9 * abs(b2) else "other"
+        if kind == "position" and abs(g - 1) > 1e-9:
+            self.notes.append(
+                f"actuator {self.name('ACTUATOR', a)!r} has a gear of {g:g}: its goal is a position of the joint, ctrl / {g:g}"
+            )
         force = tuple(map(float, m.actuator_forcerange[a])) if m.actuator_forcelimited[a] else endless
         low, high = self.joint_force(j)
         force = (max(force[0], min(low / g, high / g)), min(force[1], max(low / g, high / g))) if g else force

@@ -85,7 +85,7 @@ def as_it_stands(binding: Any) -> tuple[np.ndarray, str]:
     tree: Tree = mechanism.tree.tree
     joints = binding.chain.signature.joints
     if mechanism.drive_law is None or not all(j in tree.actuators and tree.actuators[j].kind == "position" for j in joints):
-        return theta, "the file as it stands, under the stated law" if mechanism.drive_law else "the file as it stands"
+        return theta, f"the file as it stands{', under the stated law' if mechanism.drive_law else ''}"
     law = file_law(tree)
     for field, values in law.numbers.items():
         for joint, value in zip(joints, values, strict=True):
@@ -93,27 +93,40 @@ def as_it_stands(binding: Any) -> tuple[np.ndarray, str]:
     return theta, "the file as it stands, under its own actuators"
 
 
-def per_joint(bench: Any, scores: Mapping[str, Mapping[str, Any]]) -> tuple[dict[str, Any], ...]:
-    """Each joint's free-run error (root mean square) with the file as it stands and re-tuned, on every split that was scored."""
+def per_joint(
+    bench: Any, scores: Mapping[str, Mapping[str, Any]], residual: Any = None, free: Any = ()
+) -> tuple[dict[str, Any], ...]:
+    """Each joint's error (root mean square) with the file as it stands and re-tuned, on every split that was scored: of the free
+    run, or of the torque where a `residual` without simulation is given."""
     from jaxid.fitting.problem_builder import estimate_starts
-    from jaxid.fitting.scores import free_runs, scores as scored
+    from jaxid.fitting.scores import free_runs, scores as scored, torque_scores
 
     binding = bench.binding
     theta, text = as_it_stands(binding)
     out = []
     for split, table in scores.items():
-        starts = estimate_starts(bench, split, [theta])
-        before = scored(bench, split, free_runs(bench, split, [theta], starts)[0])
+        if residual is None:
+            before = scored(bench, split, free_runs(bench, split, [theta], estimate_starts(bench, split, [theta]))[0])
+            places = {j: j for j in table}
+        else:
+            before = torque_scores(bench, residual, split, theta, free)
+            places = dict(zip(table, binding.chain.signature.joints, strict=False))
         out += [
             {
-                "joint": j,
+                "joint": places[name],
                 "split": split,
-                "as_it_stands": before[j].rmse,
-                "retuned": table[j].rmse,
-                "unit": table[j].unit,
+                "as_it_stands": before[name].rmse,
+                "retuned": table[name].rmse,
+                "unit": table[name].unit,
                 "text": text,
             }
-            for j in table
-            if j in before
+            for name in table
+            if name in before and name in places
         ]
     return tuple(out)
+
+
+def with_effects(retuned: tuple[dict[str, Any], ...], final: tuple[dict[str, Any], ...]) -> tuple[dict[str, Any], ...]:
+    """Rows of the re-tuned model beside those of the one with effects, which stand under `with_effects`."""
+    after = {(r["joint"], r["split"]): r["retuned"] for r in final}
+    return tuple(r | {"with_effects": after.get((r["joint"], r["split"]))} for r in retuned)

@@ -15,6 +15,7 @@ from jaxid.diagnosis.hypothesis import check_asked
 from jaxid.errors import DatasetError, Problem, UsageError
 from jaxid.fitting.settings import fitter_of
 from jaxid.problem.binding import parse_effect, resolve_model
+from jaxid.robots.match import is_file
 from jaxid.study.plan import dataset_problems, parse_study, Runs, Study, StudyError
 
 
@@ -50,7 +51,7 @@ class _Check:
         named = (lambda e: e.partition("@")[0]) if entry.command == "fit" else (lambda e: e)
         effects = [e for e in ids if self.ask("effects", catalogue.effect_class, named(e))]
         without = [e for e in entry.without if self.ask("without", catalogue.effect_class, e)]
-        models = {m for m in entry.models or [] if m.endswith(".urdf") or self.ask("models", catalogue.model_class, m)}
+        models = {m for m in entry.models or [] if is_file(m) or self.ask("models", catalogue.model_class, m)}
         for name in entry.fitters or []:
             kind = self.ask("fitters", fitter_of, name)
             wanted = getattr(kind, "residual_name", None)

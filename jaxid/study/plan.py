@@ -338,12 +338,12 @@ class _Folders:
         return self.found[name]
 
     def model(self, name: str | None, key: tuple[str | int, ...]) -> tuple[Any, str | None] | None:
-        if name is None or not name.endswith(".urdf"):
+        if name is None or not name.lower().endswith((".urdf", ".xml", ".mjcf")):
             return name, None
         try:
             path = (self.folder / name).resolve()
             if not path.is_file() or path.stat().st_size > LARGEST_BYTES:
-                self.problem(key, f"model {name!r} is no URDF file here", f"Paths count from {self.folder.resolve()}")
+                self.problem(key, f"model {name!r} is no file of a robot here", f"Paths count from {self.folder.resolve()}")
                 return None
             return str(path), hashlib.sha256(path.read_bytes()).hexdigest()
         except (OSError, ValueError, RuntimeError) as error:

@@ -156,7 +156,7 @@ class SupplyDroop(InputEffect):
 
 
 def _one_a_joint(mechanism, signature):
-    return drives(mechanism, signature) if len(signature.inputs) == len(signature.joints) else ()
+    return drives(mechanism, signature) if len(signature.commands) == len(signature.joints) else ()
 
 
 class BackEmf(InputEffect):
@@ -186,7 +186,8 @@ class BackEmf(InputEffect):
         return ()
 
     def __call__(self, u, s, z):
-        return (u - self.constant * s.qd if u.shape == s.qd.shape else u), z
+        n = s.qd.shape[0]  # what is behind the commands of the joints has no speed
+        return (u.at[:n].add(-self.constant[:n] * s.qd) if u.shape[0] >= n else u), z
 
 
 class TorqueRipple(JointEffect):

@@ -28,6 +28,9 @@ class SensorBias(OutputEffect):
     bias: Array = param(0.0, -0.5 * ANGLE, 0.5 * ANGLE, scale=0.005 * ANGLE, unit="{y}", meaning="reading at zero")
     probes: ClassVar[tuple[dict[str, Quantity | float], ...]] = ({"bias": 0.02 * ANGLE},)
 
+    def offset(self):
+        return self.bias
+
     def start(self, y, rate):
         return ()
 

@@ -41,6 +41,9 @@ class InputDelay(InputEffect):
         change = s.command.delayed(self.delay) - s.command.u
         return jnp.where(self.delay > 0, u + change, u), z
 
+    def late(self):
+        return self.delay
+
     def transfer(self, omega):
         angle = omega[:, None] * self.delay
         return jnp.cos(angle), -jnp.sin(angle)

@@ -1,0 +1,114 @@
+"""Limbs on a base that does not move are diagnosed one by one: what one lacks moves no other. The answers are put together."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+
+from jaxid.data.dataset import Dataset
+from jaxid.diagnosis.breakdown import Share
+from jaxid.diagnosis.how_far import shrink
+from jaxid.diagnosis.result import Diagnosis, HowFar, Which
+from jaxid.robots.limbs import together
+from jaxid.runtime import Interrupted
+from jaxid.wording import listed, times
+
+
+Limb = tuple[Any, Dataset]
+NO_INTERVAL = "limbs were diagnosed one by one: how they scatter together in a further run is not known"
+
+
+def diagnose_each(limbs: Sequence[Limb], work: Callable[[Any, Dataset, str], Diagnosis], dataset: Dataset) -> Diagnosis:
+    """The diagnoses of all limbs, `work(robot, data, words for the progress)`, as one. On Ctrl-C `Interrupted` carries those that
+    are finished."""
+    done: list[Diagnosis] = []
+    names = [robot.signatures[0].joints for robot, _ in limbs]
+    for k, (robot, data) in enumerate(limbs):
+        try:
+            done.append(work(robot, data, f"limb {k + 1} of {len(limbs)} ({', '.join(names[k])})"))
+        except Interrupted as stop:
+            done += [stop.partial] if stop.partial is not None else []
+            raise Interrupted(joined(done, names[: len(done)], dataset) if done else None) from stop
+    return joined(done, names, dataset)
+
+
+def joined(parts: Sequence[Diagnosis], names: Sequence[tuple[str, ...]], dataset: Dataset) -> Diagnosis:
+    """One diagnosis of those of limbs with these joints."""
+    first = parts[0]
+    every = lambda field: tuple(x for d in parts for x in getattr(d, field))
+    which = _which(parts, names)
+    notes = tuple(dict.fromkeys((*every("notes"), f"{len(parts)} limbs that do not move each other were diagnosed one by one")))
+    return replace(
+        first,
+        dataset=dataset.name,
+        dataset_sha256=dataset.sha256,
+        where=tuple(sorted(every("where"), key=lambda f: -f.times_noise_floor)),
+        which=which,
+        how_far=_how_far(parts, which.verdict),
+        next_experiment=" ".join(dict.fromkeys(d.next_experiment for d in parts)),
+        wall_time_s=sum(d.wall_time_s for d in parts),
+        nominal=together([d.nominal for d in parts], dataset),
+        final=together([d.final for d in parts], dataset),
+        traces=every("traces"),
+        missing_force=every("missing_force"),
+        regimes=every("regimes"),
+        notes=notes,
+        unseen=every("unseen"),
+        rivals=next((d.rivals for d in parts if d.rivals is not None), None),
+        data=every("data"),
+    )
+
+
+def verdict_of(verdicts: Sequence[str]) -> str:
+    """Of the whole: `none` and `named` where that holds of every limb with a gap; `partly` where something is named and a limb
+    has a remainder; else `unknown`."""
+    if all(v == "none" for v in verdicts):
+        return "none"
+    if all(v in ("none", "named") for v in verdicts):
+        return "named"
+    return "partly" if any(v in ("named", "partly") for v in verdicts) else "unknown"
+
+
+def _which(parts: Sequence[Diagnosis], names: Sequence[tuple[str, ...]]) -> Which:
+    every = lambda field: tuple(x for d in parts for x in getattr(d.which, field))
+    ranking = tuple(sorted(every("ranking"), key=lambda r: -r.evidence if np.isfinite(r.evidence) else np.inf))
+    text = " ".join(f"{listed(joints)}: {d.which.text}" for joints, d in zip(names, parts, strict=True))
+    verdict = verdict_of([d.which.verdict for d in parts])
+    return Which(verdict, every("effects"), every("confusable_with"), ranking, text)
+
+
+def _mean(gaps: Sequence[float], weights: Sequence[float]) -> float:
+    return float(np.sqrt(np.average(np.square(gaps), weights=weights)))
+
+
+def _how_far(parts: Sequence[Diagnosis], verdict: str) -> HowFar:
+    """Gaps over the channels of all limbs, which have the same samples."""
+    fars = [d.how_far for d in parts]
+    weights = [max(1, len(f.per_channel)) for f in fars]
+    before, retuned, after = (_mean([getattr(f, g) for f in fars], weights) for g in ("gap_before", "gap_retuned", "gap_after"))
+    named = verdict in ("named", "partly")
+    shrinkage = min(shrink(before**2, after**2), 1.0) if named and before > max(1.0, after) else None
+    split = fars[0].split
+    text = (
+        f"gap on {split} data: {times(before)} times the noise before, {times(retuned)} after re-tuning the old parameters alone"
+    )
+    return HowFar(
+        before, retuned, after, 1.0, shrinkage, None, NO_INTERVAL if named else fars[0].interval_reason,
+        {k: v for f in fars for k, v in f.per_channel.items()},
+        text + (f", {times(after)} with the effects added" if named else ""), _runs(fars, weights),
+        tuple(s for f in fars for s in f.per_regime), "", split, tuple(r for f in fars for r in f.per_joint),
+    )  # fmt: skip
+
+
+def _runs(fars: Sequence[HowFar], weights: Sequence[float]) -> tuple[Share, ...]:
+    """The gaps of each run, over all limbs."""
+    if any(len(f.per_run) != len(fars[0].per_run) for f in fars):
+        return ()
+    mean = lambda own, gap: _mean([getattr(s, gap) for s in own], weights)
+    return tuple(
+        replace(own[0], before=mean(own, "before"), retuned=mean(own, "retuned"), after=mean(own, "after"))
+        for own in zip(*(f.per_run for f in fars), strict=True)
+    )

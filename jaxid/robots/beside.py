@@ -1,0 +1,141 @@
+"""What is recorded beside the goals and torques of joints: the goals' own rates, and how the base moves."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import replace
+
+import numpy as np
+
+from jaxid.data.dataset import Channel, Dataset, Experiment
+from jaxid.data.signals import content_cutoff, differentiate
+from jaxid.errors import nearest, UsageError
+from jaxid.robots.tree import Tree
+
+
+ANGLES = ("roll", "pitch", "yaw")
+#: Share of a base's sway that no reading of it is better than.
+FINE = 1e-4
+
+
+def as_inputs(dataset: Dataset, names: Sequence[str]) -> Dataset:
+    """The dataset with these auxiliary channels as inputs."""
+    chosen = {n for n in names if n not in {c.name for c in dataset.inputs}}
+    if not chosen:
+        return dataset
+    moved = tuple(replace(c, role="input") if c.name in chosen else c for c in dataset.channels)
+    order = [c.name for c in moved if c.role == "input"]
+    before = [c.name for c in dataset.inputs]
+
+    def one(e: Experiment) -> Experiment:
+        columns = [e.auxiliary[n] if n in chosen else e.u[:, before.index(n)] for n in order]
+        rest = {k: v for k, v in e.auxiliary.items() if k not in chosen}
+        return replace(e, u=np.stack(columns, 1), auxiliary=rest, past=None if e.past is None else one(e.past))
+
+    return replace(dataset, channels=moved, experiments=tuple(map(one, dataset.experiments)))
+
+
+def left_out(dataset: Dataset, names: Sequence[str]) -> Dataset:
+    """The dataset without these channels."""
+    gone = set(names)
+    iu = [i for i, c in enumerate(dataset.inputs) if c.name not in gone]
+    iy = [i for i, c in enumerate(dataset.outputs) if c.name not in gone]
+    cut = lambda a: None if a is None else a[:, iy]
+
+    def one(e: Experiment) -> Experiment:
+        return replace(
+            e, u=e.u[:, iu], y=e.y[:, iy], scatter=cut(e.scatter), left_out=cut(e.left_out),
+            auxiliary={k: v for k, v in e.auxiliary.items() if k not in gone},
+            initial=None if e.initial is None else {k: v for k, v in e.initial.items() if k not in gone},
+            past=None if e.past is None else one(e.past),
+        )  # fmt: skip
+
+    kept = tuple(c for c in dataset.channels if c.name not in gone)
+    return replace(dataset, channels=kept, experiments=tuple(map(one, dataset.experiments)))
+
+
+def with_rates(dataset: Dataset, tree: Tree) -> Dataset:
+    """The dataset with the channels that [controller] reference_velocity names as inputs, where goals drive.
+
+    Raises `UsageError` for one that is not recorded.
+    """
+    inputs = {c.name for c in dataset.inputs}
+    stated = dataset.controller.settings.get("reference_velocity") if dataset.controller is not None else None
+    if stated in (None, "none", "difference") or not any(f"{j}_cmd" in inputs for j in tree.joints):
+        return dataset
+    joints = [j for j in tree.leading if f"{j}_cmd" in inputs]
+    have = [c.name for c in dataset.channels if c.role != "output"]
+    for name in (names := rates_of(stated, joints)):
+        if name not in have:
+            raise UsageError(
+                f"[controller] reference_velocity: the recording has no channel {name!r}{nearest(name, have)}; give it "
+                'role = "auxiliary", or write reference_velocity = "none"'
+            )
+    return as_inputs(dataset, names)
+
+
+def rates_of(stated: object, joints: Sequence[str]) -> tuple[str, ...]:
+    """Channels of the goals' rates: a name with `*` for the joint's, a list in the order of the joints, or a table by joint."""
+    if isinstance(stated, Mapping) and set(joints) <= set(stated):
+        return tuple(str(stated[j]) for j in joints)
+    if isinstance(stated, Sequence) and not isinstance(stated, str) and len(stated) == len(joints):
+        return tuple(map(str, stated))
+    if isinstance(stated, str) and ("*" in stated or len(joints) == 1):
+        return tuple(stated.replace("*", j) for j in joints)
+    raise UsageError(
+        f'[controller]: reference_velocity is {stated!r}; it is "none", "difference", or channels: a name with * for that of the '
+        f"joint, a list of {len(joints)} (in the order {', '.join(joints)}), or a table by joint"
+    )
+
+
+def base_channels(dataset: Dataset) -> list[str]:
+    """The recorded angles of the base."""
+    return [c.name for c in dataset.channels if c.name in {f"base_{k}" for k in ANGLES}]
+
+
+def rides(dataset: Dataset) -> bool:
+    """Whether the base moves as it was measured: the dataset has gone through `with_base`."""
+    return any(c.name == "base_yaw_qdd" and c.role == "input" for c in dataset.channels)
+
+
+def with_base(dataset: Dataset) -> Dataset:
+    """The dataset with the motion of a prescribed base as inputs: its angles as recorded, 0 where they are not, and their rates
+    and accelerations through a low-pass without phase. Raises `UsageError` for a channel that is no angle."""
+    kind = dataset.model.base.get("kind", "fixed") if dataset.model is not None else "fixed"
+    recorded = base_channels(dataset)
+    if not recorded or rides(dataset):
+        return dataset
+    if kind != "prescribed":
+        note = f'{", ".join(recorded)} recorded and not used: [model.base] kind = "prescribed" lets the base move so'
+        return dataset if note in dataset.notes else replace(dataset, notes=(*dataset.notes, note))
+    for c in dataset.channels:
+        if c.name in recorded and (c.unit != "rad" or c.role == "output"):
+            raise UsageError(f'{c.name} is the angle of the base: give it role = "auxiliary" and unit = "rad" (or "deg")')
+    own = {c.name for c in dataset.inputs} & set(recorded)
+    kept = [i for i, c in enumerate(dataset.inputs) if c.name not in own]
+    read = _reader(dataset, own)
+
+    def one(e: Experiment) -> Experiment:
+        motion = [_motion(e.t, read(e, f"base_{k}")) if f"base_{k}" in recorded else np.zeros((3, len(e.t))) for k in ANGLES]
+        columns = [m[order] for order in range(3) for m in motion]
+        rest = {k: v for k, v in e.auxiliary.items() if k not in recorded}
+        u = np.concatenate([e.u[:, kept], np.stack(columns, 1)], 1)
+        return replace(e, u=u, auxiliary=rest, past=None if e.past is None else one(e.past))
+
+    units = (("", "rad"), ("_qd", "rad/s"), ("_qdd", "rad/s^2"))
+    ride = [Channel(f"base_{k}{end}", "input", unit, hold="linear") for end, unit in units for k in ANGLES]
+    channels = (*(c for c in dataset.channels if c.name not in recorded), *ride)
+    note = f"the base turns about its origin as recorded ({', '.join(recorded)})"
+    return replace(dataset, channels=channels, experiments=tuple(map(one, dataset.experiments)), notes=(*dataset.notes, note))
+
+
+def _reader(dataset: Dataset, inputs: set[str]) -> Callable[[Experiment, str], np.ndarray]:
+    names = [c.name for c in dataset.inputs]
+    return lambda e, name: e.u[:, names.index(name)] if name in inputs else e.auxiliary[name]
+
+
+def _motion(t: np.ndarray, angle: np.ndarray) -> np.ndarray:
+    """Angle, rate and acceleration, [3 time], through a low-pass above which the angle has no content."""
+    noise = max(float(np.std(np.diff(angle, 3))) / np.sqrt(20.0), FINE * float(np.ptp(angle)), 1e-12)
+    smooth, rate, acceleration = differentiate(t, angle[:, None], content_cutoff(t, angle, noise))[:3]
+    return np.stack([smooth[:, 0], rate[:, 0], acceleration[:, 0]])
