@@ -32,7 +32,7 @@ from jaxid.fitting.run import Benches, fit_seeds  # noqa: E402
 from jaxid.problem.binding import bind  # noqa: E402
 from jaxid.problem.frequency_response import FrequencyResponseError  # noqa: E402
 from jaxid.problem.problem import Problem  # noqa: E402
-from notebooks.twins import flexible_link as link  # noqa: E402
+from jaxid.study.papers.twins import flexible_link as link  # noqa: E402
 
 
 # ---- paper 002: one flexible link, DE against GA against PSO

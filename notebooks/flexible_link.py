@@ -34,7 +34,7 @@ from benchmarks.papers import link_data, PAPER_LINK
 from jaxid import fitters
 from jaxid.data.dataset import Dataset, Experiment
 from jaxid.problem.frequency_response import FrequencyResponseError
-from notebooks.twins import flexible_link as twin
+from jaxid.study.papers.twins import flexible_link as twin
 
 
 data = link_data()

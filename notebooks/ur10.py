@@ -31,7 +31,7 @@ import jaxid
 from jaxid.dynamics.rigid_body import about_origin
 from jaxid.models import UR10
 from jaxid.numerics.precision import float64
-from notebooks.twins.serial_arm import torques
+from jaxid.study.papers.twins.serial_arm import torques
 
 
 LEVEL = np.array([10.0037, 0.0, 5.1803, 2.7800, 2.0115, 1.7533])  # N m, Table VI
