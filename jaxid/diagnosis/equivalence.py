@@ -17,6 +17,7 @@ import numpy as np
 
 from jaxid.data.dataset import Dataset
 from jaxid.diagnosis.hypothesis import Candidate, candidates, probes_of
+from jaxid.diagnosis.last_resort import first_asked
 from jaxid.diagnosis.screen import probe_residuals, Retuning
 from jaxid.dynamics.chain import Chain
 from jaxid.dynamics.parameter_vector import Layout
@@ -88,7 +89,7 @@ def equivalences(model: str, without: Sequence[str] = ()) -> Equivalences:
     from jaxid import catalogue
 
     chain = Chain(catalogue.model_class(model)()).without(*without)
-    library = [k for n in catalogue.effect_names() if n not in chain.contents and chain.offers(k := catalogue.effect_class(n))]
+    library = [k for n in first_asked() if n not in chain.contents and chain.offers(k := catalogue.effect_class(n))]
     data, text = _rich_motion(chain, model)
     binding = bind(model, data, without=without, candidates=library, splits=False)
     bench = Bench(binding)
