@@ -39,6 +39,7 @@ class ActuatorCurve(InputEffect):
     probes: ClassVar[tuple[dict[str, Quantity | float], ...]] = (
         {"high": -0.5, "reach": 1.0 * TORQUE},
         {"middle": 0.3, "high": -0.5, "reach": 1.0 * TORQUE},
+        {"middle": 0.3, "high": -0.8, "reach": 1.0 * TORQUE},
         {"low": -0.5, "reach": 1.0 * TORQUE},
         {"middle": -0.3, "reach": 1.0 * TORQUE},
         {"high": -0.5, "reach": 1.5 * TORQUE},

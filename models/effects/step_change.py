@@ -25,7 +25,15 @@ class StepChange(NumberEffect):
     excitation: ClassVar[str] = "the same motion before and after the event, twice as long as what determines the number once"
     late: ClassVar[bool] = True
     size: Array = param(0.0, -10 * NUMBER, 10 * NUMBER, scale=0.1 * NUMBER, unit="{p}", meaning="what the number gains")
-    time: Array = param(0.0, 0.0, 1e6, scale=0.02 * DURATION, unit="s", meaning="when, on the recording's own clock")
+    time: Array = param(
+        1.0,
+        1e-3 * DURATION,
+        1e3 * DURATION,
+        scale=0.02 * DURATION,
+        unit="s",
+        meaning="when, on the recording's own clock",
+        log=True,
+    )
     probes: ClassVar[tuple[dict[str, Quantity | float], ...]] = tuple(
         {"size": 0.3 * NUMBER, "time": share * DURATION} for share in (0.15, 0.3, 0.4, 0.5, 0.6, 0.7, 0.85)
     )
