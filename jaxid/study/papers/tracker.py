@@ -285,12 +285,12 @@ def contradiction(candidates: tuple[str, ...] | None) -> Part:
 
 
 def curve_of(found: Any) -> Callable[[np.ndarray], np.ndarray] | None:
-    """Torque over voltage as the actuator curve named at the base has it, through formula (6)."""
+    """Torque over voltage as the first actuator curve that was named has it, through formula (6)."""
     for e in found.which.effects:
-        if e.effect == "actuator_curve" and e.location == "u_theta":
+        if e.effect == "actuator_curve":
             from jaxid.models.effects import ActuatorCurve
 
-            law = ActuatorCurve(**{k: v["value"] if isinstance(v, dict) else v.value for k, v in e.parameters.items()})
+            law = ActuatorCurve(**{k: v.value for k, v in e.parameters.items()})
             return lambda v: twin.formula(np.asarray(jax.vmap(law.bent)(v)))
     return None
 
@@ -299,6 +299,6 @@ def drawn(curve: Callable[[np.ndarray], np.ndarray]) -> Picture:
     grid = np.linspace(0, 3.8, 300)
     curves = {"Table 1": twin.table(grid), "formula (6)": twin.formula(grid), "found from the motion": curve(grid)}
     return lines(
-        "curve", "The base's motor: measured, by formula, and as found",
+        "curve", "A motor: measured, by formula, and as found",
         [("voltage (V)", "torque (N m)", {k: (grid, y) for k, y in curves.items()})],
     )  # fmt: skip
