@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from types import SimpleNamespace
+from typing import Any
 
 import numpy as np
 import pytest
@@ -56,11 +57,11 @@ def test_a_curve_is_that_of_interpolation():
     knots = np.array([0, k, 2 * k, 9]), np.cumsum([0, k * (1 + low), k * (1 + middle), (9 - 2 * k) * (1 + high)])
     law = lambda u: float(np.sign(u) * np.interp(abs(u), *knots))
     grid = np.linspace(-2, 2, 101)
+    own: Any = {"low": low, "middle": middle, "high": high, "reach": reach}
     with float64():
-        made = np.asarray(ActuatorCurve(low=low, middle=middle, high=high, reach=reach).bent(grid))
+        made = np.asarray(ActuatorCurve(**own).bent(grid))  # type: ignore[arg-type]
     np.testing.assert_allclose(made, [law(u) for u in grid], atol=1e-14)
     assert np.all(np.diff(made) >= 0)  # monotone within its bounds
-    own = {"low": low, "middle": middle, "high": high, "reach": reach}
     sim = Simulator(chain_of(ActuatorCurve()), T[:800], U[:800])
     q = sim.outputs([NUMBERS | {f"actuator_curve.{n}@tau": v for n, v in own.items()}])[0, :, 0]
     assert relative(q, swing(T[:800], U[:800, 0], lambda t: 0.06, law)) < 2e-5
@@ -137,7 +138,7 @@ def lost(seed: int) -> jaxid.Dataset:
     rng, t = np.random.default_rng(seed), np.arange(1600) * 5e-3
     runs, inputs = [], []
     for _ in range(3):
-        u = sum(a * np.sin(2 * np.pi * f * t + rng.uniform(0, 6)) for a, f in ((0.5, 0.6), (0.4, 1.7)))
+        u: Any = sum(a * np.sin(2 * np.pi * f * t + rng.uniform(0, 6)) for a, f in ((0.5, 0.6), (0.4, 1.7)))
         x, out = np.zeros(2), []
         for k in range(len(t)):
             out.append(x[0])

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 from dataclasses import replace
+from typing import Any
 
 import jax
 import numpy as np
@@ -17,7 +18,8 @@ from jaxid.errors import UsageError
 from jaxid.identification.commanded import commanded
 from jaxid.models import Tracker
 from jaxid.problem.objective import FunctionProblem
-from jaxid.report import reproduction_page
+from jaxid.report import reproduction_page, write_page
+from jaxid.runtime import Interrupted
 from jaxid.storage.result_files import save
 from jaxid.study.papers import flexible_link, PAPERS, payload, reproduce, space_manipulator, tracker
 from jaxid.study.papers.result import Claim, FAILS, HOLDS, judged, Part, Picture, Reproduction, Table, UNKNOWN
@@ -73,7 +75,7 @@ def test_a_page_says_what_was_found(tmp_path):
     page = reproduction_page(result)
     assert "<b>part</b>" not in page and "1.235" in page and "who knows" in page and "(lost)" in page and "<svg" in page
     assert save(result, tmp_path) == tmp_path / "result.json" and (tmp_path / "report.html").is_file()
-    jaxid.report.write_page(reproduction_page(replace(result, parts=())), tmp_path / "empty.html")
+    write_page(reproduction_page(replace(result, parts=())), tmp_path / "empty.html")
 
 
 def test_stopped_between_parts(monkeypatch):
@@ -82,7 +84,7 @@ def test_stopped_between_parts(monkeypatch):
         raise KeyboardInterrupt
 
     monkeypatch.setattr(payload, "study", study)
-    with pytest.raises(jaxid.runtime.Interrupted) as stop:
+    with pytest.raises(Interrupted) as stop:
         reproduce("001")
     assert len(stop.value.partial.parts) == 1
 
@@ -126,7 +128,7 @@ def race_of(problem):
 
 
 def test_the_feasible_mutation_stays_inside_and_grows_with_gain():
-    ga = fitters.GeneticAlgorithm(scheme="scattered", mutate="feasible", popsize=40)
+    ga: Any = fitters.GeneticAlgorithm(scheme="scattered", mutate="feasible", popsize=40)
     lower, upper = -np.ones(3), np.ones(3)
     points = np.random.default_rng(0).uniform(-1, 1, (40, 3))
     state = ga.init(jax.random.key(0), jax.numpy.asarray(points), jax.numpy.asarray(np.sum(points**2, 1)))
@@ -181,9 +183,9 @@ def _evolved(p, seed: int, size: int = 100, generations: int = 100, F: float = 0
 
 def test_the_motors_of_the_tracker():
     volts = np.array([-5.0, -3.6, -2.4, -1.0, 0.0, 1.68, 2.4, 3.0, 3.6, 5.0])
-    known = {"J_theta": 0.117, "J_alpha": 0.1}
+    known: Any = {"J_theta": 0.117, "J_alpha": 0.1}
     for table, law in ((False, tracker_twin.formula), (True, tracker_twin.table)):
-        model = Tracker(**known, motor_table=table)
+        model: Any = Tracker(**known, motor_table=table)
         u = np.stack([volts, volts], 1)
         own = [np.asarray(model.drive(Tracker.signatures[1], v, np.zeros(2), np.zeros(2))) for v in u]
         np.testing.assert_allclose(own, law(u), atol=1e-7)

@@ -128,12 +128,14 @@ def dispersion(name: str, caption: str, runs: Sequence[Searched], xlabel: str, f
 def lines(
     name: str, caption: str, panels: Sequence[tuple[str, str, Mapping[str, tuple[np.ndarray, np.ndarray]]]], **axis: str
 ) -> Picture:
-    """Panels (x label, y label, curves by label) side by side; the first curve of each is drawn as measured."""
+    """Panels (x label, y label, curves by label) side by side; a label has one colour, the first of all is drawn as measured."""
+    labels = list(dict.fromkeys(label for _, _, curves in panels for label in curves))
 
     def draw(figure: Figure) -> None:
         grid = np.atleast_1d(np.asarray(figure.subplots(1, len(panels))))
         for axes, (xlabel, ylabel, curves) in zip(grid, panels, strict=True):
-            for k, (label, (x, y)) in enumerate(curves.items()):
+            for label, (x, y) in curves.items():
+                k = labels.index(label)
                 color, width = (plot.BLACK, 1.8) if k == 0 else (COLORS[(k - 1) % len(COLORS)], 1.1)
                 axes.plot(*plot.thin(x, plot.series(y)), color=color, linewidth=width, label=label)
             axes.set(xlabel=xlabel, ylabel=ylabel, **axis)

@@ -290,7 +290,8 @@ def curve_of(found: Any) -> Callable[[np.ndarray], np.ndarray] | None:
         if e.effect == "actuator_curve":
             from jaxid.models.effects import ActuatorCurve
 
-            law = ActuatorCurve(**{k: v.value for k, v in e.parameters.items()})
+            numbers: Any = {k: v.value for k, v in e.parameters.items()}
+            law = ActuatorCurve(**numbers)
             return lambda v: twin.formula(np.asarray(jax.vmap(law.bent)(v)))
     return None
 
