@@ -159,4 +159,4 @@ def test_a_lost_load_is_named_with_its_moment():
     assert found.which.verdict == "named" and named == [("step_change", "inertia")]
     numbers = found.which.effects[0].parameters
     assert abs(numbers["time"].value - 3.6) < 0.2
-    assert abs(numbers["size"].value + 0.04) < 4 * max(numbers["size"].std, 1e-3)
+    assert abs(numbers["size"].value + 0.04) < 4 * max(numbers["size"].std or 0.0, 1e-3)
