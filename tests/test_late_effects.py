@@ -127,9 +127,10 @@ def test_they_are_asked_last(first, again, taken):
         asked.append(names)
         return again
 
-    found = asked_last(first, Chain(Pendulum()), "output_error", ask)  # type: ignore[arg-type]
+    found: Any = asked_last(first, Chain(Pendulum()), "output_error", ask)  # type: ignore[arg-type]
     assert asked == ([] if again is None else [(*first.names, "actuator_curve", "step_change")])
-    assert found.which.verdict == (again if taken else first).verdict and bool(found.notes) == taken
+    expected: Any = again if taken else first
+    assert found.which.verdict == expected.verdict and bool(found.notes) == taken
     assert not {"actuator_curve", "step_change"} & set(first_asked())
 
 

@@ -159,7 +159,7 @@ def linear_system(count: int, seeds: int) -> Part:
     cost: dict[str, list[tuple[int, float]]] = {}
     for seed in range(seeds):
         p, _ = streamed(False, seed)
-        parts = list(stretches(p, FIRST // BLOCK))
+        parts: list[Any] = list(stretches(p, FIRST // BLOCK))
         ls = [least_squares(q) for q in parts]
         errors.setdefault("LS", []).append(off(numbers_of(p, ls[-1].z)))
         cost.setdefault("LS", []).append((ls[-1].evaluations, 0.0))

@@ -159,8 +159,9 @@ def descended(p: Problem, window: int) -> list[Step]:
     """Five steps of Levenberg and Marquardt a block, from where the block before ended; the first from random starts."""
     out, z = [], None
     for own in stretches(p, FIRST // BLOCK, window):
+        part: Any = own
         began = time.perf_counter()
-        starts = [random_start(own, s) for s in range(8)] if z is None else [z]
+        starts = [random_start(part, s) for s in range(8)] if z is None else [z]
         path = min(descend([(own, s) for s in starts], 60 if z is None else LOOPS, 1e-12), key=lambda d: d.cost)
         z = path.z
         out.append(Step(own.loss(z), numbers_of(p, z), LOOPS * (1 + p.size), time.perf_counter() - began))

@@ -291,7 +291,7 @@ def curve_of(found: Any) -> Callable[[np.ndarray], np.ndarray] | None:
             from jaxid.models.effects import ActuatorCurve
 
             numbers: Any = {k: v.value for k, v in e.parameters.items()}
-            law = ActuatorCurve(**numbers)
+            law: Any = ActuatorCurve(**numbers)
             return lambda v: twin.formula(np.asarray(jax.vmap(law.bent)(v)))
     return None
 
