@@ -23,10 +23,10 @@ from jaxid.runtime import prepare  # noqa: E402
 prepare()
 
 import jaxid  # noqa: E402
-from benchmarks import papers  # noqa: E402
 from benchmarks.twins import PLANTS, recorded  # noqa: E402
 from jaxid import fitters  # noqa: E402
 from jaxid.data.dataset import Dataset  # noqa: E402
+from jaxid.study.papers import flexible_link  # noqa: E402
 
 
 BUDGET = 20_000
@@ -52,7 +52,10 @@ def problems() -> dict[str, tuple[Dataset, dict[str, Any]]]:
     return {
         "joint that sticks and slips": (stuck, {"effects": ["stribeck_friction"]}),
         "backlash": (loose, {"effects": ["backlash"]}),
-        "flexible link, response and hub angle": (papers.link_data(), {"residual": papers.LINK_RESIDUAL, "loss": "sum_of_norms"}),
+        "flexible link, response and hub angle": (
+            flexible_link.data(linear=False),
+            {"residual": flexible_link.RESIDUAL, "loss": "sum_of_norms"},
+        ),
     }
 
 

@@ -28,7 +28,6 @@ prepare()
 import diffrax  # noqa: E402
 import jax  # noqa: E402
 import jax.numpy as jnp  # noqa: E402
-import papers  # noqa: E402
 from scipy.integrate import solve_ivp  # noqa: E402
 
 from jaxid.dynamics.chain import Chain  # noqa: E402
@@ -37,18 +36,19 @@ from jaxid.models import FlexibleLink  # noqa: E402
 from jaxid.numerics.precision import float64  # noqa: E402
 from jaxid.problem.problem import Problem  # noqa: E402
 from jaxid.simulation.transfer import transfer  # noqa: E402
+from jaxid.study.papers import flexible_link  # noqa: E402
 from tests import test_flexible_link as link  # noqa: E402
 from tests.simulated import Simulator  # noqa: E402
 
 
-NAMES = tuple(papers.LINK_BOUNDS)
+NAMES = tuple(flexible_link.BOUNDS)
 T, U = np.arange(2000) * 1e-3, np.where(np.arange(2000) < 300, 0.241, 0.0)
 SMOOTH = 1e-2
 
 
 def candidates(count: int) -> np.ndarray:
     """[count 6] from the box, in logarithms."""
-    low, high = np.log(np.array(list(papers.LINK_BOUNDS.values()))).T
+    low, high = np.log(np.array(list(flexible_link.BOUNDS.values()))).T
     return np.exp(np.random.default_rng(5).uniform(low, high, (count, len(NAMES))))
 
 
@@ -120,7 +120,7 @@ def by_diffrax(x: np.ndarray) -> float:
 
 def by_hand(x: np.ndarray, modes: int) -> tuple[float, np.ndarray]:
     """Seconds of a candidate in the compiled loop, and its losses."""
-    data = papers.link_data()
+    data = flexible_link.data(linear=False)
     run, lines = data.experiments[0], data.responses[0]
     rows = []
     with float64():
@@ -192,7 +192,7 @@ def main() -> dict:
     costs = {}
     rows: list[dict] = []
     for modes in (4, 8):
-        problem = papers.link_problem(modes)
+        problem = flexible_link.problem(modes, linear=False)
         costs[modes], losses = own(problem, x)
         rows.append({"what": f"this library, {modes} modes, a population of 100", "us a candidate": round(1e6 * costs[modes], 1)})
         if shutil.which("g++"):

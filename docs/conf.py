@@ -24,7 +24,7 @@ myst_enable_extensions = ["dollarmath", "deflist", "colon_fence"]
 myst_heading_anchors = 3
 html_theme, html_title, html_static_path = "furo", f"jaxid {release}", ["_static"]
 html_show_sourcelink = False
-exclude_patterns = ["*.py", "notebooks/budget.py", "notebooks/twins", "**/__pycache__"]
+exclude_patterns = ["*.py", "notebooks/budget.py", "**/__pycache__"]
 
 # ---- notebooks: copied beside the pages, executed once, kept until their code or the budgets change (`make clean` forgets them)
 

@@ -17,6 +17,7 @@ FAMILIES = {
     "friction and forces at the joint": "Friction and forces at the joint",
     "mechanism": "Mechanism and transmission",
     "sensor": "Sensor and clock",
+    "change in time": "Change in time",
 }
 NOTEBOOKS = (
     "00_tour", "diagnose_your_robot", "extend", "gradient_against_population", "recording", "flexible_link", "tracker", "ur10",
@@ -99,8 +100,8 @@ def effects(pictures: Path, alike: dict) -> str:
         "# Effect atlas",
         "",
         "What a model can lack. An effect acts at one place between command and sensor; at its neutral value it changes nothing.",
-        "Bounds are multiples of what the data show (`torque`, `speed`, `angle`, `duration`, `step`), so that one library serves",
-        "a drive of 60 N and one of 0.1 N m.",
+        "Bounds are multiples of what the data show (`torque`, `speed`, `angle`, `duration`, `step`) or of the number that an",
+        "effect changes (`number`), so that one library serves a drive of 60 N and one of 0.1 N m.",
         "",
         "The pictures are computed: the force that the model without the effect lacks, along a rich motion of the model with it",
         "(less what the filters alone leave), against velocity, position and time; blue forwards, orange backwards.",

@@ -45,11 +45,12 @@ def _draw(folder: Path, model: str, names: list[str]) -> set[str]:
     from jaxid.problem.binding import bind
     from jaxid.problem.residual import OutputError
 
-    chain = Chain(catalogue.model_class(model)())
+    owner = catalogue.model_class(model)()
+    chain = Chain(owner)
     library = [k for n in names if n not in chain.contents and chain.offers(k := catalogue.effect_class(n))]
     if not library:
         return set()
-    data, _ = _rich_motion(chain, model)
+    data, _ = _rich_motion(chain, model, owner)
     binding = bind(model, data, candidates=library, splits=False)
     bench = Bench(binding)
     theta = _with_friction(binding)

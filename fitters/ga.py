@@ -14,10 +14,15 @@ from jaxid.fitting.population import AbstractPopulation
 from jaxid.fitting.settings import option
 
 
+#: Directions tried for a child that has to stay within the bounds.
+TRIED = 8
+
+
 class State(NamedTuple):
     population: Float[Array, "pop dim"]
     losses: Float[Array, " pop"]
     generation: Array
+    step: Array  # of the feasible mutation, as a share of the bounds
 
 
 class GeneticAlgorithm(AbstractPopulation):
@@ -46,16 +51,19 @@ class GeneticAlgorithm(AbstractPopulation):
     )
     mutation: float = option(0.2, "share of the genes drawn anew (blend)", 0, 1)
     scheme: str = option("blend", "blend or scattered", static=True)
+    mutate: str = option("shrinking", "shrinking or feasible (scattered)", static=True)
 
     def __check_init__(self):
         if self.scheme not in ("blend", "scattered"):
             raise ValueError(f"scheme {self.scheme!r}: there is blend, scattered")
+        if self.mutate not in ("shrinking", "feasible"):
+            raise ValueError(f"mutate {self.mutate!r}: there is shrinking, feasible")
         if not 0 < self.keep < 1 or self.popsize < 4:
             raise ValueError("`keep` is a share of a population of at least 4")
 
     def init(self, key, population, losses):
         order = jnp.argsort(losses)
-        return State(population[order], losses[order], jnp.zeros((), jnp.int32))
+        return State(population[order], losses[order], jnp.zeros((), jnp.int32), jnp.ones(()))
 
     @property
     def survivors(self) -> int:
@@ -92,8 +100,11 @@ class GeneticAlgorithm(AbstractPopulation):
         parents = jax.random.permutation(k_shuffle, jnp.minimum(jnp.searchsorted(wheel, marks), pop - 1))
         a, b = state.population[parents[:count]], state.population[parents[count:]]
         crossed = jnp.where(jax.random.bernoulli(k_gene, 0.5, (count, dim)), a, b)
-        size = 0.3 * jnp.maximum(1 - state.generation / self.generations, 0.0)
-        mutated = jnp.clip(a + size * (upper - lower) * jax.random.normal(k_step, (count, dim)), lower, upper)
+        if self.mutate == "feasible":
+            mutated = _feasible(k_step, a, state.step, lower, upper)
+        else:
+            size = 0.3 * jnp.maximum(1 - state.generation / self.generations, 0.0)
+            mutated = jnp.clip(a + size * (upper - lower) * jax.random.normal(k_step, (count, dim)), lower, upper)
         first = (jnp.arange(count) < round(self.crossover * count))[:, None]
         return jnp.where(first, crossed, mutated)
 
@@ -101,7 +112,18 @@ class GeneticAlgorithm(AbstractPopulation):
         population = jnp.concatenate([state.population[: self.survivors], candidates])
         losses = jnp.concatenate([state.losses[: self.survivors], losses])
         order = jnp.argsort(losses)
-        return State(population[order], losses[order], state.generation + 1)
+        gained = losses[order[0]] < state.losses[0]
+        step = jnp.where(gained, jnp.minimum(4 * state.step, 1.0), jnp.maximum(state.step / 4, 1e-6))
+        return State(population[order], losses[order], state.generation + 1, step)
 
     def spread(self, state):
         return extent(state.population)
+
+
+def _feasible(key: Array, x: Array, step: Array, lower: Array, upper: Array) -> Float[Array, "count dim"]:
+    """Each x moved by `step` along the first of some random directions that stays within the bounds; where none does, x."""
+    d = jax.random.normal(key, (TRIED, *x.shape))
+    moved = x + step * (upper - lower) * d / jnp.sqrt(jnp.sum(d * d, -1, keepdims=True))
+    inside = jnp.all((moved >= lower) & (moved <= upper), -1)
+    chosen = jnp.take_along_axis(moved, jnp.argmax(inside, 0)[None, :, None], 0)[0]
+    return jnp.where(jnp.any(inside, 0)[:, None], chosen, x)

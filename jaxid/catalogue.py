@@ -186,6 +186,7 @@ _PORTS = {
     "BodyEffect": ("mechanism", "body", "a joint"),
     "OutputEffect": ("sensor", "output", "an output channel"),
     "RecordEffect": ("sensor", "output", "an output channel"),
+    "NumberEffect": ("change in time", "number", "the id of a number of the model"),
 }
 
 
@@ -200,6 +201,7 @@ def describe_effect(name: str) -> EffectInfo:
         "{I}": "kg m^2 or kg",
         "{u}": "unit of the input",
         "{y}": "unit of the output",
+        "{p}": "unit of the number",
     }
     parameters = []
     for field, spec in specs(kind).items():

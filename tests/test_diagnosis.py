@@ -176,6 +176,7 @@ def test_windows_are_asked_where_chaotic_free_runs_find_nothing(monkeypatch, giv
         return Answer(SimpleNamespace(verdict=second if len(asked) > 1 else first), SimpleNamespace(gap_after=left)), grown
 
     monkeypatch.setattr("jaxid.diagnosis.run._diagnosed", answer)
+    monkeypatch.setattr("jaxid.diagnosis.run.asked_last", lambda found, *_: found)  # tests/test_late_effects.py
     d = jaxid.diagnose("pendulum", recording("pendulum", 2), residual=given)
     assert d.which.verdict == expected and asked == ["output_error", "multiple_shooting"][: 2 if second else 1]
     assert bool(d.notes) == (second == expected != first)

@@ -180,5 +180,6 @@ def test_every_model_of_the_atlas_has_a_motion_that_can_be_recorded(monkeypatch)
     from jaxid.problem.binding import bind
 
     for model in signatures.MODELS:
-        data, _ = _rich_motion(Chain(catalogue.model_class(model)()), model)
+        owner = catalogue.model_class(model)()
+        data, _ = _rich_motion(Chain(owner), model, owner)
         assert bind(model, data, splits=False).experiments("fit"), model

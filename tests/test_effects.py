@@ -98,8 +98,10 @@ SETTINGS: dict[str, list[dict[str, One]]] = {
     "sensor_delay": settings(delay=of(N, 0.0013, 0.006, 0.0271)),
     "timestamp_jitter": settings(spread=of(N, 0.002, 0.005, 0.01)),
 }  # fmt: skip
-#: Effects of one model alone, tested with it: tests/test_flexible_link.py, tests/test_models.py.
-ELSEWHERE = {"geometric_stiffening", "base_motion"}
+#: Effects of one model alone, tested with it: tests/test_flexible_link.py, tests/test_models.py; and tests/test_late_effects.py.
+ELSEWHERE = {"geometric_stiffening", "base_motion", "actuator_curve", "step_change"}
+#: What a diagnosis asks first.
+FIRST = tuple(e for e in LIBRARY if not e.late)
 #: What has events within a step, or a motor that rings against its link, needs finer steps for the same accuracy.
 FINE = (
     "coulomb_friction",
@@ -151,7 +153,7 @@ class Product:
         self.bare = Chain(kind(), (), signature=signature)
         self.nominal = Chain(kind(), signature=signature)
         has = [e.name for e in self.nominal.effects]
-        self.kinds = [e for e in LIBRARY if self.nominal.offers(e)]
+        self.kinds = [e for e in FIRST if self.nominal.offers(e)]
         chain = self.nominal.with_effects(*(e() for e in self.kinds if e.name not in has))
         self.step = 1e-4 if nq > 1 else 2e-4
         self.s = Simulator(chain, self.t, self.u, self.step, size=8192, whole=True)
@@ -341,7 +343,7 @@ def test_an_effect_is_found_again(effect):
         model=ModelSpec("pendulum", constants=known if effect in KNOWN else {}),
     )  # fmt: skip
     # The whole library stays in the chain at its neutral values, so that effects of a family share a program.
-    binding = bind(None, data, effects=[effect], candidates=LIBRARY, splits=False)
+    binding = bind(None, data, effects=[effect], candidates=FIRST, splits=False)
     bench = Bench(binding, 1.25e-3)  # the step of a fit that has checked its step
     guesses = start_values(bench, binding.free, 0)
     problem = bench.problem(OutputError(), "fit", binding.free, guesses[0])

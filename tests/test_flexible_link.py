@@ -23,7 +23,7 @@ from jaxid.models.effects import GeometricStiffening, ViscousFriction
 from jaxid.numerics.precision import float64
 from jaxid.problem.frequency_response import FrequencyResponseError, merged
 from jaxid.simulation.transfer import transfer
-from notebooks.twins.flexible_link import (
+from jaxid.study.papers.twins.flexible_link import (
     AREA,
     DE,
     direct,

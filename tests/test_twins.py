@@ -11,7 +11,7 @@ import pytest
 
 from jaxid.models import UR10
 from jaxid.numerics.precision import float64
-from notebooks.twins.serial_arm import torques
+from jaxid.study.papers.twins.serial_arm import torques
 
 
 ROOT = Path(__file__).resolve().parents[1]
@@ -43,7 +43,7 @@ def test_twins_and_papers_need_no_more_than_the_library_installs():
     """What a notebook or a table of the papers imports is there after the README's command."""
     names = ("pytest", "pinocchio", "mujoco", "hypothesis", "simulated", "sympy")
     missing = f"import sys; sys.modules.update(dict.fromkeys({names}))"
-    code = f"{missing}; import benchmarks.papers, notebooks.twins.flexible_link, notebooks.twins.serial_arm"
+    code = f"{missing}; import benchmarks.papers, jaxid.study.papers.twins.flexible_link, jaxid.study.papers.twins.serial_arm"
     ran = subprocess.run([sys.executable, "-c", code], cwd=ROOT, capture_output=True, text=True, timeout=120)
     assert ran.returncode == 0, ran.stderr
     for path in (ROOT / "notebooks").glob("*.py"):

@@ -30,6 +30,7 @@ MODULES = {
     "identify": "jaxid.cli.identify",
     "import": "jaxid.cli.importing",
     "record": "jaxid.cli.record",
+    "reproduce": "jaxid.cli.reproduce",
     "emulate": "jaxid.cli.emulate",
     "replay": "jaxid.cli.export",
 }

@@ -43,11 +43,15 @@ if TYPE_CHECKING:
     "--gain-std", type=click.FloatRange(0, 1), default=0.0, show_default=True, metavar="S",
     help="Relative standard deviation of the drive gains, for the payload's interval.",
 )  # fmt: skip
+@click.option(
+    "--motion", type=click.Choice(("measured", "commanded")), default="measured", show_default=True, metavar="W",
+    help="measured, or commanded: the channels q1_cmd … in the place of q1 ….",
+)  # fmt: skip
 @click.option("--root", metavar="LINK", help="First link of the chain in the URDF that --model names.")
 @AS_RECORDED
 @output_options
 def identify(
-    dataset, out, model, method, friction, cutoff, motion_cutoff, reference, gain_std, root, as_recorded, as_json, quiet
+    dataset, out, model, method, friction, cutoff, motion_cutoff, reference, gain_std, motion, root, as_recorded, as_json, quiet
 ) -> int:
     """Identify a serial arm: base parameters, friction, payload.
 
@@ -60,6 +64,10 @@ def identify(
     if model is not None and model.endswith(".urdf") and (tip is not None or root is not None):
         model = jaxid.models.SerialArm.from_urdf(str(model), tip, root)
 
+    if motion == "commanded":
+        from jaxid.identification.commanded import commanded
+
+        data = commanded(data)
     foretell("identify", model, data, quiet)
     from jaxid.report.text import identification_text  # with matplotlib
 

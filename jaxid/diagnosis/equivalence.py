@@ -17,6 +17,7 @@ import numpy as np
 
 from jaxid.data.dataset import Dataset
 from jaxid.diagnosis.hypothesis import Candidate, candidates, probes_of
+from jaxid.diagnosis.last_resort import first_asked
 from jaxid.diagnosis.screen import probe_residuals, Retuning
 from jaxid.dynamics.chain import Chain
 from jaxid.errors import UsageError
@@ -89,7 +90,7 @@ def equivalences(model: str, without: Sequence[str] = ()) -> Equivalences:
 
     owner = robot_from(model, getattr(model, "tip", None)) if is_file(model) else catalogue.model_class(model)()
     chain = Chain(owner).without(*without)
-    library = [k for n in catalogue.effect_names() if n not in chain.contents and chain.offers(k := catalogue.effect_class(n))]
+    library = [k for n in first_asked() if n not in chain.contents and chain.offers(k := catalogue.effect_class(n))]
     data, text = _rich_motion(chain, model, owner)
     binding = bind(owner, data, without=without, candidates=library, splits=False)
     bench = Bench(binding)

@@ -17,12 +17,13 @@ from jaxid.diagnosis import how_far as shrinking, jitter as timing, where as loc
 from jaxid.diagnosis.believable import doubts
 from jaxid.diagnosis.evidence import held_out, inflation, knowledge, worth
 from jaxid.diagnosis.hypothesis import Candidate, candidates, check_asked, Hypothesis, possible, Search
+from jaxid.diagnosis.last_resort import asked_last, first_asked
 from jaxid.diagnosis.next_experiment import advice, rivals_of
 from jaxid.diagnosis.result import Diagnosis, HowFar, Ranked, Which
 from jaxid.diagnosis.search import Searcher
 from jaxid.diagnosis.selection import WHITE
 from jaxid.diagnosis.unseen import Look, Looker
-from jaxid.diagnosis.verdict import astray, judge, not_reached, SEEN, standing_still, upheld, withheld
+from jaxid.diagnosis.verdict import astray, Diverged, judge, not_reached, SEEN, standing_still, upheld, withheld
 from jaxid.dynamics.effect import Effect
 from jaxid.errors import UsageError
 from jaxid.fitters import LevenbergMarquardt
@@ -64,14 +65,6 @@ class Question:
     still: tuple[str, ...] = ()  # of "validation" and "report": what stands still, so that nothing can be judged on it
 
 
-class Diverged(UsageError):
-    """No free run of the nominal model stays finite; `by_torque` says whether it can be compared without one."""
-
-    def __init__(self, message: str, by_torque: bool):
-        super().__init__(message)
-        self.by_torque = by_torque
-
-
 def run_diagnosis(
     model: object,
     dataset: Dataset,
@@ -111,7 +104,7 @@ def _run(
     known: Interim,
 ) -> Diagnosis:
     began = time.perf_counter()
-    allowed = catalogue.effect_names() if asked is None else asked
+    allowed = first_asked() if asked is None else asked
     nominal = resolve_model(model, dataset, without)
     check_asked(nominal, asked or (), residual.name if residual else "")
     library = possible(nominal, allowed)
@@ -154,6 +147,13 @@ def _run(
                 "windows, each with its own start"
             )
             found = dataclasses.replace(again, notes=(*again.notes, note))
+    if asked is None and not still:
+
+        def ask(names: tuple[str, ...]) -> Diagnosis:
+            wider = bind(model, dataset, without=without, candidates=possible(nominal, names))
+            return _diagnosed(dataclasses.replace(question, binding=wider, allowed=names, known=Interim(silent=True)))[0]
+
+        found = asked_last(found, nominal, own.name, ask)
     notes = (*found.notes, *(s.text for s in stamps.values()))
     return dataclasses.replace(found, notes=notes, wall_time_s=time.perf_counter() - began)
 

@@ -16,6 +16,7 @@ from jaxid.diagnosis import how_far as shrinking
 from jaxid.diagnosis.breakdown import Share
 from jaxid.diagnosis.hypothesis import Hypothesis, Search
 from jaxid.diagnosis.selection import ALIKE
+from jaxid.errors import UsageError
 from jaxid.fitting.scores import scored
 from jaxid.problem.binding import Binding
 from jaxid.simulation.sample_buffers import columns
@@ -31,6 +32,14 @@ SEEN = 1.2
 LEFT = 1.5
 #: A channel stands still where it scatters by less than so many times its noise.
 STILL = 2.0
+
+
+class Diverged(UsageError):
+    """No free run of the nominal model stays finite; `by_torque` says whether it can be compared without one."""
+
+    def __init__(self, message: str, by_torque: bool):
+        super().__init__(message)
+        self.by_torque = by_torque
 
 
 def judge(search: Search) -> tuple[str, str]:

@@ -17,7 +17,18 @@ import numpy as np
 from jaxtyping import Array, Bool, Float
 
 from jaxid.dynamics.dry_friction import solve_dry
-from jaxid.dynamics.effect import BodyEffect, Command, Effect, InputEffect, JointEffect, OutputEffect, RecordEffect, Signals
+from jaxid.dynamics.effect import (
+    Applied,
+    BodyEffect,
+    Command,
+    Effect,
+    InputEffect,
+    JointEffect,
+    NumberEffect,
+    OutputEffect,
+    RecordEffect,
+    Signals,
+)
 from jaxid.dynamics.mechanism import Mechanism, Signature
 from jaxid.dynamics.parameter import specs, with_fields
 from jaxid.numerics.fast_math import dot, fence, inverse
@@ -28,6 +39,8 @@ if TYPE_CHECKING:
 
 
 Port = TypeVar("Port", bound=Effect)
+#: Least share that a change leaves of a number which is positive by its nature.
+LEAST = 0.02
 
 
 def _first_state(e: Effect, q: Array, u: Array, y: Array, rate: Array) -> Any:
@@ -41,6 +54,8 @@ def _first_state(e: Effect, q: Array, u: Array, y: Array, rate: Array) -> Any:
 
 #: Structure of a chain -> which of its effects have states: tracing takes a while.
 _REMEMBERING: dict[Any, tuple[bool, ...]] = {}
+#: Structure of a chain -> its numbers that may change in time.
+_NUMBERS: dict[Any, tuple[Any, ...]] = {}
 
 
 def _first(command: Command, n: int) -> Command:
@@ -84,8 +99,9 @@ class Chain(eqx.Module):
         self.mechanism = mechanism
         self.signature = signature or mechanism.signatures[0]
         self.smoothing_velocity = float(smoothing_velocity)
-        effects = mechanism.nominal_effects() if effects is None else effects
-        self.effects = tuple(self._widened(e) for e in effects)
+        given = tuple(mechanism.nominal_effects() if effects is None else effects)
+        self.effects = tuple(e for e in given if not isinstance(e, NumberEffect))  # whose numbers are places of such
+        self.effects = tuple(self._widened(e) for e in given)
 
     @property
     def nq(self) -> int:
@@ -114,6 +130,8 @@ class Chain(eqx.Module):
         """Names of the locations that an effect's parameters are counted by in this model."""
         if effect.location == "joint":
             return self.signature.joints
+        if effect.location == "number":
+            return tuple(n.name for n in self.numbers)
         return self.mechanism.places(effect, self.signature)
 
     def offers(self, effect: Effect | type[Effect]) -> tuple[str, ...]:
@@ -150,6 +168,46 @@ class Chain(eqx.Module):
     def smoothed(self, smoothing_velocity: float) -> Chain:
         """The same model with dry friction smoothed as tanh(qd / smoothing_velocity); 0 restores true sticking."""
         return Chain(self.mechanism, self.effects, signature=self.signature, smoothing_velocity=smoothing_velocity)
+
+    # ---- numbers that change in time
+
+    @property
+    def numbers(self) -> tuple[Any, ...]:
+        """Entries (`parameter_vector.Entry`) of the mechanism's and its built-in effects' own numbers that may change during a
+        run; none where its states are coordinates that such a change would turn."""
+        if self.mechanism.hidden_states:
+            return ()
+        key = jax.tree.structure(self)
+        if key not in _NUMBERS:  # asked for the first time by a `Layout`, of a chain that is not traced
+            from jaxid.dynamics.parameter_vector import own_entries
+
+            _NUMBERS[key] = tuple(e for e in own_entries(self) if not e.spec.fixed)
+        return _NUMBERS[key]
+
+    @property
+    def timed(self) -> bool:
+        """Whether its numbers depend on time."""
+        return any(isinstance(e, NumberEffect) for e in self.effects)
+
+    def present(self, t: Float[Array, ""], h: Float[Array, ""]) -> Chain:
+        """The chain with its numbers as they are in a step. A number that is searched by its logarithm stays above 0."""
+        numbers = self.numbers
+        owner = lambda chain, i: chain.mechanism if i < 0 else chain.effects[i]
+        before = jnp.stack([jnp.ravel(getattr(owner(self, e.owner), e.field))[e.place] for e in numbers])
+        after = before
+        for _, e in self.at(NumberEffect):
+            after = e(after, t, h)
+        positive = np.array([e.spec.log for e in numbers])
+        after = jnp.where(positive & (before > 0), jnp.maximum(after, LEAST * before), after)
+        fields = dict.fromkeys((e.owner, e.field) for e in numbers)
+        value: dict[tuple[int, str], Any] = {}
+        for i, field in fields:
+            old = jnp.asarray(getattr(owner(self, i), field))
+            new = {e.place: after[k] for k, e in enumerate(numbers) if (e.owner, e.field) == (i, field)}
+            value[i, field] = jnp.stack([new.get(k, old[k]) for k in range(old.shape[0])]) if old.ndim else new[0]
+        effects = tuple(Applied() if isinstance(e, NumberEffect) else e for e in self.effects)
+        chain = eqx.tree_at(lambda c: c.effects, self, effects)
+        return eqx.tree_at(lambda c: [getattr(owner(c, i), f) for i, f in value], chain, list(value.values()))
 
     # ---- one step
 
@@ -253,6 +311,9 @@ class Chain(eqx.Module):
         self, body: Mechanism, carry: Carry, tau: Float[Array, " nq"], rests: Bool[Array, " nq"], command: Command
     ) -> tuple[Float[Array, " ny"], tuple]:
         """What the sensors record at the beginning of a step with net joint torque `tau`, and the effects' next states."""
+        if self.timed:
+            now = self.present(command.t, command.h)
+            return now.sense(now.body().prepare(None), carry, tau, rests, command)
         q, v = body.port(carry.x)
         s = Signals(command.t, q, v, jnp.zeros_like(q), command.h, command, v)
         y, z = self.signature.read(body, carry.x, tau, rests), list(carry.z)
@@ -263,6 +324,9 @@ class Chain(eqx.Module):
     def advance(self, body: Mechanism, carry: Carry, command: Command) -> tuple[Carry, Float[Array, " nq"]]:
         """One step of length command.h, and the net joint torque in it: friction law at the predicted middle, smooth friction
         linearly implicit, dry friction solved exactly (`jaxid.dynamics.dry_friction`)."""
+        if self.timed:
+            now = self.present(command.t, command.h)
+            return now.advance(now.body().prepare(None), carry, command)
         x, z, lam, acc = carry
         h, eps = command.h, self.smoothing_velocity
         q, v = body.port(x)
@@ -325,6 +389,8 @@ class Chain(eqx.Module):
         qdd: Float[Array, " nq"],
     ) -> tuple[Float[Array, " nq"], tuple]:
         """Missing torque of a measured motion, drive(u) - (M qdd + bias + friction), and the effects' next states."""
+        if self.timed:
+            return self.present(command.t, command.h).inverse(command, z, q, qd, qdd)
         body = self.body()
         s = Signals(command.t, q, qd, jnp.zeros_like(q), command.h, command, qd)
         u, z = self.commanded(s, z)

@@ -79,6 +79,9 @@ class Effect(eqx.Module):
     check: ClassVar[str] = ""
     #: The range of that variable in which it acts, from its numbers (None: an open end); None: the whole of it.
     span: ClassVar[Callable[[dict[str, float]], tuple[float | None, float | None]] | None] = None
+    #: Whether a diagnosis that was given no candidates asks it only where the others leave the answer open: a law that comprises
+    #: simpler ones, or one that has to be searched for.
+    late: ClassVar[bool] = False
     #: At which of its places it makes sense on a mechanism; None: at all.
     offered: ClassVar[Callable[[Mechanism, Signature], tuple[str, ...]] | None] = None
 
@@ -152,6 +155,29 @@ class OutputEffect(Effect):
     @abc.abstractmethod
     def start(self, y: Float[Array, " ny"], rate: Float[Array, " ny"]) -> Any:
         """State where the outputs have run straight for long, up to y, with this rate of change."""
+
+
+class NumberEffect(Effect):
+    """At numbers of the model, in time: (values [numbers] of all that are fitted, time and length of a step) -> values in it."""
+
+    location: ClassVar[str] = "number"
+
+    @abc.abstractmethod
+    def __call__(
+        self, values: Float[Array, " numbers"], t: Float[Array, ""], h: Float[Array, ""]
+    ) -> Float[Array, " numbers"]: ...
+
+
+class Applied(Effect):
+    """Stands in a chain for an effect whose numbers have been put in."""
+
+    name: ClassVar[str] = "applied"
+    equation: ClassVar[str] = ""
+    signature: ClassVar[str] = ""
+    source: ClassVar[str] = ""
+    excitation: ClassVar[str] = ""
+    location: ClassVar[str] = "joint"
+    probes: ClassVar[tuple[dict[str, Quantity | float], ...]] = ()
 
 
 class RecordEffect(Effect):

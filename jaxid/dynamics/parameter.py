@@ -20,13 +20,15 @@ M = TypeVar("M")
 
 
 class Reference(NamedTuple):
-    """Typical magnitudes at one joint: drive torque, speed, travel, duration of a run, and sampling step."""
+    """Typical magnitudes at one joint: drive torque, speed, travel, duration of a run, and sampling step; and of a number of the
+    model, where an effect acts on one."""
 
     torque: float
     speed: float
     angle: float
     duration: float
     step: float
+    number: float = 1.0
 
 
 @dataclasses.dataclass(frozen=True)
@@ -76,6 +78,7 @@ SPEED = Quantity(1.0, (("speed", 1),))
 ANGLE = Quantity(1.0, (("angle", 1),))
 DURATION = Quantity(1.0, (("duration", 1),))
 STEP = Quantity(1.0, (("step", 1),))
+NUMBER = Quantity(1.0, (("number", 1),))
 
 Bound = float | Quantity
 

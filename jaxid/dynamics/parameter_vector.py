@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Iterator, Sequence
 from typing import Any, NamedTuple
 
 import equinox as eqx
@@ -82,6 +82,11 @@ class Layout:
             if e.owner >= 0 and self.chain.effects[e.owner].name == effect and (location is None or e.location == location)
         ]
 
+    def typical(self, name: str, joint: Reference) -> float:
+        """Size of a number of the model by its id: its value, or its scale where that is larger."""
+        i = self.index(name)
+        return max(abs(float(self.values[i])), resolve(self.entries[i].spec.scale, joint))
+
     def boxes(self, joints: Sequence[Reference], inputs: Sequence[Reference] = ()) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """(lower, upper, scale) of every number, effects' bounds resolved at their joint or input channel."""
         rows = []
@@ -90,12 +95,20 @@ class Layout:
             at_input = effect is not None and effect.location == "input" and not self.chain.mechanism.behind_law(effect)
             own = inputs if at_input and inputs else joints
             r = own[min(e.place, len(own) - 1)]
+            if effect is not None and effect.location == "number":
+                r = joints[0]._replace(number=self.typical(e.location, joints[0]))
             rows.append([resolve(b, r) for b in (e.spec.lower, e.spec.upper, e.spec.scale)])
         lower, upper, scale = np.array(rows, np.float64).reshape(-1, 3).T
         return lower, upper, scale
 
 
-def _entries(chain: Chain):
+def own_entries(chain: Chain) -> list[Entry]:
+    """Those of the mechanism and of the effects that it has built in."""
+    kinds = tuple(kind for kind, _ in chain.mechanism.builtin)
+    return list(_entries(chain, lambda e: isinstance(e, kinds)))
+
+
+def _entries(chain: Chain, wanted: Callable[[Effect], bool] = lambda e: True) -> Iterator[Entry]:
     unit = chain.signature.unit
     joints = chain.signature.joints
     for name, spec in specs(chain.mechanism).items():
@@ -106,7 +119,7 @@ def _entries(chain: Chain):
             yield Entry(chain.mechanism.number_name(name, k) if value.ndim else name, -1, name, k, where, own, unit(own.unit, k))
     ids = {kind.name: names for kind, names in chain.mechanism.builtin}
     for i, effect in enumerate(chain.effects):
-        places = chain.places(effect)
+        places = chain.places(effect) if wanted(effect) else ()
         for field, spec in specs(effect).items():
             short = ids.get(effect.name, {}).get(field)
             for k, place in enumerate(places):
@@ -120,7 +133,10 @@ def _entries(chain: Chain):
 
 
 def channel_unit(chain: Chain, effect: Effect | type[Effect], place: int, template: str) -> str:
-    """Fills {u} and {y}, the unit of the channel that the effect acts on."""
+    """Fills {u} and {y}, the unit of the channel that the effect acts on, and {p}, that of its number."""
+    if effect.location == "number":
+        numbers = chain.numbers
+        return template.replace("{p}", numbers[place].unit if place < len(numbers) else "")
     if chain.mechanism.behind_law(effect):
         return template.replace("{u}", chain.signature.unit("{F}", place))
     ports = chain.signature.inputs if effect.location == "input" else chain.signature.outputs

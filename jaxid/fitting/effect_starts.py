@@ -16,7 +16,7 @@ from jaxid.problem.residual import InverseDynamics
 def probes(binding: Binding, effect: Effect, place: str, theta: np.ndarray) -> list[np.ndarray]:
     """Parameter vectors with an effect switched on at one place, at each of its probe strengths."""
     b = binding
-    reference = b.references[min(b.chain.places(effect).index(place), len(b.references) - 1)]
+    reference = b.reference(effect, b.chain.places(effect).index(place))
     out = []
     for probe in effect.probes:
         new = theta.copy()

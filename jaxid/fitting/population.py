@@ -169,7 +169,8 @@ class AbstractPopulation(AbstractFitter):
                 break
             fitter = fitter.again()
         if found is None:
-            return log.minimum(np.clip(starts[0], problem.lower, problem.upper), False, log.exhausted)
+            middle = (problem.lower + problem.upper) / 2
+            return log.minimum(np.clip(starts[0] if starts else middle, problem.lower, problem.upper), False, log.exhausted)
         return log.minimum(found.course.best[0], found.converged, found.stopped, found.stalled)
 
     def searching(
@@ -206,10 +207,10 @@ class AbstractPopulation(AbstractFitter):
         return Ended(now, False, why if now.improved else f"{why}; {UNIMPROVED}", False)
 
     def _begin(self, problem: AbstractProblem, starts: Sequence[np.ndarray], key: PRNGKeyArray, log: Log) -> Searching[Course]:
-        """First population: the starts, and random points of the sampling box. With less budget than that, the rest of it is
-        not evaluated."""
-        low, high = sampling_box(problem, starts[0])
-        guesses = np.clip(np.array(starts[: max(1, self.popsize // 4)]), problem.lower, problem.upper)
+        """First population: the starts, and random points of the sampling box; without starts, of the bounds. With less budget
+        than that, the rest of it is not evaluated."""
+        low, high = sampling_box(problem, starts[0]) if starts else (problem.lower, problem.upper)
+        guesses = np.clip(np.reshape(starts[: max(1, self.popsize // 4)], (-1, low.size)), problem.lower, problem.upper)
         with float64():
             k0, k1 = jax.random.split(jax.random.fold_in(key, 0))
             points = low + (high - low) * np.asarray(jax.random.uniform(k0, (self.popsize, low.size)))

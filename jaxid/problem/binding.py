@@ -71,6 +71,9 @@ class Binding:
 
     def reference(self, effect: type[Effect] | Effect, place: int) -> Reference:
         """Typical magnitudes where an effect acts."""
+        if effect.location == "number":
+            first = self.references[0]
+            return first._replace(number=self.layout.typical(self.chain.places(effect)[place], first))
         at_input = effect.location == "input" and not self.chain.mechanism.behind_law(effect)
         own = self.inputs if at_input and self.inputs else self.references
         return own[min(place, len(own) - 1)]

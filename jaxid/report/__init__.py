@@ -18,6 +18,7 @@ from jaxid.report import (
     parameters,
     ranking,
     recorded,
+    reproduced,
     traces,
     unseen,
     yardstick,
@@ -35,6 +36,7 @@ if TYPE_CHECKING:
     from jaxid.fitting.comparison import Comparison
     from jaxid.fitting.result import Fit
     from jaxid.identification.run import Identification
+    from jaxid.study.papers.result import Reproduction
 
 
 def diagnosis_page(diagnosis: Diagnosis) -> str:
@@ -86,6 +88,13 @@ def check_page(result: Checked) -> str:
     return render(f"{one_line(result.dataset)}: check", [checked.section(result)], "check.json", json_bytes(result))
 
 
+def reproduction_page(result: Reproduction) -> str:
+    """The page of a paper that was done again."""
+    return render(
+        f"Paper {result.paper}: {one_line(result.title)}", [reproduced.section(result)], "result.json", json_bytes(result)
+    )
+
+
 def write_diagnosis(diagnosis: Diagnosis, path: str | Path) -> Path:
     """Writes the page of a diagnosis (whole or not at all) and returns its path; raises `NotSaved`."""
     return write_page(diagnosis_page(diagnosis), path)
@@ -124,6 +133,11 @@ def check_fragment(result: Checked) -> str:
 def identification_fragment(result: Identification) -> str:
     """The page of an identification as an HTML fragment, for a notebook."""
     return render_fragment([identified.section(result)])
+
+
+def reproduction_fragment(result: Reproduction) -> str:
+    """The page of a paper that was done again as an HTML fragment, for a notebook."""
+    return render_fragment([reproduced.section(result)])
 
 
 def diagnosis_fragment(diagnosis: Diagnosis) -> str:

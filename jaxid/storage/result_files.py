@@ -16,7 +16,9 @@ from jaxid.storage.atomic_files import replace_files, settle
 #: Folder inside that of a result for what was known when a run was stopped, and the page's name.
 PARTIAL, PAGE = "partial", "report.html"
 #: Kinds of results that have a page.
-DRAWN = ("fit", "diagnosis", "comparison", "identification", "check")
+DRAWN = ("fit", "diagnosis", "comparison", "identification", "check", "reproduction")
+#: Names of JSON files that are not those of their kind.
+FILES = {"reproduction": "result"}
 
 
 def save(result: Any, folder: Path) -> Path:
@@ -26,7 +28,7 @@ def save(result: Any, folder: Path) -> Path:
     Raises `NotSaved`; the older result is then as it was.
     """
     settle(folder)
-    name = f"{kind_of(result)}.json"
+    name = json_name(kind_of(result))
     files = {name: json_bytes(result), **_tables(result)}
     if page := page_of(result):
         files |= {PAGE: page.encode(), **_kept_page(folder, name)}
@@ -38,7 +40,7 @@ def save(result: Any, folder: Path) -> Path:
 def save_partial(result: Any, folder: Path, page: bool) -> Path:
     """Puts what is known before the end into `partial/` inside the folder of the result, with its `page` or, as drawing takes
     seconds, without; returns the path of the JSON. Raises `NotSaved`."""
-    name, place = f"{kind_of(result)}.json", folder / PARTIAL
+    name, place = json_name(kind_of(result)), folder / PARTIAL
     files = {name: json_bytes(result), **_tables(result)}
     if page and (text := page_of(result)):
         files[PAGE] = text.encode()
@@ -57,8 +59,13 @@ def drop_partial(folder: Path) -> None:
 
 
 def kind_of(result: Any) -> str:
-    """`fit`, `diagnosis`, `comparison`, `identification`, `check` or `simulation`: the stem of its JSON file."""
+    """`fit`, `diagnosis`, `comparison`, `identification`, `check`, `reproduction` or `simulation`."""
     return result.to_dict()["kind"]
+
+
+def json_name(kind: str) -> str:
+    """The JSON file of a kind."""
+    return f"{FILES.get(kind, kind)}.json"
 
 
 def page_of(result: Any) -> str | None:
@@ -94,7 +101,7 @@ def _tables(result: Any) -> dict[str, bytes]:
 
 def _written(place: Path) -> list[str]:
     """Names of the files that stopped runs may have left."""
-    return [name for name in (*(f"{kind}.json" for kind in DRAWN), "runs.parquet", PAGE) if (place / name).is_file()]
+    return [name for name in (*(json_name(kind) for kind in DRAWN), "runs.parquet", PAGE) if (place / name).is_file()]
 
 
 def _kept_page(folder: Path, name: str) -> dict[str, bytes]:

@@ -12,6 +12,7 @@ from .actuator import (
     TorqueRipple,
     TorqueScale,
 )
+from .actuator_curve import ActuatorCurve
 from .body import (
     BaseMotion,
     ConstantTorque,
@@ -36,6 +37,7 @@ from .friction import (
 )
 from .power_law import PowerLawFriction
 from .sensor import SensorBias, SensorDelay, SensorLag, SensorScale, TimestampJitter
+from .step_change import StepChange
 from .timing import InputDelay, InputHold
 from .transmission import Backlash, Hysteresis, JointElasticity
 
@@ -49,6 +51,7 @@ LIBRARY = (
     DeadZone,
     BackEmf,
     ActuatorLag,
+    ActuatorCurve,
     TorqueRipple,
     ViscousFriction,
     PowerLawFriction,
@@ -77,10 +80,12 @@ LIBRARY = (
     SensorLag,
     SensorDelay,
     TimestampJitter,
+    StepChange,
 )
 
 __all__ = [
     "LIBRARY",
+    "ActuatorCurve",
     "ActuatorLag",
     "AsymmetricFriction",
     "BackEmf",
@@ -110,6 +115,7 @@ __all__ = [
     "SensorLag",
     "SensorScale",
     "SpringTorque",
+    "StepChange",
     "StribeckFriction",
     "SupplyDroop",
     "TemperatureDependentFriction",

@@ -13,8 +13,8 @@ def torques(
 ) -> np.ndarray:
     """Torques [time joints] of a motion (q, qd, qdd), each [time joints], on a base that stands upright.
 
-    `alpha`, `a`, `d` [joints] of the modified Denavit-Hartenberg table; `bodies` [joints 10] as xx, xy, xz, yy, yz, zz, hx, hy, hz,
-    m about the origins of the links; `drives` [joints] inertias that turn with the joints.
+    `alpha`, `a`, `d` [joints] of the modified Denavit-Hartenberg table; `bodies` [joints 10] as xx, xy, xz, yy, yz, zz, hx, hy,
+    hz, m about the origins of the links; `drives` [joints] inertias that turn with the joints.
     """
     q, qd, qdd = motion
     count, joints = q.shape

@@ -1,0 +1,27 @@
+"""The commanded motion in the place of the measured one: it is smooth, and as good where the drives follow it."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+
+from jaxid.data.dataset import Dataset
+from jaxid.errors import UsageError
+
+
+def commanded(dataset: Dataset) -> Dataset:
+    """The dataset with every output NAME read from its commanded channel NAME_cmd (paper 001, equation 7).
+
+    Raises `UsageError` where a run lacks one.
+    """
+    names = [c.name for c in dataset.outputs]
+    lacking = [f"{n}_cmd" for n in names if any(f"{n}_cmd" not in e.auxiliary for e in dataset.experiments)]
+    if lacking:
+        raise UsageError(
+            f"the commanded motion needs {', '.join(lacking)}: give the controller's target position of each joint as a channel "
+            'of that name, role = "auxiliary"'
+        )
+    by = lambda e: replace(e, y=np.stack([np.asarray(e.auxiliary[f"{n}_cmd"], float) for n in names], 1))
+    note = "the motion is the commanded one; what the drives lag behind it is in the torque error"
+    return replace(dataset, experiments=tuple(map(by, dataset.experiments)), notes=(*dataset.notes, note))
