@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import copy
 import functools
-from collections import Counter
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from typing import Any, NamedTuple
 
@@ -34,14 +33,13 @@ from jaxid.problem.objective import (
     Rows,
     rows,
 )
+from jaxid.problem.record_rows import lanes_of, rows_of_records
 from jaxid.problem.residual import Runs
 from jaxid.simulation.sample_buffers import Samples
 
 
-#: Step of forward and of central differences, in typical changes of a number (logarithms: in factors of e), and the points
-#: beside the one in question; 0 is for tangents.
+#: Step of forward and of central differences, in typical changes of a number (logarithms: in factors of e); 0 is for tangents.
 STEPS = (0.0, 1e-6, 1e-5)
-SIDES = ((0,), (1,), (1, -1))
 
 
 class Data(NamedTuple):
@@ -259,10 +257,10 @@ class Problem(AbstractProblem):
         tangents. All jobs are on the same runs."""
         lanes = lanes_of(jobs)
         if not jobs[0][0].runs.engine.long:
-            return _rows(jobs, lanes, share)
+            return rows_of_records(jobs, lanes, share)
         from jaxid.problem.long_records import rows_by_windows
 
-        return rows_by_windows(jobs, lanes, share, pieces, functools.partial(_rows, share=share))
+        return rows_by_windows(jobs, lanes, share, pieces, functools.partial(rows_of_records, share=share))
 
     @property
     def pieces(self) -> int:
@@ -346,118 +344,6 @@ def sums(predict: Callable, length: int, loss: Loss, z: Float[Array, "pop size"]
 
     totals = jax.lax.map(block, jnp.arange(blocks * R)).reshape(blocks, R, lanes, -1)
     return jnp.sum(totals, 1).reshape(blocks * lanes, -1)[:pop]
-
-
-class _Part(NamedTuple):
-    """What the lanes of a job and record say: the prediction, its derivative along each column of z (weighted), the columns."""
-
-    base: np.ndarray
-    J: np.ndarray  # [columns samples outputs], each in one piece of memory
-    columns: list[int]
-    weights: np.ndarray
-    at: slice | np.ndarray
-    inside: slice | np.ndarray
-
-
-class Lanes(NamedTuple):
-    """The lanes of some jobs: whose each is, and what it starts from and along."""
-
-    of: list[tuple[int, int, int, int, int]]  # job, row of its record, column of z and its place (-1: none), side of z
-    theta: np.ndarray
-    start: np.ndarray
-    dtheta: np.ndarray
-    dstart: np.ndarray
-    record: np.ndarray
-    steps: list[dict[int, np.ndarray]]  # of each job, by side
-
-    def only(self, some: Sequence[int]) -> Lanes:
-        """Some of the lanes."""
-        at = np.asarray(some, int)
-        theta, start, dtheta, dstart, record = (a[at] for a in self[1:6])
-        return Lanes([self.of[k] for k in some], theta, start, dtheta, dstart, record, self.steps)
-
-
-def lanes_of(jobs: Sequence[tuple[Problem, np.ndarray]]) -> Lanes:
-    """The lanes of a record: with tangents one for each column of z, else the point itself and one or two beside it for each
-    column."""
-    runs, differences = jobs[0][0].runs, jobs[0][0].differences
-    size, nx = len(runs.layout), 2 * runs.layout.chain.nq
-    lanes: list[tuple[int, int, int, int, int]] = []
-    for j, (p, _) in enumerate(jobs):
-        for row in range(len(p.records)):
-            own = [(c, k, side) for k, c in enumerate(p.columns(row)) for side in SIDES[differences]]
-            lanes += [(j, row, *lane) for lane in ([(-1, -1, 0), *own] if differences else own or [(-1, -1, 0)])]
-    n = len(lanes)
-    theta, start = np.empty((n, size)), np.empty((n, nx))
-    dtheta, dstart = np.zeros((n, size)), np.zeros((n, nx))
-    record = np.empty(n, int)
-    steps = [p.steps(z) for p, z in jobs]
-    points = [(p.theta(z), p.starts(z), p.dtheta(z)) for p, z in jobs]
-    for n, (j, row, c, _, side) in enumerate(lanes):
-        p, z = jobs[j]
-        theta[n], start[n], record[n] = points[j][0], points[j][1][row], p.records[row]
-        if 0 <= c < p.free.size:
-            i = p.free[c]
-            dtheta[n, i] = points[j][2][c]
-            if side:
-                moved = z[c] + steps[j][side][c]
-                theta[n, i] = np.exp(moved) if p.log[c] else moved
-        elif c >= 0:
-            i = p.start_columns[c - p.free.size]
-            dstart[n, i] = 1.0
-            start[n, i] += steps[j][side][c] if side else 0.0
-    return Lanes(lanes, theta, start, dtheta, dstart, record, steps)
-
-
-def _rows(jobs: Sequence[tuple[Problem, np.ndarray]], given: Lanes, share: float) -> Iterator[Rows]:
-    """Rows of each job and record, from whole records."""
-    runs, differences = jobs[0][0].runs, jobs[0][0].differences
-    lanes, theta, start, dtheta, dstart, record, steps = given
-    seen = {r: _seen(runs, r, share) for r in {r for p, _ in jobs for r in p.records}}
-    rest = Counter((j, row) for j, row, *_ in lanes)
-    order = list(rest)  # the rows of a job come in the order of its records
-    found: dict[tuple[int, int], _Part] = {}
-    if differences:
-        blocks = ((part, y, y) for part, y in runs.engine.output_blocks(theta, start, record, share))
-    else:
-        blocks = runs.engine.tangent_blocks(theta, start, dtheta, dstart, record, share)
-    for part, y, dy in blocks:
-        for n, lane in enumerate(part):
-            j, row, c, k, side = lanes[lane]
-            own = found.get((j, row))
-            if own is None:
-                p = jobs[j][0]
-                at, inside = seen[p.records[row]]
-                w, columns = p.weights[at], p.columns(row)
-                own = _Part(np.empty(w.shape), np.zeros((len(columns), *w.shape)), columns, w, at, inside)
-                found[j, row] = own
-                if not differences:
-                    own.base[:] = y[n][inside]
-            if c < 0:
-                own.base[:] = y[n][own.inside]
-            elif differences:
-                own.J[k] += side * y[n][own.inside]
-            else:
-                np.multiply(own.weights, dy[n][own.inside], out=own.J[k])
-            rest[j, row] -= 1
-        while order and not rest[order[0]]:
-            j, row = order.pop(0)
-            p, own = jobs[j][0], found.pop((j, row))
-            if differences == 1:
-                own.J[:] -= own.base
-            if differences:
-                own.J[:] *= own.weights / (steps[j][1] - steps[j][-1])[own.columns, None, None]
-            residual = own.weights * (own.base - p.targets[own.at])
-            yield Rows(j, p.records[row], residual, np.moveaxis(own.J, 0, -1), own.columns, own.weights)
-
-
-def _seen(runs: Runs, number: int, share: float) -> tuple[slice | np.ndarray, slice | np.ndarray]:
-    """Samples of the first part of a record, and their places in a lane; as slices where there is no gap."""
-    r = runs.record(number)
-    at = r.samples if share == 1 else r.samples[r.samples < r.offset + share * r.count]
-    if at.size and at[-1] - at[0] == at.size - 1:
-        return slice(at[0], at[-1] + 1), slice(at[0] - r.offset, at[-1] + 1 - r.offset)
-    return at, at - r.offset
 
 
 __all__ = ["LOSSES", "PENALTY", "Data", "Linear", "Problem", "Rows", "expand", "linearise", "rows", "sums"]
