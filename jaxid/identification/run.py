@@ -311,7 +311,7 @@ def _solve(law: Law, runs: Sequence[Run], by: Sequence[Run] | None, method: str,
     prior = np.concatenate([base.values(phi0), np.zeros(len(law.parameters) * n)])
 
     def blocks_of(which: Sequence[Run], exponent: np.ndarray) -> list[tuple[np.ndarray, np.ndarray]]:
-        return [(full_rows(r, law, exponent), r.tau[:: spacing(r)]) for r in which]
+        return [(full_rows(r, law, exponent) * r.moves[:, None], r.tau[:: spacing(r)] * r.moves) for r in which]
 
     blocks = blocks_of(fit, exponent)
     theta, weights = solve.weighted(blocks, prior)
