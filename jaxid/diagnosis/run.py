@@ -47,7 +47,6 @@ from jaxid.wording import number, percent, times
 #: that leaves so many times the noise.
 SENSITIVE, DIFFERENCE, REMAINDER = 50.0, 1e-7, 10.0
 
-
 #: Verdict by free runs that are not trusted -> verdicts by windows that take its place.
 PREFERRED = {"unknown": ("none", "partly", "named"), "partly": ("named",), "named": ("unknown", "partly", "named")}
 

@@ -137,6 +137,12 @@ def moving(dataset: Dataset, y: np.ndarray, iy: Sequence[int]) -> np.ndarray:
     return (np.ptp(y, axis=0) > STILL * sigma).astype(float)
 
 
+def held_joints(runs: Sequence[Run]) -> list[str]:
+    """Sentences about joints that stand still in every run."""
+    still = [j for j in range(runs[0].tau.shape[1]) if not any(r.moves[j] for r in runs)]
+    return [f"joint {j + 1} stands still in every run: its torque says nothing and has no weight" for j in still]
+
+
 def _with_inertia(run: Run, chain: Chain, base: BaseParameters, q: np.ndarray, qd: np.ndarray, qdd: np.ndarray) -> Run:
     """The run along a motion [all samples n]."""
     index = list(base.kept)

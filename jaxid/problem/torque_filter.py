@@ -49,16 +49,13 @@ def torque_setting(
     decimate: int | None,
 ) -> TorqueSetting:
     """Filter and decimation of runs at equal steps: the cutoff a tenth of the sampling rate (or where the content of noisy
-    positions ends), decimation to 2.5 times less than the cutoff allows, but not below `ROWS` rows of the fit for each number of the model.
-    Noise of the residual: that of the drive's torque at high frequency (1 N m for a free motion)."""
+    positions ends), decimation to 2.5 times less than the cutoff allows, but not below `ROWS` rows of the fit for each number of
+    the model. Noise of the residual: that of the drive's torque at high frequency (1 N m for a free motion)."""
     from jaxid.data.signals import even_grid, filter_ends
-    from jaxid.dynamics.joint_readings import all_read, cutoffs, joint_motion, stated_positions
+    from jaxid.dynamics.joint_readings import cutoffs, joint_motion, stated_positions
 
     iu, iy = columns(dataset, chain)
-    if chain.mechanism.hidden_states:
-        raise UsageError(f"{chain.mechanism.name} has an inner state that the measured motion does not show: use output_error")
-    if not all_read(chain):
-        raise UsageError(f"inverse dynamics needs every joint's position or speed measured ({', '.join(chain.signature.joints)})")
+    check_motion(chain)
     first = (dataset.split("fit") or experiments)[0]  # one rule for all splits
     rate = (len(first.t) - 1) / first.duration
     if cutoff_hz is None:
@@ -90,6 +87,16 @@ def torque_setting(
         span = np.percentile(np.abs(np.concatenate(torques)), 99, axis=0)
         level = np.maximum(np.maximum(white * np.sqrt(np.sum(taps**2)), 1e-3 * span), 1e-12)
     return TorqueSetting(motion, ends, decimate, taps, level, cutoff_hz, statement, iu, [iy[k] for k in chain.joint_outputs])
+
+
+def check_motion(chain: Chain) -> None:
+    """Raises `UsageError` where the measured motion does not tell the torque that a model needs."""
+    from jaxid.dynamics.joint_readings import all_read
+
+    if chain.mechanism.hidden_states:
+        raise UsageError(f"{chain.mechanism.name} has an inner state that the measured motion does not show: use output_error")
+    if not all_read(chain):
+        raise UsageError(f"inverse dynamics needs every joint's position or speed measured ({', '.join(chain.signature.joints)})")
 
 
 def evenly(e: Experiment) -> Experiment:

@@ -22,7 +22,7 @@ FIRM = (1e-4, 1e-3, 1e-2, 1e-1, 1.0)
 def ceiling(
     study: Study, rows: Rows, white: Whitening, base: Answer, fit: Sequence[int], choose: Sequence[int], judge: Sequence[int]
 ) -> float:
-    """Share of the gap of `base` on the runs `judge` that free laws close which are fitted to `fit`, as firm as suits `choose`."""
+    """Share of the gap of `base` on the runs `judge` that free laws close, fitted to `fit`, as firm as suits `choose`."""
     edges = _edges(study)
     load = [np.abs(study.plant.rigid(r, rows.theta)) for r in study.runs]
     needed = {*fit, *choose, *judge}

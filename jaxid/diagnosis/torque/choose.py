@@ -166,7 +166,8 @@ class Chooser:
         sets = [(*chosen.units, k) for k in singles]
         for effect in dict.fromkeys(e for e, _ in found):
             every = [k for (e, _), (_, k) in found.items() if e == effect]
-            sets += [(*chosen.units, *every)] if 1 < len(every) else []
+            lone = all(len(self.units[k].joints) == 1 for k in every)
+            sets += [(*chosen.units, *every)] if lone and len(every) > 1 else []
         return [m for s in sets if (m := self._lively(s, chosen.units)) is not None]
 
     def _lively(self, units: Sequence[int], base: Sequence[int] = ()) -> Model | None:

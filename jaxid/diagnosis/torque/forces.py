@@ -62,12 +62,12 @@ def with_numbers(effect: JointEffect, numbers: Mapping[str, Any], n: int) -> Joi
 def strengths(kind: type[JointEffect]) -> tuple[str, ...]:
     """Names of the numbers in which the force of an effect is linear, each by itself."""
     effect = kind()
-    t = np.linspace(0.0, 6.0, 40)[:, None]
+    t = np.linspace(0.0, 6.0, 7)[:, None]
     q, qd = np.sin(t) + 0.3 * t, np.cos(t) + 0.3
     q, qd = (np.concatenate([x, 0.7 * x], 1) for x in (q, qd))
 
     def of(name: str, value: float) -> np.ndarray:
-        with float64():
+        with float64(), jax.disable_jit():  # a few samples: compiling would take far longer
             return np.asarray(_force(with_numbers(effect, {name: value}, 2), 0.15, np.full(2, 0.01), q, qd, np.abs(q)))
 
     linear = []

@@ -60,8 +60,9 @@ def shows(kind: type[Effect], chain: Chain) -> bool:
     if issubclass(kind, JointEffect):
         return bool(strengths(kind))
     if issubclass(kind, BodyEffect):
+        effect: Any = chain.with_effects(kind()).effects[-1]  # one number for each joint
         with float64():
-            return not kind()(chain.mechanism).hidden_states
+            return not effect(chain.mechanism).hidden_states
     return kind.name in DRIVES and chain.direct
 
 

@@ -12,7 +12,7 @@ from jaxid.data.signals import filter_ends, zero_phase
 from jaxid.dynamics.joint_readings import joint_motion, joint_readings, stated_positions
 from jaxid.errors import UsageError
 from jaxid.problem.binding import Binding
-from jaxid.problem.torque_filter import evenly, moving_band
+from jaxid.problem.torque_filter import check_motion, evenly, moving_band
 from jaxid.simulation.sample_buffers import columns
 
 
@@ -63,6 +63,7 @@ class Run:
 def read_runs(binding: Binding, cutoff_hz: float | None) -> list[Run]:
     """Every recording of a binding, fit runs first. Raises `UsageError` for a cutoff that a run's sampling does not allow."""
     b = binding
+    check_motion(b.chain)
     _, iy = columns(b.dataset, b.chain)
     ordered = [e for split in ("fit", "validation", "report") for e in b.experiments(split)]
     even = [evenly(e) for e in ordered]

@@ -85,6 +85,8 @@ def _searched(study: Study, most: int) -> Found:
             choose,
             judge,
         )
+        numbers = np.split(chosen.solution.theta[study.plant.size :], np.cumsum([len(u.fields) for u in found.final.units])[:-1])
+        study.settle(rows.theta, list(zip(found.final.units, numbers, strict=True)) if chosen.units else ())
         if not chosen.units or (study.plant.exact() and not any(rows.units[u].effect in BY_TORQUE for u in chosen.units)):
             break
         theta = theta.copy()  # once more, along the motion's torque with what was found

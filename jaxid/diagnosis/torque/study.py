@@ -10,17 +10,21 @@ import numpy as np
 from jaxid.data.signals import zero_phase
 from jaxid.diagnosis.torque.algebra import BLOCKS, gram, Known, Solution, solve, Whitening, whitening
 from jaxid.diagnosis.torque.choose import Chooser
+from jaxid.diagnosis.torque.forces import force, with_numbers
 from jaxid.diagnosis.torque.library import DRIVES, Unit, units
 from jaxid.diagnosis.torque.plant import Plant, plant_of
 from jaxid.diagnosis.torque.rows import read_runs, Run, turning_speeds
-from jaxid.dynamics.effect import Effect
+from jaxid.dynamics.effect import Effect, JointEffect
 from jaxid.dynamics.joint_readings import joint_motion, stated_positions
+from jaxid.dynamics.parameter import specs
 from jaxid.problem.binding import Binding
 from jaxid.simulation.sample_buffers import columns
 
 
 #: Steps of Gauss and Newton where a model is not linear in its numbers, and the change of the loss at which they end.
 STEPS, SETTLED = 12, 1e-6
+#: Dry friction may turn about within so much less speed than it is taken to.
+SHARPER = 4.0
 #: Samples of which the noise of the rows is made.
 SAMPLES = 4000
 #: Effects whose columns depend on the torque that the model itself needs.
@@ -57,7 +61,8 @@ class Study:
         self.given, self.payloads = known, payloads
         self.noise = np.ones(binding.chain.nq)
         self.theta = self._nominal()
-        self.noise = self._noise()
+        self.measured = self._noise()
+        self.settle(self.theta)
 
     # ---- the nominal model
 
@@ -194,10 +199,31 @@ class Study:
 
     # ---- noise
 
+    def settle(self, theta: np.ndarray, found: Sequence[tuple[Unit, np.ndarray]] = ()) -> None:
+        """Sets the noise of the rows: that of readings and torques, and what nobody knows of how dry friction turns about with the
+        motion, for the friction of the numbers theta and of units with theirs."""
+        self.noise = np.hypot(self.measured, self._turning(theta, found))
+
+    def _turning(self, theta: np.ndarray, found: Sequence[tuple[Unit, np.ndarray]]) -> np.ndarray:
+        run, n = self._longest(), self.binding.chain.nq
+        effects = [e for e in self.binding.layout.model(theta).effects if isinstance(e, JointEffect)]
+        kinds = {k.name: k for k in self.kinds}
+        for u, numbers in found:
+            if (kind := kinds.get(u.effect)) is not None and issubclass(kind, JointEffect):
+                own = {f: v * np.eye(n)[u.joints[0]] for f, v in zip(u.fields, numbers, strict=True) if f in specs(kind())}
+                effects.append(with_numbers(kind(), {**u.shape, **own}, n))
+        load = self.plant.rigid(run, theta)
+        turn = self.plant.turn
+        apart = sum((force(e, run, load, turn / SHARPER) - force(e, run, load, turn) for e in effects), np.zeros_like(run.q))
+        return np.std(run.rows(apart), axis=0)
+
+    def _longest(self) -> Run:
+        return max((self.runs[k] for k in self.of("fit") or range(len(self.runs))), key=lambda r: len(r.q))
+
     def _noise(self) -> np.ndarray:
         """Standard deviation of the rows of each joint [n] that the noise of readings and torques makes of a perfect model."""
         rng, b = np.random.default_rng(0), self.binding
-        run = self.runs[0]
+        run = self._longest()
         e = run.experiment
         part = slice(0, min(len(e.t), SAMPLES))
         cut = replace(e, t=e.t[part], u=e.u[part], y=e.y[part], auxiliary={}, past=None, scatter=None, left_out=None)
