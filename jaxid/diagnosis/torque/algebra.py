@@ -72,6 +72,10 @@ class Gram:
         v = np.append(-theta, 1.0)
         return np.einsum("bij,i,j->b", self.blocks[:, full[:, None], full], v, v)
 
+    def scores(self, at: np.ndarray, theta: np.ndarray) -> np.ndarray:
+        """Half the slope of each block's sum of squares by the numbers of the columns `at` [blocks at]."""
+        return self.blocks[:, at, -1] - self.blocks[:, at[:, None], at] @ theta
+
 
 def gram(runs: Sequence[Run], rows: Sequence[np.ndarray], white: Whitening, blocks: int) -> Gram:
     """Of rows [samples n p + 1] of some runs, cut into about so many blocks of equal length."""

@@ -68,21 +68,20 @@ def estimates(study: Study, chooser: Chooser, model: Model) -> tuple[dict[str, E
     covariance, determined = s.spread
     dof = max(1, chooser.fit.rows - len(s.at))
     level = max(1.0, s.cost / dof)
+    slopes, told = chooser.fit.scores(s.at, s.theta), np.nan_to_num(covariance)
+    sandwich = told @ (slopes.T @ slopes) @ told * len(slopes) / max(1, len(slopes) - 1)
+    wider = np.sqrt(np.maximum(1.0, np.diag(sandwich) / np.maximum(np.diag(told) * level, 1e-300)))
+    covariance = covariance * wider * wider[:, None]
     std = np.sqrt(np.maximum(np.diag(covariance), 0.0) * level)
     own: dict[str, Estimate] = {}
     for k, i in enumerate(study.plant.free):
         e = b.layout.entries[i]
-        told = bool(determined[k]) and np.isfinite(std[k])
+        sure = bool(determined[k]) and np.isfinite(std[k])
+        shown = float(std[k]) if sure else None
         own[e.name] = Estimate(
-            float(s.theta[k]),
-            float(std[k]) if told else None,
-            e.unit,
-            float(b.lower[i]),
-            float(b.upper[i]),
-            bool(s.bound[k]),
-            told,
-        )
-    effects, first = [], study.plant.size
+            float(s.theta[k]), shown, e.unit, float(b.lower[i]), float(b.upper[i]), bool(s.bound[k]), sure
+        )  # fmt: skip
+    effects, first = [], chooser.size
     for u in model.units:
         unit = chooser.units[u]
         at = slice(first, first + len(unit.fields))

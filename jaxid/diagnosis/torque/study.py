@@ -59,10 +59,24 @@ class Study:
         self.runs: list[Run] = read_runs(binding, cutoff_hz)
         self.plant: Plant = plant_of(binding, turning_speeds(self.runs))
         self.given, self.payloads = known, payloads
+        self.turns = [self._turns(r) for r in self.runs]
         self.noise = np.ones(binding.chain.nq)
         self.theta = self._nominal()
         self.measured = self._noise()
         self.settle(self.theta)
+
+    def _turns(self, run: Run) -> np.ndarray:
+        """How else dry friction may turn about with each joint's motion, as columns of which nothing is asked [samples n k]: what
+        would pass for them says nothing."""
+        n, turn = run.q.shape[1], self.plant.turn
+        apart = [np.tanh(run.qd / (turn * wide)) - np.tanh(run.qd / turn) for wide in (1 / SHARPER, SHARPER)]
+        rows = [run.rows(x) for x in apart]
+        return np.concatenate([x[:, :, None] * np.eye(n) for x in rows], 2)
+
+    @property
+    def size(self) -> int:
+        """Columns that come before those of effects."""
+        return self.plant.size + 2 * self.binding.chain.nq
 
     # ---- the nominal model
 
@@ -90,7 +104,7 @@ class Study:
         if self.given is not None:
             information[:p, :p] += self.given.information
             mean[:p] = np.where(np.diag(self.given.information) > 0, self.given.mean, mean[:p])
-        spread = np.concatenate([u.spread for u in found]) if found else np.zeros(0)
+        spread = np.concatenate([np.full(self.size - p, np.inf), *(u.spread for u in found)])
         diagonal = np.arange(p, size)
         information[diagonal, diagonal] = np.where(np.isfinite(spread), spread, np.inf) ** -2.0
         return Known(information, mean)
@@ -101,7 +115,7 @@ class Study:
         for k, run in enumerate(self.runs):
             target, own = self.plant.linearised(run, theta)
             both = run.rows(np.concatenate([own, target[:, :, None]], 2))
-            rows.append(np.concatenate([both[:, :, :-1], *(u.columns[k] for u in found), both[:, :, -1:]], 2))
+            rows.append(np.concatenate([both[:, :, :-1], self.turns[k], *(u.columns[k] for u in found), both[:, :, -1:]], 2))
         return Rows(theta, found, rows)
 
     def _nominal(self) -> np.ndarray:
@@ -113,7 +127,7 @@ class Study:
             if white is None:
                 white = self._weights(rows, np.zeros(0, int), np.zeros(0))
                 white = self._weights(rows, *self._solved(rows, white))
-            loss = gram(*self._some(rows, self.of("fit")), white, 1).losses(np.arange(rows.size), theta[self.plant.free])[0]
+            loss = gram(*self._some(rows, self.of("fit")), white, 1).losses(np.arange(self.plant.size), theta[self.plant.free])[0]
             if not loss < best * (1 - SETTLED) and step:
                 if loss <= best or np.allclose(theta, end, rtol=1e-9):
                     break
@@ -146,8 +160,9 @@ class Study:
         """Start, lower and upper bound of every column."""
         low = [x for u in rows.units for x in u.least]
         high = [x for u in rows.units for x in u.most]
-        start = np.concatenate([rows.theta[self.plant.free], np.zeros(len(low))])
-        return start, np.concatenate([self.lower, low]), np.concatenate([self.upper, high])
+        free = np.full(self.size - self.plant.size, np.inf)
+        start = np.concatenate([rows.theta[self.plant.free], 0 * np.isinf(free), np.zeros(len(low))])
+        return start, np.concatenate([self.lower, -free, low]), np.concatenate([self.upper, free, high])
 
     def _weights(self, rows: Rows, at: np.ndarray, numbers: np.ndarray) -> Whitening:
         which = self.of("fit")
@@ -200,8 +215,8 @@ class Study:
     # ---- noise
 
     def settle(self, theta: np.ndarray, found: Sequence[tuple[Unit, np.ndarray]] = ()) -> None:
-        """Sets the noise of the rows: that of readings and torques, and what nobody knows of how dry friction turns about with the
-        motion, for the friction of the numbers theta and of units with theirs."""
+        """Sets the noise of the rows: that of readings and torques, and what nobody knows of how dry friction turns about with
+        the motion, for the friction of the numbers theta and of units with theirs."""
         self.noise = np.hypot(self.measured, self._turning(theta, found))
 
     def _turning(self, theta: np.ndarray, found: Sequence[tuple[Unit, np.ndarray]]) -> np.ndarray:
