@@ -18,7 +18,6 @@ from jaxid.diagnosis.torque.rows import Run
 from jaxid.dynamics.effect import Command, JointEffect, Signals
 from jaxid.dynamics.parameter import Reference, resolve, specs, with_fields
 from jaxid.numerics.precision import float64
-from jaxid.simulation.sample_buffers import bucket
 
 
 #: Points of the grid of a number that shapes an effect, and how far beyond its probes it goes.
@@ -28,11 +27,9 @@ GRID, BEYOND = 7, 2.0
 def force(effect: JointEffect, run: Run, load: np.ndarray, turn: np.ndarray) -> np.ndarray:
     """Opposing force [time n] of an effect whose numbers are [n], under a transmitted load [time n]; sign(qd) goes over smoothly
     within the speeds `turn` [n]."""
-    n = len(run.q)
-    room = ((0, bucket(n) - n), (0, 0))
-    series = [np.pad(x, room, mode="edge") for x in (run.q, run.qd, load)]
+    series = [run.padded(x) for x in (run.q, run.qd, load)]
     with float64():
-        return np.asarray(_force(effect, run.step, turn, *series))[:n]
+        return np.asarray(_force(effect, run.step, turn, *series))[: len(run.q)]
 
 
 @jax.jit
@@ -59,16 +56,16 @@ def with_numbers(effect: JointEffect, numbers: Mapping[str, Any], n: int) -> Joi
 
 
 @lru_cache(maxsize=256)
-def strengths(kind: type[JointEffect]) -> tuple[str, ...]:
-    """Names of the numbers in which the force of an effect is linear, each by itself."""
+def strengths(kind: type[JointEffect], n: int, room: int) -> tuple[str, ...]:
+    """Names of the numbers in which the force of an effect is linear, each by itself, tried on a motion of n joints and so many
+    samples: that of the runs, so that one program serves."""
     effect = kind()
-    t = np.linspace(0.0, 6.0, 7)[:, None]
-    q, qd = np.sin(t) + 0.3 * t, np.cos(t) + 0.3
-    q, qd = (np.concatenate([x, 0.7 * x], 1) for x in (q, qd))
+    t = np.linspace(0.0, 0.15 * room, room)[:, None] * np.linspace(1.0, 0.7, n)
+    q, qd = np.sin(t) + 0.3 * np.sin(0.3 * t), np.cos(t) + 0.09 * np.cos(0.3 * t)
 
     def of(name: str, value: float) -> np.ndarray:
-        with float64(), jax.disable_jit():  # a few samples: compiling would take far longer
-            return np.asarray(_force(with_numbers(effect, {name: value}, 2), 0.15, np.full(2, 0.01), q, qd, np.abs(q)))
+        with float64():
+            return np.asarray(_force(with_numbers(effect, {name: value}, n), 0.15, np.full(n, 0.01), q, qd, np.abs(q)))
 
     linear = []
     for name, spec in specs(effect).items():
@@ -77,9 +74,10 @@ def strengths(kind: type[JointEffect]) -> tuple[str, ...]:
     return tuple(linear)
 
 
-def shapes(kind: type[JointEffect], reference: Reference) -> list[dict[str, float]]:
-    """The grid of the numbers that shape an effect at a joint with these typical magnitudes, from its probes."""
-    own, linear = specs(kind()), strengths(kind)
+def shapes(kind: type[JointEffect], reference: Reference, linear: Sequence[str]) -> list[dict[str, float]]:
+    """The grid of the numbers that shape an effect at a joint with these typical magnitudes, from its probes; `linear`: its
+    strengths."""
+    own = specs(kind())
     resolved = [{k: resolve(v, reference) for k, v in p.items() if k not in linear} for p in kind.probes]
     found = [dict(s) for s in dict.fromkeys(tuple(sorted(p.items())) for p in resolved)] or [{}]
     varied = {k for s in found for k in s}
@@ -102,7 +100,7 @@ def at_every_joint(
         point = [g[min(k, len(g) - 1)] for g in grids]
         names = {name for p in point for name in p}
         shape = {name: np.array([p.get(name, specs(effect)[name].value) for p in point]) for name in names}
-        one = {name: with_numbers(effect, {**shape, name: 1.0}, n) for name in strengths(kind)}
+        one = {name: with_numbers(effect, {**shape, name: 1.0}, n) for name in strengths(kind, n, runs[0].room)}
         out.append({name: [force(e, r, f, turn) for r, f in zip(runs, load, strict=True)] for name, e in one.items()})
     return out
 
@@ -110,8 +108,9 @@ def at_every_joint(
 def coupled(kind: type[JointEffect], shape: Mapping[str, float], place: int, run: Run, load: np.ndarray, turn: np.ndarray):
     """[time n strengths] of an effect at one place that acts on several joints."""
     n, effect = len(turn), kind()
+    names = strengths(kind, n, run.room)
     here = np.eye(n)[place]
-    return np.stack([force(with_numbers(effect, {**shape, name: here}, n), run, load, turn) for name in strengths(kind)], -1)
+    return np.stack([force(with_numbers(effect, {**shape, name: here}, n), run, load, turn) for name in names], -1)
 
 
 __all__ = ["at_every_joint", "coupled", "force", "shapes", "strengths", "with_numbers"]

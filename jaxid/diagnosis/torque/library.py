@@ -20,7 +20,6 @@ from jaxid.dynamics.parameter import resolve, specs, with_fields
 from jaxid.dynamics.rigid_body import INERTIA
 from jaxid.numerics.precision import float64
 from jaxid.problem.binding import Binding
-from jaxid.simulation.sample_buffers import bucket
 
 
 #: Effects on the way from the command to the joint that a torque shows all the same.
@@ -58,11 +57,9 @@ class Unit:
 def shows(kind: type[Effect], chain: Chain) -> bool:
     """Whether the torque of a measured motion can show an effect."""
     if issubclass(kind, JointEffect):
-        return bool(strengths(kind))
+        return any(s.value == 0 for s in specs(kind()).values())
     if issubclass(kind, BodyEffect):
-        effect: Any = chain.with_effects(kind()).effects[-1]  # one number for each joint
-        with float64():
-            return not effect(chain.mechanism).hidden_states
+        return not chain.with_effects(kind()).stateful()[-1]
     return kind.name in DRIVES and chain.direct
 
 
@@ -104,7 +101,9 @@ def _laws(plant: Plant, kind: Any, places: Sequence[str], runs: Sequence[Run], l
     """A law of each joint's own motion, at every point of its grid."""
     b, n = plant.binding, plant.binding.chain.nq
     joints = [b.chain.signature.joints.index(p) for p in places]
-    grids = [shapes(kind, b.references[j]) for j in range(n)]
+    if not (linear := strengths(kind, n, runs[0].room)):
+        return []
+    grids = [shapes(kind, b.references[j], linear) for j in range(n)]
     out = []
     for k, made in enumerate(at_every_joint(kind, grids, runs, load, plant.turn)):
         rows = [np.stack([r.rows(made[f][i]) for f in made], -1) for i, r in enumerate(runs)]
@@ -118,10 +117,10 @@ def _laws(plant: Plant, kind: Any, places: Sequence[str], runs: Sequence[Run], l
 def _shared(plant: Plant, kind: Any, places: Sequence[str], runs: Sequence[Run], load: Sequence[np.ndarray]) -> list[Unit]:
     """A gear that a joint shares with the next: its friction, and the inertia of what turns with both."""
     b = plant.binding
-    out = []
+    linear, out = strengths(kind, b.chain.nq, runs[0].room), []
     for place in places:
         j = b.chain.signature.joints.index(place)
-        shape = shapes(kind, b.references[j])[0]
+        shape = shapes(kind, b.references[j], linear)[0]
         own = [coupled(kind, shape, j, r, f, plant.turn) for r, f in zip(runs, load, strict=True)]
         columns = []
         for r, x in zip(runs, own, strict=True):
@@ -129,7 +128,7 @@ def _shared(plant: Plant, kind: Any, places: Sequence[str], runs: Sequence[Run],
             both[:, [j, j + 1]] = (r.qdd[:, j] + r.qdd[:, j + 1])[:, None]
             columns.append(r.rows(np.concatenate([x, both[:, :, None]], 2)))
         both = f"{place} and {b.chain.signature.joints[j + 1]}"
-        out.append(_unit(kind, both, [*strengths(kind), "inertia"], shape, [j, j + 1], columns, b))
+        out.append(_unit(kind, both, [*linear, "inertia"], shape, [j, j + 1], columns, b))
     return out
 
 
@@ -241,8 +240,7 @@ def _derivatives(
         for place in places:
             columns, j = [], joints.index(place)
             for r in runs:
-                room = ((0, bucket(len(r.q)) - len(r.q)), (0, 0))
-                series = [np.pad(x, room, mode="edge") for x in (r.q, r.qd, r.qdd)]
+                series = [r.padded(x) for x in (r.q, r.qd, r.qdd)]
                 made = [np.asarray(_slope(kind, f, j)(mechanism, *series))[: len(r.q)] for f in fields]
                 columns.append(r.rows(np.stack(made, -1)))
             if any(np.any(c) for c in columns):

@@ -20,7 +20,6 @@ from jaxid.dynamics.parameter_vector import Layout
 from jaxid.numerics.precision import float64
 from jaxid.problem.binding import Binding
 from jaxid.problem.torque_filter import drive_torque
-from jaxid.simulation.sample_buffers import bucket
 
 
 class Plant(abc.ABC):
@@ -132,12 +131,10 @@ class AnyPlant(Plant):
     def rigid(self, run, theta):
         with float64():
             body = self.layout.model(theta).body()
-            return np.asarray(_inverse(body, run.q, run.qd, run.qdd))
+            return np.asarray(_inverse(body, *(run.padded(x) for x in (run.q, run.qd, run.qdd))))[: len(run.q)]
 
     def _missing(self, run: Run, theta: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        n = len(run.q)
-        room = ((0, bucket(n) - n), (0, 0))
-        series = [np.pad(x, room, mode="edge") for x in (run.u, run.q, run.qd, run.qdd)]
+        n, series = len(run.q), [run.padded(x) for x in (run.u, run.q, run.qd, run.qdd)]
         with float64():
             missing, slope = _slopes(self.layout, tuple(self.free))(theta, run.step, *series)
         return np.asarray(missing)[:n], np.asarray(slope)[:n]

@@ -22,6 +22,10 @@ from jaxid.storage.small_files import read_small
 WANTED = "a reference is the fit.json, identification.json or diagnosis.json of another recording of the same model"
 
 
+#: Smallest eigenvalue that correlations are taken to have: in directions that were not determined a covariance may say nothing.
+CLOSE = 1e-4
+
+
 @dataclass(frozen=True)
 class Reference:
     """Numbers of a model by name, and their covariance [n n]."""
@@ -56,7 +60,7 @@ class Reference:
         size = np.sqrt(np.diag(self.covariance)[at])
         scaled = self.covariance[np.ix_(at, at)] / size / size[:, None]
         values, vectors = np.linalg.eigh((scaled + scaled.T) / 2)
-        inverse = (vectors / np.maximum(values, 1e-9 * values[-1])) @ vectors.T / size / size[:, None]
+        inverse = (vectors / np.maximum(values, CLOSE * values[-1])) @ vectors.T / size / size[:, None]
         information, mean = np.zeros((len(names), len(names))), np.zeros(len(names))
         information[np.ix_(place, place)], mean[place] = inverse, self.values[at]
         return Known(information, mean)

@@ -13,7 +13,7 @@ from jaxid.dynamics.joint_readings import joint_motion, joint_readings, stated_p
 from jaxid.errors import UsageError
 from jaxid.problem.binding import Binding
 from jaxid.problem.torque_filter import check_motion, evenly, moving_band
-from jaxid.simulation.sample_buffers import columns
+from jaxid.simulation.sample_buffers import bucket, columns
 
 
 #: Rows come at so many times the cutoff: between them there is nothing new.
@@ -38,6 +38,11 @@ class Run:
     kept: slice
     cutoff_hz: float
     moves: np.ndarray  # [n] whether a joint does anything in this run
+    room: int  # samples of the longest run, rounded up: what is compiled is compiled once
+
+    def padded(self, x: np.ndarray) -> np.ndarray:
+        """A series [time ...] with its last sample repeated up to `room`."""
+        return np.pad(x, ((0, self.room - len(x)), *((0, 0),) * (x.ndim - 1)), mode="edge")
 
     @property
     def split(self) -> str:
@@ -68,10 +73,11 @@ def read_runs(binding: Binding, cutoff_hz: float | None) -> list[Run]:
     ordered = [e for split in ("fit", "validation", "report") for e in b.experiments(split)]
     even = [evenly(e) for e in ordered]
     cutoff = cutoff_hz or moving_band(b.chain, [e for e in even if e.split == "fit"] or even, iy, b.sigma)
-    return [_read(b, e, iy, cutoff) for e in even]
+    room = bucket(max(len(e.t) for e in even))
+    return [_read(b, e, iy, cutoff, room) for e in even]
 
 
-def _read(binding: Binding, e: Experiment, iy: Sequence[int], cutoff_hz: float) -> Run:
+def _read(binding: Binding, e: Experiment, iy: Sequence[int], cutoff_hz: float, room: int) -> Run:
     chain = binding.chain
     iu, _ = columns(binding.dataset, chain)
     rate = (len(e.t) - 1) / e.duration
@@ -85,7 +91,7 @@ def _read(binding: Binding, e: Experiment, iy: Sequence[int], cutoff_hz: float) 
     ends = filter_ends(e.t, cutoff_hz)
     every = max(1, int(rate / (ROWS_PER_CUTOFF * cutoff_hz)))
     kept = slice(ends, len(e.t) - ends, every)
-    return Run(e, q, qd, qdd, e.u[:, iu], kept, cutoff_hz, _moving(binding, q))
+    return Run(e, q, qd, qdd, e.u[:, iu], kept, cutoff_hz, _moving(binding, q), room)
 
 
 def _moving(binding: Binding, q: np.ndarray) -> np.ndarray:

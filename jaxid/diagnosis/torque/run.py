@@ -33,6 +33,10 @@ from jaxid.wording import listed, percent, times
 DIFFERENT = 2.0
 
 
+#: So often at most the search is done along the torque that what it found implies.
+PASSES = 3
+
+
 @dataclass(frozen=True, eq=False)
 class Found:
     """What a search found: the model with the effects, the one without, and which runs chose and judge."""
@@ -70,8 +74,8 @@ def diagnose_by_torque(
 def _searched(study: Study, most: int) -> Found:
     fit, choose, judge = study.of("fit"), study.of("validation"), study.of("report")
     theta, found = study.theta, None
-    for _ in range(2):
-        rows, white = study.rows_with_effects(theta)
+    for again in range(PASSES):
+        rows, white = study.rows_with_effects(theta, again > 0)
         chooser = study.chooser(rows, white, fit, choose, None, most)
         chosen = chooser.nominal if _at_floor(study, rows, chooser, fit, choose) else chooser.run()
         found = Found(

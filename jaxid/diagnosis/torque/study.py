@@ -171,8 +171,9 @@ class Study:
 
     # ---- effects
 
-    def rows_with_effects(self, theta: np.ndarray) -> tuple[Rows, Whitening]:
-        """Rows with every unit, and the weights that the richest model of the fit runs leaves."""
+    def rows_with_effects(self, theta: np.ndarray, chosen: bool = False) -> tuple[Rows, Whitening]:
+        """Rows with every unit, and the weights that the richest model of the fit runs leaves. Its numbers also tell the torques
+        that effects depend on; `chosen`: theta is that of a model with effects and tells them better."""
         plain = [k for k in self.kinds if k.name not in BY_TORQUE]
         rows = self.made(theta, units(self.plant, plain, self.runs, theta, self.payloads))
         rich = self._rich(rows)
@@ -181,7 +182,7 @@ class Study:
             s = self._solution(rows, white, rich, self.of("fit"))
             white = self._weights(rows, s.at, s.theta)
         if loaded := [k for k in self.kinds if k.name in BY_TORQUE]:
-            at = self._moved(theta, s.at, s.theta)
+            at = theta if chosen else self._moved(theta, s.at, s.theta)
             more = units(self.plant, loaded, self.runs, at, self.payloads)
             every = [
                 np.concatenate([x[:, :, :-1], *(u.columns[k] for u in more), x[:, :, -1:]], 2) for k, x in enumerate(rows.rows)
