@@ -166,8 +166,8 @@ def _spread(H: np.ndarray, free: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
 def better(before: np.ndarray, after: np.ndarray, owner: np.ndarray) -> tuple[float, float]:
     """By how many standard errors the sums of squares of blocks fall, in all and in the run where that is least.
 
-    Logarithms are compared: an effect that acts in few blocks is seen in these, and no single block decides. What falls so but not
-    in sum does not count."""
+    Logarithms are compared: an effect that acts in few blocks is seen in these, and no single block decides. What falls so but
+    not in sum does not count."""
     gain = np.log(np.maximum(before, 1e-300) / np.maximum(after, 1e-300))
 
     def errors(inside: np.ndarray) -> float:
