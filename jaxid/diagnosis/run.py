@@ -122,8 +122,7 @@ def _run(
     library = possible(nominal, allowed, residual.name if residual else "")
     places = sum(len(nominal.offers(k)) for k in library)
     dataset = shortened(dataset, need("diagnose", dataset, nominal.nq, places)) if dataset.experiments else dataset
-    by_torque = isinstance(residual, InverseDynamics)
-    binding = bind(model, dataset, without=without, candidates=() if by_torque else library)
+    binding = bind(model, dataset, without=without, candidates=() if isinstance(residual, InverseDynamics) else library)
     if not binding.dataset.experiments:
         raise UsageError("a diagnosis needs recorded runs; this dataset holds frequency responses alone: fit it")
     if isinstance(residual, InverseDynamics):
@@ -290,8 +289,7 @@ def _search(question: Question) -> tuple[Bench, Fit, Search, float]:
     began = time.perf_counter()
     binding, residual, seed, progress = question.binding, question.residual, question.seed, question.progress
     bench = Bench(binding, differences=1)  # hundreds of models, each simulated a few times: tangents would compile longer
-    engine = bench.runs(residual, "fit").engine
-    engine.compile_ahead("outputs", binding.theta, binding.free)
+    (engine := bench.runs(residual, "fit").engine).compile_ahead("outputs", binding.theta, binding.free)
     guesses = start_values(bench, binding.free, seed)
     engine.read_ahead()  # while the nominal model is fitted
     problem = bench.problem(residual, "fit", binding.free, guesses[0])
@@ -371,8 +369,7 @@ def _fit(bench: Bench, h: Hypothesis, residual: Residual, seed: int, compile_tim
 
 def _starts(bench: Bench, h: Hypothesis) -> np.ndarray:
     """Starts of the fit runs."""
-    problem = h.path.problem
-    if list(problem.records) == list(bench.runs(OutputError(), "fit").records):
+    if list((problem := h.path.problem).records) == list(bench.runs(OutputError(), "fit").records):
         return problem.starts(h.path.z)
     return estimate_starts(bench, "fit", [h.theta])[0]
 
