@@ -76,7 +76,7 @@ def _searched(study: Study, most: int) -> Found:
     theta, found = study.theta, None
     for again in range(PASSES):
         rows, white = study.rows_with_effects(theta, again > 0)
-        chooser = study.chooser(rows, white, fit, choose, None, most)
+        chooser = study.chooser(rows, white, fit, choose, most)
         chosen = chooser.nominal if _at_floor(study, rows, chooser, fit, choose) else chooser.run()
         found = Found(
             chooser,

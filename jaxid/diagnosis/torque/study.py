@@ -93,7 +93,8 @@ class Study:
         return self.binding.upper[self.plant.free]
 
     def known(self, size: int, theta: np.ndarray, found: Sequence[Unit] = ()) -> Known:
-        """What is known of all columns beforehand: stated priors, a reference, and how large effects may be."""
+        """What is known of all columns beforehand: stated priors, and how large effects may be. A reference counts where models
+        are compared; weights are those of numbers that are free to take in what differs."""
         p = self.plant.size
         information, mean = np.zeros((size, size)), np.zeros(size)
         mean[:p] = theta[self.plant.free]
@@ -101,9 +102,6 @@ class Study:
             if i in self.plant.free:
                 k = self.plant.free.index(i)
                 information[k, k], mean[k] = std**-2, m
-        if self.given is not None:
-            information[:p, :p] += self.given.information
-            mean[:p] = np.where(np.diag(self.given.information) > 0, self.given.mean, mean[:p])
         spread = np.concatenate([np.full(self.size - p, np.inf), *(u.spread for u in found)])
         diagonal = np.arange(p, size)
         information[diagonal, diagonal] = np.where(np.isfinite(spread), spread, np.inf) ** -2.0
@@ -199,17 +197,14 @@ class Study:
                 shapes.setdefault(u.place, []).append(np.arange(a, b))
         return np.concatenate([np.arange(rows.size), *(s[len(s) // 2] for s in shapes.values())])
 
-    def chooser(
-        self, rows: Rows, white: Whitening, fit: Sequence[int], held: Sequence[int], known: Known | None, most: int
-    ) -> Chooser:
+    def chooser(self, rows: Rows, white: Whitening, fit: Sequence[int], held: Sequence[int], most: int) -> Chooser:
         """The search on some runs, judged on others."""
-        size = rows.rows[0].shape[2] - 1
         start, low, high = self.bounds(rows)
-        told = self.known(size, rows.theta, rows.units)
-        if known is not None:
-            p = len(known.mean)
-            told.information[:p, :p] += known.information
-            told.mean[:p] = known.mean
+        told = self.known(rows.rows[0].shape[2] - 1, rows.theta, rows.units)
+        if self.given is not None:
+            p = self.plant.size
+            told.information[:p, :p] += self.given.information
+            told.mean[:p] = np.where(np.diag(self.given.information) > 0, self.given.mean, told.mean[:p])
         g = lambda which: gram(*self._some(rows, which), white, BLOCKS)
         return Chooser(rows.units, rows.size, g(fit), g(held), told, start, low, high, most)
 
