@@ -223,7 +223,7 @@ def content_cutoff(t: np.ndarray, y: np.ndarray, noise: float) -> float:
 
 
 #: Share of the power of a speed that counts as its content.
-SPEED_SHARE = 0.995
+SPEED_SHARE = 0.95
 
 
 def speed_content(t: np.ndarray, y: np.ndarray, noise: float) -> float:

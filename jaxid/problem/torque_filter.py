@@ -123,7 +123,11 @@ def moving_band(chain: Chain, runs: Sequence[Experiment], iy: Sequence[int], sig
 
     rate = min((len(e.t) - 1) / e.duration for e in runs)
     used = [r.q for r in joint_readings(chain) if r.q is not None]
-    content = [speed_content(e.t, e.motion()[:, iy[k]], float(sigma[k])) for e in runs for k in used]
+    # Of each joint the run in which it is quickest: in a slow one noise is most of the speed.
+    quickest = [
+        (k, max(runs, key=lambda e, k=k: float(np.std(np.diff(e.motion()[:, iy[k]])) * len(e.t) / e.duration))) for k in used
+    ]
+    content = [speed_content(e.t, e.motion()[:, iy[k]], float(sigma[k])) for k, e in quickest]
     return float(min(rate / 10, max(HARMONICS * max(content, default=0.0), LOWEST)))
 
 
