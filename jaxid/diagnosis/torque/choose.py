@@ -162,6 +162,8 @@ class Chooser:
     def _wider(self, chosen: Model) -> list[Model]:
         """The set with one effect more at one place, or at all of its places."""
         found = self._best_shapes(chosen.units)
+        carried = {self.units[u].effect for u in chosen.units if np.all(np.isfinite(self.units[u].spread))}
+        found = {p: f for p, f in found.items() if p[0] not in carried}  # one body at one link
         singles = [k for _, k in sorted(found.values(), reverse=True)][:HEARD]
         sets = [(*chosen.units, k) for k in singles]
         for effect in dict.fromkeys(e for e, _ in found):

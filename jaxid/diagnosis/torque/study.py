@@ -60,6 +60,7 @@ class Study:
         self.plant: Plant = plant_of(binding, turning_speeds(self.runs))
         self.given, self.payloads = known, payloads
         self.turns = [self._turns(r) for r in self.runs]
+        self._plain: tuple[Rows, Whitening, Solution] | None = None
         self.noise = np.ones(binding.chain.nq)
         self.theta = self._nominal()
         self.measured = self._noise()
@@ -172,13 +173,9 @@ class Study:
     def rows_with_effects(self, theta: np.ndarray, chosen: bool = False) -> tuple[Rows, Whitening]:
         """Rows with every unit, and the weights that the richest model of the fit runs leaves. Its numbers also tell the torques
         that effects depend on; `chosen`: theta is that of a model with effects and tells them better."""
-        plain = [k for k in self.kinds if k.name not in BY_TORQUE]
-        rows = self.made(theta, units(self.plant, plain, self.runs, theta, self.payloads))
-        rich = self._rich(rows)
-        white = self._weights(rows, rich, np.zeros(len(rich)))
-        for _ in range(3):
-            s = self._solution(rows, white, rich, self.of("fit"))
-            white = self._weights(rows, s.at, s.theta)
+        if self._plain is None or not self.plant.exact():
+            self._plain = self._without_torque(theta)
+        rows, white, s = self._plain
         if loaded := [k for k in self.kinds if k.name in BY_TORQUE]:
             at = theta if chosen else self._moved(theta, s.at, s.theta)
             more = units(self.plant, loaded, self.runs, at, self.payloads)
@@ -187,6 +184,17 @@ class Study:
             ]
             rows = Rows(theta, [*rows.units, *more], every)
         return rows, white
+
+    def _without_torque(self, theta: np.ndarray) -> tuple[Rows, Whitening, Solution]:
+        """Rows with the units that depend on the motion alone, weights, and the richest model."""
+        plain = [k for k in self.kinds if k.name not in BY_TORQUE]
+        rows = self.made(theta, units(self.plant, plain, self.runs, theta, self.payloads))
+        rich = self._rich(rows)
+        white = self._weights(rows, rich, np.zeros(len(rich)))
+        for _ in range(2):
+            s = self._solution(rows, white, rich, self.of("fit"))
+            white = self._weights(rows, s.at, s.theta)
+        return rows, white, self._solution(rows, white, rich, self.of("fit"))
 
     def _rich(self, rows: Rows) -> np.ndarray:
         """Columns of the nominal model and of every law at every joint at one of its shapes."""
