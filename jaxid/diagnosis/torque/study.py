@@ -17,6 +17,7 @@ from jaxid.diagnosis.torque.rows import read_runs, Run, turning_speeds
 from jaxid.dynamics.effect import Effect, JointEffect
 from jaxid.dynamics.joint_readings import joint_motion, stated_positions
 from jaxid.dynamics.parameter import specs
+from jaxid.fitting.problem_builder import Bench, start_values
 from jaxid.problem.binding import Binding
 from jaxid.simulation.sample_buffers import columns
 
@@ -120,6 +121,8 @@ class Study:
     def _nominal(self) -> np.ndarray:
         """The nominal model fitted to the fit runs, each joint weighted by what is left of it."""
         theta, white = self.binding.theta.copy(), None
+        if not self.plant.exact():
+            theta = start_values(Bench(self.binding), self.plant.free, 0)[0]
         best, end = np.inf, theta
         for step in range(1 if self.plant.exact() else STEPS):
             rows = self.made(theta, [])
