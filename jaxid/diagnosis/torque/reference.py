@@ -15,6 +15,7 @@ from jaxid.diagnosis.torque.algebra import Known
 from jaxid.dynamics.chain import Chain
 from jaxid.dynamics.parameter_vector import Layout
 from jaxid.errors import UsageError
+from jaxid.numerics.precision import float64
 from jaxid.problem.binding import Binding
 from jaxid.storage.small_files import read_small
 
@@ -34,6 +35,7 @@ class Reference:
     values: np.ndarray
     covariance: np.ndarray
     said: str
+    regrouped: bool = False  # whether they are base parameters, in which numbers that a fit holds are counted, too
 
     @classmethod
     def read(cls, given: Any) -> Reference:
@@ -63,6 +65,9 @@ class Reference:
         inverse = (vectors / np.maximum(values, CLOSE * values[-1])) @ vectors.T / size / size[:, None]
         information, mean = np.zeros((len(names), len(names))), np.zeros(len(names))
         information[np.ix_(place, place)], mean[place] = inverse, self.values[at]
+        if self.regrouped:
+            counted = _counted(binding)
+            mean[place] -= [counted.get(n, 0.0) for n in shared]
         return Known(information, mean)
 
     def as_priors(self, chain: Chain, dataset: Dataset) -> Dataset:
@@ -75,6 +80,18 @@ class Reference:
         if not any(name in have for name in self.names):
             raise UsageError(f"the reference ({self.said}) knows none of this model's numbers ({', '.join(have[:6])} …)")
         return replace(dataset, model=replace(spec, parameters=own))
+
+
+def _counted(binding: Binding) -> dict[str, float]:
+    """What an arm's numbers that are held add to each base parameter."""
+    arm: Any = binding.layout.model(binding.theta).mechanism
+    if not hasattr(arm, "base"):
+        return {}
+    base = arm.base()
+    with float64():
+        phi = np.concatenate([np.asarray(arm.inertia()), np.asarray(arm.Ia)[:, None]], 1).ravel()
+    phi[list(base.kept)] = 0.0
+    return dict(zip(base.names, base.values(phi).tolist(), strict=True))
 
 
 def _loaded(path: str | Path) -> Any:
@@ -99,6 +116,7 @@ def _identified(content: Mapping[str, Any]) -> Reference:
         np.array([own[names[i]][0] for i in at], float),
         covariance,
         f"identification of {content['dataset']}",
+        True,
     )
 
 
