@@ -22,7 +22,7 @@ from jaxid.fitting.settings import fitter_of
 from jaxid.fitting.simulation import Simulation
 from jaxid.problem.binding import bind, Binding
 from jaxid.problem.problem import LOSSES
-from jaxid.problem.residual import Residual, RESIDUALS
+from jaxid.problem.residual import InverseDynamics, Residual, RESIDUALS
 from jaxid.robots.limbs import each, effects_at, limbs_of
 from jaxid.runtime import Interrupted
 
@@ -45,6 +45,7 @@ def fit(
     solver: Any = None,
     progress: Progress | None = None,
     as_recorded: bool = False,
+    cutoff_hz: float | None = None,
 ) -> Fit:
     """Fits the parameters of a model to a dataset.
 
@@ -52,21 +53,22 @@ def fit(
     your own) are added and fitted, `without` takes built-in ones out. The recording is checked first, and decisive findings are
     applied (`data`, `jaxid.check`) unless `as_recorded`. `fitter` is one or its text, `de(popsize=20)`; `solver` (a
     solver of diffrax, or `Diffrax`) simulates in place of jaxid's own stepping. Raises `UsageError` for arguments that do
-    not fit; a fit that fails is a `Fit` with `failed` set and a sentence in `stopped_because`. More rows than there
-    is memory for are refused before anything is computed.
+    not fit (`cutoff_hz` is the low-pass of `inverse_dynamics`); a fit that fails is a `Fit` with `failed` set and a sentence in
+    `stopped_because`. More rows than there is memory for are refused before anything is computed.
     """
     if len(limbs := limbs_of(model, dataset)) > 1:
         chosen = tuple(effects)
         work = lambda robot, data: fit(
             robot, data, fitter=fitter, residual=residual, loss=loss, effects=effects_at(chosen, robot), without=without,
-            seed=seed, budget=budget, progress=progress, solver=solver, as_recorded=as_recorded,
+            seed=seed, budget=budget, progress=progress, solver=solver, as_recorded=as_recorded, cutoff_hz=cutoff_hz,
         )  # fmt: skip
         return each(limbs, work, dataset)
     refuse_too_large(foreseen("fit", model, dataset))
     effects, without = tuple(effects), tuple(without)
     checked = _checked(model, dataset, without, as_recorded)
     binding = bind(model, checked.mended or dataset, effects=effects, without=without)
-    return replace(_fit(binding, fitter, residual, loss, seed, budget, progress, solver), data=checked.findings)
+    compared = resolve_residual(residual, cutoff_hz) if cutoff_hz is not None else residual
+    return replace(_fit(binding, fitter, compared, loss, seed, budget, progress, solver), data=checked.findings)
 
 
 def _checked(model: object, dataset: Dataset, without: tuple[str, ...], as_recorded: bool) -> Checked:
@@ -101,16 +103,21 @@ def diagnose(
     seed: int = 0,
     progress: Progress | None = None,
     as_recorded: bool = False,
+    reference: Any = None,
+    cutoff_hz: float | None = None,
 ) -> Diagnosis:
     """Says where the model is wrong, which effect is missing, and how far the gap shrinks once it is added.
 
     `effects` limits the candidates (ids, and effects of your own; default: all of the library that the model lacks),
     `max_effects` how many may be named. Of recordings that would need more memory than there is, or more
     than about an hour, the first part is looked at, and a note says so.
-    The recording is checked first (`jaxid.check`), and decisive findings are applied unless `as_recorded`.
+    The recording is checked first (`jaxid.check`), and decisive findings are applied unless `as_recorded`. `reference`, a fit, an
+    identification or a diagnosis of another recording (or its JSON file), is what is known beforehand: what is asked is what is
+    different here. `cutoff_hz` is the low-pass of `inverse_dynamics`.
     """
     from jaxid.diagnosis.limbs import diagnose_each
     from jaxid.diagnosis.run import run_diagnosis
+    from jaxid.diagnosis.torque.reference import Reference
 
     if len(limbs := limbs_of(model, dataset)) > 1:
         asked = None if effects is None else tuple(effects)
@@ -125,7 +132,9 @@ def diagnose(
     checked = _checked(model, dataset, without, as_recorded)
     data = checked.mended or dataset
     try:
-        found = run_diagnosis(model, data, max_effects, effects, without, resolve_residual(residual), seed, progress)
+        known = None if reference is None else Reference.read(reference)
+        compared = resolve_residual(residual, cutoff_hz)
+        found = run_diagnosis(model, data, max_effects, effects, without, compared, seed, progress, known)
     except Interrupted as stop:
         partial = None if stop.partial is None else replace(stop.partial, data=checked.findings)
         raise Interrupted(partial) from stop
@@ -240,7 +249,17 @@ def with_solver(binding: Binding, solver: Any, residual: Residual | None) -> Bin
     return bound_to(binding, solver, residual)
 
 
-def resolve_residual(residual: Residual | str | None) -> Residual | None:
+def resolve_residual(residual: Residual | str | None, cutoff_hz: float | None = None) -> Residual | None:
+    """The residual that is meant; `cutoff_hz` is that of `inverse_dynamics`. Raises `UsageError` for one that does not exist."""
+    if cutoff_hz is not None:
+        name = residual if isinstance(residual, str | None) else residual.name
+        if name != InverseDynamics.name:
+            raise UsageError(
+                "a cutoff is the low-pass of inverse_dynamics: give residual='inverse_dynamics' (--residual) with it"
+            )
+        if not cutoff_hz > 0:
+            raise UsageError(f"a cutoff of {cutoff_hz:g} Hz is none; give one above 0")
+        return InverseDynamics(cutoff_hz=cutoff_hz)
     if isinstance(residual, str):
         if residual not in RESIDUALS:
             raise UsageError(f"there is no residual {residual!r}{nearest(residual, RESIDUALS)}")

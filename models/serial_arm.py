@@ -14,7 +14,7 @@ from jaxid.dynamics.base_parameters import base_parameters, BaseParameters, STAN
 from jaxid.dynamics.effect import InputEffect
 from jaxid.dynamics.kinematics import ArmTable, free_fall, modified_dh, placements
 from jaxid.dynamics.mechanism import Signature, Staged
-from jaxid.dynamics.parameter import constant, param, ParameterSpec, Quantity
+from jaxid.dynamics.parameter import constant, param, ParameterSpec, Quantity, with_fields
 from jaxid.dynamics.rigid_body import INERTIA, inverse_dynamics, mass_matrix, Placements, poses
 from jaxid.models.effects import ConstantTorque, CoulombFriction, PowerLawFriction
 
@@ -47,6 +47,17 @@ def signatures_of(prismatic: tuple[bool, ...]) -> tuple[Signature, ...]:
     return tuple(Signature(inputs, outputs, joints, prismatic=slides) for inputs in (torques, currents))
 
 
+def ends_of(table: ArmTable) -> tuple[tuple[float, ...], ...]:
+    """Where each link of a chain ends, in its own frame: at the next joint; the last at the tool, or twice as far as its centre
+    of mass where nothing says where that is."""
+    E = table.placements(np.zeros(table.n))
+    ends = [[float(component[j + 1]) for component in E.p] for j in range(table.n - 1)]
+    tool = np.asarray(table.tool, float)[:3, 3]
+    m = float(table.inertia[-1, 9])
+    last = tool if np.any(tool) or m <= 0 else 2 * table.inertia[-1, 6:9] / m
+    return tuple(tuple(map(float, end)) for end in (*ends, last))
+
+
 class AbstractArm(Staged):
     """Abstract: n links in a chain, each with ten inertial parameters about the origin of its frame and a drive inertia.
 
@@ -57,6 +68,7 @@ class AbstractArm(Staged):
     """
 
     prismatic: tuple[bool, ...] = eqx.field(static=True)
+    far: tuple[tuple[float, ...], ...] = eqx.field(static=True)  # where each link ends, in its own frame, m
 
     Ixx: Array = param(0.0, -np.inf, np.inf, scale=1.0, unit="kg m^2", meaning="inertia of the link about its frame's origin")
     Ixy: Array = param(0.0, -np.inf, np.inf, scale=1.0, unit="kg m^2", meaning="its product x y")
@@ -99,6 +111,7 @@ class AbstractArm(Staged):
 
     def _set(self, table: ArmTable) -> None:
         self.prismatic = table.prismatic
+        self.far = ends_of(table)
         for k, name in enumerate(INERTIA):
             setattr(self, name, table.inertia[:, k].copy())
         setattr(self, "Ia", table.drive_inertia.copy())
@@ -139,6 +152,20 @@ class AbstractArm(Staged):
         m, x, y, z = self.payload, self.payload_x, self.payload_y, self.payload_z
         six = [y * y + z * z, -x * y, -x * z, x * x + z * z, -y * z, x * x + y * y]
         return phi.at[-1].add(m * jnp.stack([jnp.asarray(v) for v in (*six, x, y, z, 1.0 + 0 * x)]))
+
+    #: About how many axes its base may stand askew: the world's x, then y.
+    tilts: ClassVar[int] = 2
+
+    def loaded(self, mass: Float[Array, " n"]) -> AbstractArm:
+        """With a point mass at the far end of each link: where the next one begins, or the tool."""
+        x, y, z = jnp.asarray(self.far).T
+        ten = [y * y + z * z, -x * y, -x * z, x * x + z * z, -y * z, x * x + y * y, x, y, z, jnp.ones_like(x)]
+        return with_fields(self, {name: getattr(self, name) + mass * v for name, v in zip(INERTIA, ten, strict=True)})
+
+    def tilted(self, angle: Float[Array, " n"]) -> AbstractArm:
+        """On a base turned by angle[0] about the world's x, then by angle[1] about its y."""
+        turned = {"base_roll": self.base_roll + angle[0]}
+        return with_fields(self, turned | ({"base_pitch": self.base_pitch + angle[1]} if len(self.prismatic) > 1 else {}))
 
     def placements(self, q: Float[Array, "n ..."]) -> Placements:
         """Frame of each link in the frame before it."""

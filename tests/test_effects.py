@@ -101,7 +101,7 @@ SETTINGS: dict[str, list[dict[str, One]]] = {
 #: Effects of one model alone, tested with it: tests/test_flexible_link.py, tests/test_models.py; and tests/test_late_effects.py.
 ELSEWHERE = {"geometric_stiffening", "base_motion", "actuator_curve", "step_change"}
 #: What a diagnosis asks first.
-FIRST = tuple(e for e in LIBRARY if not e.late)
+FIRST = tuple(e for e in LIBRARY if not e.last_resort)
 #: What has events within a step, or a motor that rings against its link, needs finer steps for the same accuracy.
 FINE = (
     "coulomb_friction",

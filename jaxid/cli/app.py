@@ -14,7 +14,19 @@ import click
 from jaxid.catalogue import LOSSES
 from jaxid.cli import terminal
 from jaxid.cli.model import MODEL as MODEL
-from jaxid.cli.options import DATASET, foretell, names, OUT, output_options, read_parameters, RESIDUAL, SEED, start, WITHOUT
+from jaxid.cli.options import (
+    CUTOFF,
+    DATASET,
+    foretell,
+    names,
+    OUT,
+    output_options,
+    read_parameters,
+    RESIDUAL,
+    SEED,
+    start,
+    WITHOUT,
+)
 from jaxid.cli.output import Output
 from jaxid.errors import explain, FAILED, SUCCESS
 from jaxid.storage.stopping import INTERRUPTED
@@ -90,13 +102,16 @@ AS_RECORDED = click.option("--as-recorded", is_flag=True, help="Take the data as
 @click.option("--effect", "effects", multiple=True, metavar="E[@LOCATION]", help="Effect to add; may be repeated.")
 @WITHOUT
 @RESIDUAL
+@CUTOFF
 @click.option("--loss", metavar="L", type=click.Choice(LOSSES), help=f"{', '.join(LOSSES)}.")
 @SEED
 @click.option("--budget", type=click.IntRange(1), metavar="N", help="Most evaluations of the loss.")
 @SOLVER
 @AS_RECORDED
 @output_options
-def fit(dataset, out, model, fitter, effects, without, residual, loss, seed, budget, solver, as_recorded, as_json, quiet) -> int:
+def fit(
+    dataset, out, model, fitter, effects, without, residual, cutoff, loss, seed, budget, solver, as_recorded, as_json, quiet
+) -> int:
     """Fit a model to a dataset.
 
     Writes fit.json and report.html into DIR.
@@ -111,6 +126,7 @@ def fit(dataset, out, model, fitter, effects, without, residual, loss, seed, bud
             data,
             fitter=fitter,
             residual=residual,
+            cutoff_hz=cutoff,
             loss=loss,
             effects=effects,
             without=without or (),
@@ -135,13 +151,31 @@ def fit(dataset, out, model, fitter, effects, without, residual, loss, seed, bud
 @click.option("--effects", callback=names, metavar="E,…", help="Candidates (see `jaxid effects`); default: all.")
 @WITHOUT
 @RESIDUAL
+@CUTOFF
+@click.option(
+    "--reference", type=click.Path(path_type=Path), metavar="RESULT.json", help="A result of another recording: what differs?"
+)
 @SEED
 @click.option("--next", "next_", type=click.Path(path_type=Path), metavar="DIR", help="Also design what to record next.")
 @click.option("--limits", type=click.Path(path_type=Path), metavar="FILE", help="TOML: of that run; default: what was recorded.")
 @AS_RECORDED
 @output_options
 def diagnose(
-    dataset, out, model, max_effects, effects, without, residual, seed, next_, limits, as_recorded, as_json, quiet
+    dataset,
+    out,
+    model,
+    max_effects,
+    effects,
+    without,
+    residual,
+    cutoff,
+    reference,
+    seed,
+    next_,
+    limits,
+    as_recorded,
+    as_json,
+    quiet,
 ) -> int:
     """Say where a model is wrong, and which effect is missing.
 
@@ -162,6 +196,8 @@ def diagnose(
             effects=effects,
             without=without or (),
             residual=residual,
+            cutoff_hz=cutoff,
+            reference=reference,
             seed=seed,
             progress=output.progress,
             as_recorded=as_recorded,

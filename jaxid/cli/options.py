@@ -38,6 +38,14 @@ WITHOUT = click.option(
 RESIDUAL = click.option("--residual", metavar="R", type=click.Choice(RESIDUALS), help=f"{', '.join(RESIDUALS)}.")
 
 
+CUTOFF = click.option(
+    "--cutoff",
+    type=click.FloatRange(0, min_open=True),
+    metavar="HZ",
+    help="Low-pass of inverse_dynamics; default: from the motion.",
+)
+
+
 SEED = click.option("--seed", type=click.IntRange(0, 2**31 - 1), default=0, show_default=True, help="Random seed.")
 
 

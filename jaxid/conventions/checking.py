@@ -79,9 +79,10 @@ def check_folder(model: object, path: str | os.PathLike[str], without: Iterable[
 
 
 def _usable(found: list[DataFinding], dataset: Dataset) -> bool:
-    """Whether any run of the recording moves."""
-    return not any(f.kind == "does_not_move" and all(e.name in f.text for e in dataset.experiments[:4])
-                   and f.channel in [c.name for c in dataset.outputs] for f in found)  # fmt: skip
+    """Whether any output moves in any run of the recording."""
+    names = [e.name for e in dataset.experiments[:4]]
+    still = {f.channel for f in found if f.kind == "does_not_move" and all(n in f.text for n in names)}
+    return any(c.name not in still for c in dataset.outputs)
 
 
 def _has_model(model: object, dataset: Dataset) -> bool:

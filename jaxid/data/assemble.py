@@ -47,7 +47,7 @@ def assemble(
     problems += _still_outputs(harvests)
     if problems:
         raise DatasetError(_each_once(problems))
-    alerts = [text for h in harvests for text in h.warnings] + _still_inputs(harvests)
+    alerts = [text for h in harvests for text in h.warnings] + _still_inputs(harvests) + _held_outputs(harvests)
     for text in alerts:
         warnings.warn(text, DatasetWarning, stacklevel=3)
     header = document.header
@@ -403,17 +403,15 @@ def _names(entries: dict[int, ExperimentEntry]) -> dict[int, str]:
 
 
 def _still_outputs(harvests: list[Harvest]) -> list[Problem]:
-    """An output is refused where it moves in no run, and a run where none of its outputs moves.
+    """A run is refused where none of its outputs moves. A joint that is held while others move is sound."""
+    return [problem for harvest in harvests if not harvest.moving for problem in harvest.still.values()]
 
-    A joint that is held in one run and moves in another is sound.
-    """
-    problems = []
+
+def _held_outputs(harvests: list[Harvest]) -> list[str]:
+    """Words about outputs that move in no run though others do: a joint that its brake holds, or a sensor that is stuck."""
     moving = {name for h in harvests for name in h.moving}
-    for harvest in harvests:
-        for name, problem in harvest.still.items():
-            if name not in moving or not harvest.moving:
-                problems.append(problem)
-    return problems
+    held = dict.fromkeys(name for h in harvests for name in h.still if name not in moving)
+    return [f"output {name!r} never moves: what it alone would show is not determined" for name in held if moving]
 
 
 def _still_inputs(harvests: list[Harvest]) -> list[str]:

@@ -18,6 +18,7 @@ from jaxid.data.dataset import Channel, Dataset, Experiment
 
 
 BLOCK = 50  # samples; the median over blocks keeps impacts and reversals out of the estimate
+HELD = 1e-6  # the floor of an output that never moves
 _LEAST_SHARE = 1e-9  # of the motion: the floor of data that are free of noise
 
 
@@ -67,6 +68,8 @@ def _floor(channel: Channel, column: int, runs: Sequence[Experiment], groups: li
     motion = max((float(np.ptp(y)) for y in series), default=0.0)
     if std < _LEAST_SHARE * motion and source == "sensor":
         std, text = _LEAST_SHARE * motion, f"no noise visible, {_LEAST_SHARE:g} of the motion is used"
+    if not std > 0:  # an output that never moves, by a reading that never flickers
+        std, text = HELD, f"it never moves, {HELD:g} {channel.unit} is used"
     alone = "" if groups else "; the sensor's alone, for no run was repeated"
     return Noise(float(std), source, channel.unit, f"{channel.name}: {std:.3g} {channel.unit} ({text}{alone})")
 

@@ -159,6 +159,18 @@ def _on_grid(t: np.ndarray, x: np.ndarray) -> tuple[np.ndarray, np.ndarray, bool
     return grid, x if uniform else _spline(t, x, grid), uniform
 
 
+def even_grid(t: np.ndarray) -> np.ndarray | None:
+    """Times of equal steps over t, as long as the mean step; None where those of t are equal already."""
+    if _grid(t)[1]:
+        return None
+    return np.linspace(t[0], t[-1], len(t))
+
+
+def spline(t: np.ndarray, x: np.ndarray, at: np.ndarray) -> np.ndarray:
+    """Series x [time ...] at other times, by the cubic spline through it."""
+    return _spline(t, x, at)
+
+
 def _grid(t: np.ndarray) -> tuple[np.ndarray, bool]:
     """The times of a uniform grid over t, and whether samples are taken to lie on it as they are."""
     step = np.diff(t)
@@ -227,3 +239,18 @@ def content_cutoff(t: np.ndarray, y: np.ndarray, noise: float) -> float:
     if excess[-1] > 0:
         top = f[np.searchsorted(excess, 0.999 * excess[-1])]
     return float(np.clip(1.5 * top, min(8 / (t[-1] - t[0]), rate / 5), rate / 5))
+
+
+#: Share of the power of a speed that counts as its content.
+SPEED_SHARE = 0.95
+
+
+def speed_content(t: np.ndarray, y: np.ndarray, noise: float) -> float:
+    """Frequency (Hz) below which nearly all power of the speed of a position y at equal steps lies, white noise taken off."""
+    from scipy.signal import welch
+
+    step = float(t[-1] - t[0]) / (len(t) - 1)
+    f, power = welch(np.diff(y) / step, 1 / step, nperseg=min(len(y) - 1, max(256, len(y) // 4)))
+    floor = 2 * step * noise**2 / step**2 * (2 - 2 * np.cos(2 * np.pi * f * step))
+    excess = np.cumsum(np.maximum(power - 2 * floor, 0.0))
+    return float(f[np.searchsorted(excess, SPEED_SHARE * excess[-1])]) if excess[-1] > 0 else 0.0

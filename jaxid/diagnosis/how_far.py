@@ -13,7 +13,7 @@ from jaxid.diagnosis.evidence import held_out, HeldOut, memory
 from jaxid.diagnosis.result import ChannelGap, HowFar
 from jaxid.fitting.problem_builder import Bench
 from jaxid.problem.binding import Binding
-from jaxid.problem.residual import InverseDynamics, MultipleShooting, Residual
+from jaxid.problem.residual import MultipleShooting, Residual
 from jaxid.robots.match import is_robot
 from jaxid.robots.yardstick import as_it_stands
 from jaxid.simulation.sample_buffers import columns
@@ -38,7 +38,7 @@ def measure(
     still: Sequence[str] = (),
 ) -> HowFar:
     """Gaps of three parameter vectors on the report runs: as stated, re-tuned without the effect, with the effect; of what was
-    compared: free runs, windows or torques. `alike` is the bench on which all readings count alike, before it is known that
+    compared: free runs or windows. `alike` is the bench on which all readings count alike, before it is known that
     their time stamps scatter; else `bench` itself. Splits that stand `still` have no gap; without any other there is none."""
     b = bench.binding
     splits = [s for s in ("report", "validation") if b.experiments(s) and s not in still]
@@ -47,7 +47,6 @@ def measure(
         reason = "what is kept for choosing and reporting stands still: there is no gap to measure on it"
         return HowFar(nothing, nothing, nothing, 1.0, None, None, reason, {}, reason)
     split = splits[0]
-    by_torque = isinstance(residual, InverseDynamics)
     stated = held_out(alike, split, [before, retuned, after], residual)
     runs = stated if alike is bench else [*stated[:2], *held_out(bench, split, [after], residual)]
     if isinstance(residual, MultipleShooting):
@@ -56,13 +55,12 @@ def measure(
         note += f" The {' and '.join(still)} runs stand still and tell nothing."
     gaps = [r.gap for r in runs]
     per_channel = {}
-    compared = bench.runs(residual, split) if by_torque else None
     rms = lambda parts: float(np.sqrt(np.mean(np.concatenate(parts) ** 2)))
     _, iy = columns(b.dataset, b.chain)
-    for c, (name, unit) in enumerate(compared.channels if compared else b.chain.signature.outputs):
-        sigma = float(compared.noise[c] if compared else b.sigma[c])
+    for c, (name, unit) in enumerate(b.chain.signature.outputs):
+        sigma = float(b.sigma[c])
         rmse = [sigma * rms([r[:, c] for r in run.residual]) for run in stated]
-        source = "scatter of neighbouring samples" if compared else b.noise[name].source
+        source = b.noise[name].source
         floor = sigma if alike is bench else rms([e.noise_rms(b.sigma, iy)[[c]] for e in b.experiments(split)])
         per_channel[name] = ChannelGap(unit, rmse[0], rmse[1], rmse[2], floor, source)
     shrinkage = interval = None

@@ -10,6 +10,7 @@ import numpy as np
 
 from jaxid import catalogue
 from jaxid.diagnosis.evidence import HeldOut, memory
+from jaxid.diagnosis.torque.library import shows
 from jaxid.dynamics.chain import Chain
 from jaxid.dynamics.effect import Effect
 from jaxid.errors import UsageError
@@ -88,14 +89,11 @@ def without_each(h: Hypothesis, known: Mapping[frozenset[str], Hypothesis]) -> t
     return tuple(sorted(left, key=lambda pair: -pair[1]))
 
 
-def candidates(bench: Bench, allowed: Sequence[str], by_torque: bool = False) -> list[Candidate]:
-    """Every allowed effect that the model lacks, at each of its locations. Where torques are compared, those on the way from the
-    command to the joint are none: a drive that delivers nothing leaves no torque unexplained."""
+def candidates(bench: Bench, allowed: Sequence[str]) -> list[Candidate]:
+    """Every allowed effect that the model lacks, at each of its locations."""
     b = bench.binding
     out = []
     for effect in b.chain.effects:
-        if by_torque and effect.location != "joint":
-            continue
         if effect.name in allowed and not any(i in b.nominal for i in b.layout.of_effect(effect.name)):
             for place in b.chain.offers(effect):
                 index = tuple(b.layout.of_effect(effect.name, place))
@@ -108,8 +106,8 @@ def possible(nominal: Chain, names: Iterable[str], residual: str = "") -> list[t
     """Those effects that a model lacks and has a place for, and that a residual can see; raises `UsageError` for a name that does
     not exist."""
     kinds = [catalogue.effect_class(n) for n in names]
-    seen = [k for k in kinds if residual != InverseDynamics.name or k.location == "joint"]
-    return [k for k in seen if k.name not in nominal.contents and nominal.offers(k)]
+    lacking = [k for k in kinds if k.name not in nominal.contents and nominal.offers(k)]
+    return [k for k in lacking if residual != InverseDynamics.name or shows(k, nominal)]
 
 
 def check_asked(nominal: Chain, asked: Sequence[str], residual: str = "") -> None:

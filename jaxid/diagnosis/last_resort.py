@@ -22,12 +22,12 @@ FEW_PLACES = 16
 
 def first_asked() -> tuple[str, ...]:
     """What a diagnosis asks that was given no candidates."""
-    return tuple(n for n in catalogue.effect_names() if not catalogue.effect_class(n).late)
+    return tuple(n for n in catalogue.effect_names() if not catalogue.effect_class(n).last_resort)
 
 
 def last_resorts(nominal: Chain, residual: str) -> list[type[Effect]]:
     """Those that a model can take, and has few places for."""
-    late = [n for n in catalogue.effect_names() if catalogue.effect_class(n).late]
+    late = [n for n in catalogue.effect_names() if catalogue.effect_class(n).last_resort]
     return [k for k in possible(nominal, late, residual) if len(nominal.offers(k)) <= FEW_PLACES]
 
 

@@ -17,8 +17,6 @@ from jaxid.problem.residual import InverseDynamics
 PAIRED = 4
 #: So many of those that an accepted effect was not clearly better than are tried in its place later on.
 RIVALS = 3
-#: By torque: kinds of effects tried at all joints at once, and effects whose removal is tried.
-SPREAD = 4
 #: So many of the starts also with the numbers of the model as the user gave them.
 GIVEN = 1
 
@@ -117,37 +115,3 @@ def as_given(bench: Bench, effects: Sequence[Candidate], starts: Sequence[np.nda
 def with_refined(bench: Bench, base: Sequence[Candidate], starts: Sequence[np.ndarray]) -> list[np.ndarray]:
     """Starts, and the first of them with each probe of the effects that are refined, which are off in them."""
     return [*starts, *(theta for start in starts[:2] for c in base for theta in probes_of(bench, c, start))]
-
-
-def at_all_joints(bench: Bench, found: Sequence[Hypothesis], pool: Sequence[Candidate]) -> list[Proposal]:
-    """The best hypotheses, one for each kind of their last effect, with that effect at all other joints too: what one drive of an
-    arm lacks its neighbours may lack as well, and a law is best judged by all of them."""
-    kinds: dict[str, Hypothesis] = {}
-    for h in sorted(found, key=lambda h: h.validation.loss):
-        kinds.setdefault(h.effects[-1].effect, h)
-    sets: list[Proposal] = []
-    for kind, h in list(kinds.items())[:SPREAD]:
-        more = [e for e in pool if e.effect == kind and e not in h.effects and sensible((*h.effects, e))]
-        thetas = [h.theta.copy(), h.theta.copy()]
-        for e in more:
-            probes, index = probes_of(bench, e, h.theta), list(e.index)
-            thetas[0][index], thetas[1][index] = probes[0][index], probes[min(1, len(probes) - 1)][index]
-        sets += [((*h.effects, *more), thetas)] if more else []
-    return sets
-
-
-def least_missed(h: Hypothesis, neutral: np.ndarray) -> list[Candidate]:
-    """The effects of a hypothesis that would be missed least, to second order (torque is nearly quadratic in its laws); `neutral`
-    holds the numbers of effects that do nothing."""
-    p, H = h.path.problem, h.path.hessian
-    if H is None:
-        return list(h.effects)
-    price = []
-    for c in h.effects:
-        without = h.theta.copy()
-        without[list(c.index)] = neutral[list(c.index)]
-        own = np.isin(np.arange(p.size), np.flatnonzero(np.isin(p.free, c.index)))
-        d = (h.path.z - p.z(without))[own]
-        rest = H[np.ix_(own, ~own)] @ np.linalg.pinv(H[np.ix_(~own, ~own)], hermitian=True) @ H[np.ix_(~own, own)]
-        price.append(float(d @ (H[np.ix_(own, own)] - rest) @ d))
-    return [h.effects[k] for k in np.argsort(price, kind="stable")[:SPREAD]]

@@ -176,9 +176,9 @@ class HowFar:
     per_regime: tuple[Share, ...] = ()
     interval_from: str = ""
     split: str = "report"  # of the data: "validation" where none is kept for the report
-    per_joint: tuple[
-        dict[str, Any], ...
-    ] = ()  # of a robot: error of each joint with the file as it stands, re-tuned, with effects
+    #: Of a robot: error of each joint with the file as it stands, re-tuned, with effects.
+    per_joint: tuple[dict[str, Any], ...] = ()
+    ceiling: float | None = None  # share of the re-tuned gap that a free law at the joints would close there
 
     def to_dict(self) -> dict[str, Any]:
         return {
@@ -191,6 +191,7 @@ class HowFar:
             "interval_reason": self.interval_reason,
             "interval_from": self.interval_from,
             "split": self.split,
+            "ceiling": self.ceiling,
             "per_channel": {k: v.to_dict() for k, v in self.per_channel.items()},
             "per_experiment": [s.to_dict() for s in self.per_run],
             "per_regime": [s.to_dict() for s in self.per_regime],

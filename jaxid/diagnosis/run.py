@@ -22,6 +22,8 @@ from jaxid.diagnosis.next_experiment import advice, rivals_of
 from jaxid.diagnosis.result import Diagnosis, HowFar, Ranked, Which
 from jaxid.diagnosis.search import Searcher
 from jaxid.diagnosis.selection import WHITE
+from jaxid.diagnosis.torque.reference import Reference
+from jaxid.diagnosis.torque.run import diagnose_by_torque
 from jaxid.diagnosis.unseen import Look, Looker
 from jaxid.diagnosis.verdict import astray, Diverged, judge, not_reached, SEEN, standing_still, upheld, withheld
 from jaxid.dynamics.effect import Effect
@@ -34,7 +36,7 @@ from jaxid.fitting.least_squares import descend
 from jaxid.fitting.lost_runs import by_torque, by_windows, decays, DIVERGES, growth, SENSITIVE
 from jaxid.fitting.problem_builder import Bench, default_residual, estimate_starts, start_values
 from jaxid.fitting.result import EffectEstimate, Fit
-from jaxid.fitting.scores import free_runs, make_traces, torque_traces
+from jaxid.fitting.scores import free_runs, make_traces
 from jaxid.problem.binding import bind, Binding, JITTER, resolve_model
 from jaxid.problem.residual import InverseDynamics, MultipleShooting, OutputError, Residual
 from jaxid.robots.yardstick import with_effects
@@ -45,7 +47,6 @@ from jaxid.wording import number, percent, times
 
 #: Free runs that forget how they began are not trusted where they find no answer, or one that leaves so many times the noise.
 REMAINDER = 10.0
-
 
 #: Verdict by free runs that are not trusted -> verdicts by windows that take its place.
 PREFERRED = {"unknown": ("none", "partly", "named"), "partly": ("named",), "named": ("unknown", "partly", "named")}
@@ -74,19 +75,20 @@ def run_diagnosis(
     residual: Residual | None,
     seed: int,
     progress: Progress | None,
+    reference: Reference | None = None,
 ) -> Diagnosis:
     """See `jaxid.diagnose`. On Ctrl-C `Interrupted` carries what is known."""
     asked = None if effects is None else tuple(catalogue.enrolled(e) for e in effects)
     known, without = Interim(), tuple(without)
     try:
-        return _run(model, dataset, max_effects, asked, without, residual, seed, progress, known)
+        return _run(model, dataset, max_effects, asked, without, residual, seed, progress, known, reference)
     except Interrupted:
         raise
     except Diverged as error:
         if residual is not None or not error.by_torque:
             raise
         torque = InverseDynamics()
-        found = run_diagnosis(model, dataset, max_effects, asked, without, torque, seed, progress)
+        found = run_diagnosis(model, dataset, max_effects, asked, without, torque, seed, progress, reference)
         return dataclasses.replace(found, notes=(*found.notes, DIVERGES))
     except KeyboardInterrupt as stop:  # what is finished is a result too
         raise Interrupted(known.latest()) from stop
@@ -102,24 +104,29 @@ def _run(
     seed: int,
     progress: Progress | None,
     known: Interim,
+    reference: Reference | None,
 ) -> Diagnosis:
     began = time.perf_counter()
     allowed = first_asked() if asked is None else asked
     nominal = resolve_model(model, dataset, without)
+    if reference is not None and not isinstance(residual, InverseDynamics):
+        dataset = reference.as_priors(nominal, dataset)
     check_asked(nominal, asked or (), residual.name if residual else "")
-    library = possible(nominal, allowed)
+    library = possible(nominal, allowed, residual.name if residual else "")
     places = sum(len(nominal.offers(k)) for k in library)
     dataset = shortened(dataset, need("diagnose", dataset, nominal.nq, places)) if dataset.experiments else dataset
-    binding = bind(model, dataset, without=without, candidates=library)
+    binding = bind(model, dataset, without=without, candidates=() if isinstance(residual, InverseDynamics) else library)
     if not binding.dataset.experiments:
         raise UsageError("a diagnosis needs recorded runs; this dataset holds frequency responses alone: fit it")
+    if isinstance(residual, InverseDynamics):
+        return diagnose_by_torque(binding, library, max_effects, residual.cutoff_hz, seed, reference, progress)
     own = residual or default_residual(binding)
     still = standing_still(binding)
     stamps = {}
     if any(k.name == JITTER for k in library):
         names = [n for n, _ in binding.chain.signature.outputs]
         stamps = {c: s for c, s in scattered_stamps(binding.dataset, binding.noise).items() if c in names}
-    if stamps and not still and not isinstance(own, InverseDynamics):
+    if stamps and not still:
         scatter = timing.Scatter(stamps, binding)
         readings = with_scatter(dataset, stamps, binding.noise)
         stamped = bind(model, readings, without=without, candidates=library).with_stamps(stamps)
@@ -233,10 +240,9 @@ def _diagnosed(question: Question, scatter: timing.Scatter | None = None) -> tup
     mates = search.confusable if named else []
     findings, pictures, rows = _where(bench, search.nominal, final, verdict, estimates, seed)
     ranking = (*(scatter.ranked(bench, residual, search.nominal) if scatter else ()), *_ranked(search))
-    by_torque = isinstance(residual, InverseDynamics)
     looked, pair, stopped = Look(), search.rivals, None
     if verdict in ("none", "unknown") and not question.still:
-        pool = candidates(bench, question.allowed, by_torque) if verdict == "none" else []
+        pool = candidates(bench, question.allowed) if verdict == "none" else []
         try:
             looked = Looker(bench, residual, search.nominal).look([c for c in pool if c.effect != JITTER])
         except KeyboardInterrupt as stop:
@@ -244,7 +250,7 @@ def _diagnosed(question: Question, scatter: timing.Scatter | None = None) -> tup
         text = " ".join((text, *looked.signs))
     if verdict == "none":
         pair = (search.nominal, looked.rival) if looked.rival else None
-    rivals = None if by_torque or pair is None else rivals_of(bench, pair)
+    rivals = None if pair is None else rivals_of(bench, pair)
     which = Which(verdict, estimates if named else (), tuple(EffectEstimate(c.effect, c.location) for c in mates), ranking, text)
     advised = advice(
         verdict, [c.effect for c in named], [c.effect for c in mates], rivals, looked.unseen, repeated, question.still
@@ -265,11 +271,8 @@ def _search(question: Question) -> tuple[Bench, Fit, Search, float]:
     """Nominal fit and search, and the bench whose steps no longer matter."""
     began = time.perf_counter()
     binding, residual, seed, progress = question.binding, question.residual, question.seed, question.progress
-    # Hundreds of models, each simulated a few times: tangents would compile longer. By torque nothing is simulated, and numbers
-    # that the motion hardly determines need exact ones.
-    bench = Bench(binding, differences=0 if isinstance(residual, InverseDynamics) else 1)
-    engine = bench.runs(residual, "fit").engine
-    engine.compile_ahead("outputs" if bench.differences else "tangents", binding.theta, binding.free)
+    bench = Bench(binding, differences=1)  # hundreds of models, each simulated a few times: tangents would compile longer
+    (engine := bench.runs(residual, "fit").engine).compile_ahead("outputs", binding.theta, binding.free)
     guesses = start_values(bench, binding.free, seed)
     engine.read_ahead()  # while the nominal model is fitted
     problem = bench.problem(residual, "fit", binding.free, guesses[0])
@@ -294,7 +297,7 @@ def _search(question: Question) -> tuple[Bench, Fit, Search, float]:
     offer = lambda search: question.known.offer(lambda: _so_far(question, bench, first(), search, began))
     offer(Search(searcher.nominal, searcher.nominal))
     blind = "validation" in question.still  # nothing to choose by
-    pool = [] if blind else candidates(bench, question.allowed, searcher.by_torque)
+    pool = [] if blind else candidates(bench, question.allowed)
     search = searcher.run(pool, 0 if blind else question.max_effects, offer)
     bench = searcher.bench
     compile_time = sum(b.compile_time() for b in (*searcher.benches, bench))
@@ -337,12 +340,9 @@ def _fit(bench: Bench, h: Hypothesis, residual: Residual, seed: int, compile_tim
     return assemble(bench, problem, minimum, residual, "lm", seed, compile_time, wall_time)
 
 
-def _starts(bench: Bench, h: Hypothesis) -> np.ndarray | None:
-    """Starts of the fit runs; None where nothing is simulated."""
-    problem = h.path.problem
-    if problem.runs.setting is not None:
-        return None
-    if list(problem.records) == list(bench.runs(OutputError(), "fit").records):
+def _starts(bench: Bench, h: Hypothesis) -> np.ndarray:
+    """Starts of the fit runs."""
+    if list((problem := h.path.problem).records) == list(bench.runs(OutputError(), "fit").records):
         return problem.starts(h.path.z)
     return estimate_starts(bench, "fit", [h.theta])[0]
 
@@ -372,7 +372,7 @@ def _where(bench: Bench, nominal: Hypothesis, final: Hypothesis, verdict: str, n
         pictures = location.pictures(bench, before, after)
         if verdict != "none":
             found = location.findings(bench, before, rows, places, only, given, causes=own)
-    if not found and verdict != "none" and starts is not None:  # not measured, or too weak to be seen through derivatives
+    if not found and verdict != "none":  # not measured, or too weak to be seen through derivatives
         found = location.output_findings(bench, nominal.theta, starts, places, only, own)
     return tuple(found), tuple(pictures), tuple(rows)
 
@@ -407,15 +407,12 @@ def _ranked(search: Search) -> list[Ranked]:
 
 
 def _traces(bench: Bench, residual: Residual, nominal: Hypothesis, final: Hypothesis, named):
-    """Measured and simulated series of every split, for the report; of the torque where that is what was compared."""
+    """Measured and simulated series of every split, for the report."""
     out = []
     thetas = [nominal.theta] + ([final.theta] if named else [])
     labels = ["nominal model, re-tuned"] + (["with " + " and ".join(str(c) for c in named)] if named else [])
     for split in ("report", "validation", "fit"):
         if not bench.binding.experiments(split):
-            continue
-        if isinstance(residual, InverseDynamics):
-            out += torque_traces(bench, residual, split, dict(zip(labels, thetas, strict=True)))
             continue
         if split == "fit":
             starts = np.array([_starts(bench, h) for h in (nominal, final)[: len(thetas)]])

@@ -18,9 +18,7 @@ from jaxid.diagnosis.hypothesis import Candidate, Hypothesis, key_of, read_off_o
 from jaxid.diagnosis.prior_pull import brought_back, moved_to, put_back
 from jaxid.diagnosis.proposals import (
     as_given,
-    at_all_joints,
     exchanged,
-    least_missed,
     pairs,
     plain_pairs,
     RIVALS,
@@ -78,7 +76,6 @@ class Searcher:
 
     def __init__(self, bench: Bench, residual: Residual, nominal: Path, progress: Progress | None = None):
         self.bench, self.residual, self.progress = bench, residual, progress
-        self.by_torque = isinstance(residual, InverseDynamics)  # nothing is simulated
         self.accurate = bench  # with steps that no longer matter
         self.benches: list[Bench] = []  # coarser ones, left behind
         self.base_free = list(nominal.problem.free)
@@ -130,7 +127,7 @@ class Searcher:
         """The hypotheses; one that is left far behind by another that contains it begins anew where that ended, without what that
         has more: it may have been in a local minimum."""
         jobs: dict[int, tuple[Problem, np.ndarray]] = {}
-        for k, h in enumerate([] if self.by_torque else found):
+        for k, h in enumerate(found):
             richer = [g for g in found if key_of(h.effects) < key_of(g.effects) and g.fit_loss < FREED * h.fit_loss]
             if lead := min(richer, key=lambda g: g.fit_loss, default=None):
                 theta, more = lead.theta.copy(), [i for c in lead.effects if c not in h.effects for i in c.index]
@@ -160,9 +157,9 @@ class Searcher:
 
     @property
     def _torque_tells(self) -> bool:
-        """Whether the torque of the measured motion says something beside the residual."""
+        """Whether the torque of the measured motion says something."""
         b = self.bench.binding
-        return bool(b.motions) and not b.chain.mechanism.hidden_states and not self.by_torque
+        return bool(b.motions) and not b.chain.mechanism.hidden_states
 
     # ---- screen
 
@@ -188,7 +185,7 @@ class Searcher:
         """Forward selection up to `max_effects`, then each accepted effect is questioned again; `known` is told after each
         round."""
         chosen = self._refined(self.nominal)
-        while (room := max_effects - self._named(chosen)) > 0 and not finished(chosen, self.by_torque):
+        while (room := max_effects - len(chosen.effects)) > 0 and not finished(chosen):
             found = self._beside(chosen, pool, room)
             step = best(self.bench, chosen, found)
             if step is None and len(chosen.effects) + 2 <= max_effects:
@@ -203,10 +200,10 @@ class Searcher:
                     continue  # look again from there
             if not chosen.effects and max_effects > 1:
                 step = self._plainer(chosen, step, pool)
-            step = self._at_all_joints(chosen, step, found, pool) if self.by_torque else self._exchanged(chosen, step, found)
+            step = self._exchanged(chosen, step, found)
             chosen = self._refined(step)
             known(Search(self.nominal, chosen, list(self.tried)))
-        added = len(chosen.effects) > 1 and not self.by_torque
+        added = len(chosen.effects) > 1
         chosen = self._questioned(chosen)
         if chosen.effects and not significant(self.nominal, chosen):  # a pair that came down to one
             chosen = self.nominal
@@ -217,18 +214,17 @@ class Searcher:
             mates = self._alternatives(chosen, pool)
         chosen = self._taught(self._put_back(self._settled(chosen)))
         self.nominal = self._taught(self.nominal) if chosen.effects else chosen
-        needless = not self.by_torque and not significant(self.nominal, chosen)
+        needless = not significant(self.nominal, chosen)
         if chosen.effects and (needless or at_floor(self.nominal)):  # freed of a local minimum on the way
             chosen, mates = self.nominal, {}
-        several = not self.by_torque and len(chosen.effects) > 1
+        several = len(chosen.effects) > 1
         rivals, fitted = rivals_among(list(self.known.values()), chosen, list(mates.values())), self._stale | self.known
         return Search(self.nominal, chosen, self.tried, list(mates), rivals, several, without_each(chosen, fitted))
 
     def _beside(self, chosen: Hypothesis, pool: Sequence[Candidate], room: int) -> list[Hypothesis]:
         """Refits of the chosen hypothesis with more in it, `room` effects at most; after the first choice also of two others,
         which may explain more than it and one beside it."""
-        # By torque a law is tried at all joints once it is found: what it refines is there by then.
-        found = self._extend(chosen, [c for c in pool if c not in chosen.effects], 1 if self.by_torque else room)
+        found = self._extend(chosen, [c for c in pool if c not in chosen.effects], room)
         if len(chosen.effects) == 1 and not close_to_noise(chosen):
             found += self._as_pairs(chosen, self._singles, pool, room)
         self._singles = found
@@ -241,7 +237,7 @@ class Searcher:
         most = len(h.effects) + room
         out = self.refit([(effects, starts) for effects, starts in pairs(self.bench, found) if len(effects) <= most])
         lead = min(found, key=lambda f: f.fit_loss, default=h)
-        if lead.fit_loss < CONFLICT * h.fit_loss and len(lead.effects) < most and not self.by_torque:
+        if lead.fit_loss < CONFLICT * h.fit_loss and len(lead.effects) < most:
             out += self._extend(lead, [c for c in pool if c not in lead.effects])
         return out
 
@@ -261,15 +257,6 @@ class Searcher:
         self._passed_over[step.effects[-1]] = alike
         return best(self.bench, chosen, [step, *other]) or step
 
-    def _at_all_joints(
-        self, chosen: Hypothesis, step: Hypothesis, found: Sequence[Hypothesis], pool: Sequence[Candidate]
-    ) -> Hypothesis:
-        """The step, or an effect that was found at one joint at all others too."""
-        shown = [h for h in (step, *found) if significant(chosen, h)]
-        spread = self.refit(at_all_joints(self.bench, shown, pool))
-        self.tried += spread
-        return best(self.bench, chosen, [step, *spread]) or step
-
     @property
     def _quick(self) -> Bench:
         """The bench on the steps of the search, whose defects for what was chosen are off its data."""
@@ -277,7 +264,7 @@ class Searcher:
 
     def _put_back(self, h: Hypothesis) -> Hypothesis:
         """The hypothesis with those of the model's own numbers where the user put them that the data leave open."""
-        if not h.effects or self.by_torque:
+        if not h.effects:
             return h
         path = put_back(h.path, self.bench.binding.theta, self.base_free, partial(self._quick.problem, self.residual, "fit"))
         after = h if path is h.path else self._hypotheses([(h.effects, path)])[0]
@@ -289,16 +276,12 @@ class Searcher:
         if theta is None and held.gap**2 > held.loss + OPEN and isinstance(self.residual, OutputError) and not far:
             starts = estimate_starts(self._quick, "validation", [h.theta])
             theta = (end := together(self._quick, "validation", [h.path], starts)[0]).problem.theta(end.z)
-        if theta is None or self.by_torque or far:
+        if theta is None or far:
             return h
         paths = [brought_back([h.path], theta, h.path.problem.free)[0], moved_to(h.path, theta)]
         moved = [(h.effects, path) for path in paths if path is not h.path]
         good = [g for g in (self._hypotheses(moved) if moved else []) if g.validation.loss < h.validation.loss * ALIKE]
         return min([h, *good], key=lambda g: g.validation.gap)
-
-    def _named(self, h: Hypothesis) -> int:
-        """How many effects a hypothesis names; by torque one at several joints counts once."""
-        return len({c.effect for c in h.effects}) if self.by_torque else len(h.effects)
 
     def _refined(self, chosen: Hypothesis) -> Hypothesis:
         """The chosen hypothesis descended to the end, with steps so fine that they no longer matter against the noise: what the
@@ -306,7 +289,7 @@ class Searcher:
         chosen hypothesis is taken off the data."""
         chosen = self._descended(chosen, THOROUGH if chosen.effects or chosen.fit_loss < FAR else BRIEF)
         error = np.nan
-        for _ in range(0 if self.by_torque else HALVINGS):
+        for _ in range(HALVINGS):
             p = self.accurate.problem(self.residual, "fit", chosen.path.problem.free, chosen.theta)
             finer, before = replace(self.accurate, step=self.accurate.step / 2, defects={}), error
             if (error := step_error(p, self._z(p, chosen), finer.runs(self.residual, "fit"))) <= STEP_SHARE:
@@ -328,7 +311,7 @@ class Searcher:
         """`h` from where a richer one ended, if far less is left there or, as fit runs show no gap, nothing for the richer one to
         add: an effect may have led out of a local minimum, or along what the fit runs leave open, and be of no other use."""
         quiet = h.fit_inflation < WHITE
-        if self.by_torque or (joint_loss(h) < FAR and not quiet):
+        if joint_loss(h) < FAR and not quiet:
             return h
         theta = richer.theta.copy()
         for c in richer.effects:
@@ -385,7 +368,7 @@ class Searcher:
         base = {str(c): [] if sensible((*h.effects, c)) else refined_by(c, rest) for c in rest}
         rest = [c for c in rest if sensible((*h.effects, *base[str(c)], c)) and len(base[str(c)]) < room]
         ranked = self.screen(h, rest) if rest else []
-        if h.effects and close_to_noise(h) and not self.by_torque:
+        if h.effects and close_to_noise(h):
             ranked = [f for f in ranked if f[0] * h.fit_loss * h.path.count > STANDING_OUT]
             rest = [c for _, c, _ in ranked]
         # A free run that has gone far astray says little to first order: what the torque screen puts first is tried as well.
@@ -394,7 +377,7 @@ class Searcher:
             return []
         if self.progress:
             self.progress("screen", len(h.effects), 3, f"{len(ranked or by_torque)} candidates react to the data")
-        blind = not (by_torque or self.by_torque)  # a model with inner states
+        blind = not by_torque  # a model with inner states
         kept = shortlist(self.bench, ranked, by_torque, lambda c: bool(base[str(c)]), not h.effects, blind)
         if self.progress:
             self.progress("refit", len(h.effects), 3, f"{len(kept)} candidates")
@@ -410,15 +393,13 @@ class Searcher:
         one refines as well where there is none of it; the smaller set gets every chance, from where the larger one ended."""
         while len(h.effects) > 1:
             sets = []
-            for c in least_missed(h, self.bench.binding.theta) if self.by_torque else h.effects:
-                if self.by_torque and not sensible([e for e in h.effects if e is not c]):
-                    continue  # a torque of dry friction alone says little at the low speeds where the two differ
+            for c in h.effects:
                 theta = h.theta.copy()
                 theta[list(c.index)] = self.bench.binding.theta[list(c.index)]
                 sets.append((tuple(e for e in h.effects if e is not c), [theta]))
             smaller = self.refit(sets)
-            needless = [s for s in smaller if not significant(s, h) or (outweighed(self.nominal, h, s) and not self.by_torque)]
-            needless = needless or ([] if self.by_torque else not_borne_out(self.bench, self.residual, h, smaller))
+            needless = [s for s in smaller if not significant(s, h) or outweighed(self.nominal, h, s)]
+            needless = needless or not_borne_out(self.bench, self.residual, h, smaller)
             if not needless:
                 return h
             h = min(needless, key=lambda s: s.validation.loss)
@@ -431,7 +412,7 @@ class Searcher:
             others = tuple(e for e in chosen.effects if e is not c)
             done = self.known.keys() | self._stale.keys()
             missing = [e for e in pool if e not in chosen.effects and key_of((*others, e)) not in done]
-            if missing and others and key_of(others) in self.known and not self.by_torque:
+            if missing and others and key_of(others) in self.known:
                 self._extend(self.known[key_of(others)], missing)
             self._renew([key_of((*others, e)) for e in pool if e not in chosen.effects], key_of(chosen.effects))
             for e in pool:

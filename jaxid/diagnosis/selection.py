@@ -143,12 +143,9 @@ def at_floor(h: Hypothesis) -> bool:
     return bool(low and max(memory(h.validation.settled), memory(h.path.problem.residuals(h.path.z))) <= 2)
 
 
-def finished(h: Hypothesis, by_torque: bool) -> bool:
-    """Nothing more is to be found. Something small is looked for beside other effects only, and by free runs."""
-    if not h.effects:
-        return at_floor(h)
-    low = max(h.validation.loss, h.fit_loss) < NEAR_FLOOR
-    return low or (by_torque and (at_floor(h) or close_to_noise(h)))
+def finished(h: Hypothesis) -> bool:
+    """Nothing more is to be found. Something small is looked for beside other effects only."""
+    return max(h.validation.loss, h.fit_loss) < NEAR_FLOOR if h.effects else at_floor(h)
 
 
 def close_to_noise(h: Hypothesis) -> bool:

@@ -49,9 +49,8 @@ class Missing:
     null: np.ndarray
 
 
-def missing_forces(bench: Bench, theta: np.ndarray, starts: np.ndarray | None, seed: int, draws: int = NULLS) -> list[Missing]:
-    """Missing force on the fit runs at `theta`; empty where the model does not measure its joints. `starts` None: nothing is
-    simulated, and noise is that of the torque."""
+def missing_forces(bench: Bench, theta: np.ndarray, starts: np.ndarray, seed: int, draws: int = NULLS) -> list[Missing]:
+    """Missing force on the fit runs at `theta`; empty where the model does not measure its joints."""
     b = bench.binding
     if not b.motions or b.chain.mechanism.hidden_states:
         return []
@@ -63,10 +62,8 @@ def missing_forces(bench: Bench, theta: np.ndarray, starts: np.ndarray | None, s
     force = [-p for p in _torque(problem, theta)]
     rng = np.random.default_rng(seed)
     nulls: list[list[np.ndarray]] = [[] for _ in experiments]
-    if starts is None:
-        nulls = [[runs.noise * rng.standard_normal(f.shape) for _ in range(draws)] for f in force]
-    simulated = [] if starts is None else free_runs(bench, "fit", [theta], starts[None])[0]
-    for _ in range(draws if simulated else 0):
+    simulated = free_runs(bench, "fit", [theta], starts[None])[0]
+    for _ in range(draws):
         motion = []
         for e, y in zip(experiments, simulated, strict=True):
             noise = e.noise(b.sigma, iy)

@@ -81,7 +81,7 @@ class Effect(eqx.Module):
     span: ClassVar[Callable[[dict[str, float]], tuple[float | None, float | None]] | None] = None
     #: Whether a diagnosis that was given no candidates asks it only where the others leave the answer open: a law that comprises
     #: simpler ones, or one that has to be searched for.
-    late: ClassVar[bool] = False
+    last_resort: ClassVar[bool] = False
     #: At which of its places it makes sense on a mechanism; None: at all.
     offered: ClassVar[Callable[[Mechanism, Signature], tuple[str, ...]] | None] = None
 

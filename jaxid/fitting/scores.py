@@ -113,27 +113,6 @@ def torque_scores(
     return out
 
 
-def torque_traces(bench: Bench, residual: Residual, split: str, thetas: dict[str, np.ndarray]) -> list[Trace]:
-    """Measured torque of each joint, filtered, and what each of the models (label -> numbers) needs for the measured motion."""
-    from jaxid.problem.torque_filter import measured_torque
-
-    runs = bench.runs(residual, split)
-    drive = measured_torque(bench.binding.dataset, runs, list(thetas.values())[-1])
-    problems = {label: bench.problem(residual, split, [], theta) for label, theta in thetas.items()}
-    missing = {label: p.predictions(p.z(thetas[label])) for label, p in problems.items()}
-    out, first = [], 0
-    for k, number in enumerate(runs.records):
-        record = runs.record(number)
-        e = runs.experiments[record.experiment]
-        own = drive[first : first + len(record.samples)]
-        first += len(record.samples)
-        for c, (name, unit) in enumerate(runs.channels):
-            series = {label: own[:, c] + p[k][:, c] for label, p in missing.items()}
-            t = e.t[record.samples - record.first]
-            out.append(Trace(e.name, split, name, unit, t, own[:, c], series, float(runs.noise[c])))
-    return out
-
-
 def make_traces(binding: Binding, split: str, predictions: dict[str, Sequence[np.ndarray]]) -> list[Trace]:
     """Traces of a split, one per experiment and channel; `predictions` label -> outputs per experiment."""
     out = []

@@ -7,13 +7,14 @@ built from that motion and pass the same low-pass as the torque (both sides alik
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from typing import Any, NamedTuple
 
 import jax.numpy as jnp
 import numpy as np
 
 from jaxid.data.dataset import Dataset, Experiment
+from jaxid.data.noise import noise_floor
 from jaxid.data.signals import differentiate, filter_ends, STRETCH, zero_phase, zero_phase_stretches
 from jaxid.dynamics.base_parameters import BaseParameters, torque_columns
 from jaxid.dynamics.chain import Chain
@@ -82,6 +83,7 @@ class Run:
     cutoff_hz: float
     times: np.ndarray  # of all samples
     inertia: Callable[[slice], np.ndarray]  # columns of inertia, unfiltered, of some of all samples
+    moves: np.ndarray = field(default_factory=lambda: np.ones(1))  # [n] 0 for joints that stand still: their torque says nothing
 
     def filtered(self, x: np.ndarray) -> np.ndarray:
         """Columns [all samples ...] through the low-pass, at the rows that count."""
@@ -118,9 +120,27 @@ def read_run(
         raise UsageError(f"experiment {e.name!r} has {len(e.t)} samples, too few for a filter of {cutoff_hz:g} Hz")
     smooth = zero_phase(e.t, tau, cutoff_hz)[kept]
     run = Run(
-        e.name, e.split, e.t[kept], q, qd, qdd, np.zeros((0, 0, 0)), smooth, tau[kept], kept, cutoff_hz, e.t, lambda _: tau
+        e.name, e.split, e.t[kept], q, qd, qdd, np.zeros((0, 0, 0)), smooth, tau[kept], kept, cutoff_hz, e.t, lambda _: tau,
+        moves=moving(dataset, e.motion()[:, iy], iy),
     )  # fmt: skip
     return _with_inertia(run, chain, base, q, qd, qdd)
+
+
+#: Readings of a joint that stands still span less than so many times the noise.
+STILL = 12.0
+
+
+def moving(dataset: Dataset, y: np.ndarray, iy: Sequence[int]) -> np.ndarray:
+    """1 for outputs [time n] that move, 0 for those that only flicker, [n]."""
+    noise = noise_floor(dataset)
+    sigma = np.array([noise[dataset.outputs[i].name].std for i in iy])
+    return (np.ptp(y, axis=0) > STILL * sigma).astype(float)
+
+
+def held_joints(runs: Sequence[Run]) -> list[str]:
+    """Sentences about joints that stand still in every run."""
+    still = [j for j in range(runs[0].tau.shape[1]) if not any(r.moves[j] for r in runs)]
+    return [f"joint {j + 1} stands still in every run: its torque says nothing and has no weight" for j in still]
 
 
 def _with_inertia(run: Run, chain: Chain, base: BaseParameters, q: np.ndarray, qd: np.ndarray, qdd: np.ndarray) -> Run:

@@ -20,7 +20,7 @@ from jaxid.dynamics.joint_names import in_chain_order, joint_names, names_of_joi
 from jaxid.dynamics.parameter_vector import Layout
 from jaxid.errors import nearest, UsageError
 from jaxid.fitting.result import versions
-from jaxid.identification import estimators as solve
+from jaxid.identification import estimators as solve, regression
 from jaxid.identification.estimators import Estimate
 from jaxid.identification.payload import Payload, payload_by_difference, read_reference
 from jaxid.identification.regression import (
@@ -273,8 +273,8 @@ def identify(
         laws=tuple(LawTrial(t.law, t.fit, t.held_out, t.law == law.name) for t in trials),
         standard=None if phi is None else dict(zip(base.standard, phi.ravel().tolist(), strict=True)),
         dataset=dataset.name, dataset_sha256=dataset.sha256,
-        notes=tuple([*data.notes, *_notes(found, names, method, law)]), wall_time_s=time.perf_counter() - began,
-        labels=names_of_joints(arm, data, len(arm.prismatic)),
+        notes=(*data.notes, *_notes(found, names, method, law), *regression.held_joints(runs)),
+        wall_time_s=time.perf_counter() - began, labels=names_of_joints(arm, data, len(arm.prismatic)),
         traces=tuple((r.name, r.split, r.t, r.tau, own[chosen]) for r, own in zip(runs, predicted, strict=True)),
         data=checked.findings, robot=robot,
     )  # fmt: skip
@@ -310,7 +310,7 @@ def _solve(law: Law, runs: Sequence[Run], by: Sequence[Run] | None, method: str,
     prior = np.concatenate([base.values(phi0), np.zeros(len(law.parameters) * n)])
 
     def blocks_of(which: Sequence[Run], exponent: np.ndarray) -> list[tuple[np.ndarray, np.ndarray]]:
-        return [(full_rows(r, law, exponent), r.tau[:: spacing(r)]) for r in which]
+        return [(full_rows(r, law, exponent) * r.moves[:, None], r.tau[:: spacing(r)] * r.moves) for r in which]
 
     blocks = blocks_of(fit, exponent)
     theta, weights = solve.weighted(blocks, prior)

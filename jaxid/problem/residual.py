@@ -23,7 +23,7 @@ from jaxid.dynamics.parameter_vector import Layout
 from jaxid.errors import UsageError
 from jaxid.problem import measured_motion
 from jaxid.problem.measured_motion import Motion
-from jaxid.problem.torque_filter import decimated_torque_lane, torque_setting, TorqueSetting
+from jaxid.problem.torque_filter import decimated_torque_lane, evenly, torque_setting, TorqueSetting
 from jaxid.simulation import sample_buffers as recorded
 from jaxid.simulation.batch import Engine
 from jaxid.simulation.rollout import Lane, simulate_lane, torque_lane
@@ -185,6 +185,7 @@ class InverseDynamics(Residual):
 
     def runs(self, dataset, experiments, layout, noise, motions, step=recorded.STEP, shape=(0, 0)):
         chain = layout.chain
+        experiments = [evenly(e) for e in experiments]
         setting = torque_setting(dataset, experiments, chain, noise, self.cutoff_hz, self.decimate)
         samples, positions = recorded.build(
             dataset, experiments, chain, np.ones(len(setting.noise)), 1e9, setting.motion, shape[0]

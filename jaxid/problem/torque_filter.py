@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import functools
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import jax
@@ -24,6 +24,8 @@ from jaxid.simulation.sample_buffers import bucket, columns
 
 #: Fewest rows of the torque equation for each number of a model that decimation may leave.
 ROWS = 30
+#: Torques say something up to so many times the frequencies of the motion, and up to this at least (Hz).
+HARMONICS, LOWEST = 4.0, 5.0
 
 
 @dataclass(frozen=True)
@@ -47,22 +49,21 @@ def torque_setting(
     cutoff_hz: float | None,
     decimate: int | None,
 ) -> TorqueSetting:
-    """Filter and decimation: the cutoff a tenth of the sampling rate (or where the content of noisy positions ends),
-    decimation to 2.5 times less than the cutoff allows, but not below `ROWS` rows of the fit for each number of the model.
-    Noise of the residual: that of the drive's torque at high frequency (1 N m for a free motion)."""
-    from jaxid.data.signals import filter_ends
-    from jaxid.dynamics.joint_readings import all_read, cutoffs, joint_motion, stated_positions
+    """Filter and decimation of runs at equal steps: the cutoff a tenth of the sampling rate (or where the content of noisy
+    positions ends), decimation to 2.5 times less than the cutoff allows, but not below `ROWS` rows of the fit for each number of
+    the model. Noise of the residual: that of the drive's torque at high frequency (1 N m for a free motion)."""
+    from jaxid.data.signals import even_grid, filter_ends
+    from jaxid.dynamics.joint_readings import cutoffs, joint_motion, stated_positions
 
     iu, iy = columns(dataset, chain)
-    if chain.mechanism.hidden_states:
-        raise UsageError(f"{chain.mechanism.name} has an inner state that the measured motion does not show: use output_error")
-    if not all_read(chain):
-        raise UsageError(f"inverse dynamics needs every joint's position or speed measured ({', '.join(chain.signature.joints)})")
+    check_motion(chain)
     first = (dataset.split("fit") or experiments)[0]  # one rule for all splits
-    rate = 1 / float(np.median(np.diff(first.t)))
+    rate = (len(first.t) - 1) / first.duration
     if cutoff_hz is None:
         content = max(cutoffs(chain, first.t, first.motion()[:, iy], noise))
         cutoff_hz = min(rate / 10, max(content, 2.0))
+        if any(even_grid(e.t) is not None for e in dataset.split("fit")):  # beyond the motion lies what the clock adds
+            cutoff_hz = min(cutoff_hz, moving_band(chain, experiments, iy, noise))
     if decimate is None:
         kept = sum(len(e.t) for e in dataset.split("fit") or experiments) * chain.nq
         decimate = max(1, min(round(rate / (0.4 * cutoff_hz)), kept // (ROWS * own_numbers(chain))))
@@ -87,6 +88,48 @@ def torque_setting(
         span = np.percentile(np.abs(np.concatenate(torques)), 99, axis=0)
         level = np.maximum(np.maximum(white * np.sqrt(np.sum(taps**2)), 1e-3 * span), 1e-12)
     return TorqueSetting(motion, ends, decimate, taps, level, cutoff_hz, statement, iu, [iy[k] for k in chain.joint_outputs])
+
+
+def check_motion(chain: Chain) -> None:
+    """Raises `UsageError` where the measured motion does not tell the torque that a model needs."""
+    from jaxid.dynamics.joint_readings import all_read
+
+    if chain.mechanism.hidden_states:
+        raise UsageError(f"{chain.mechanism.name} has an inner state that the measured motion does not show: use output_error")
+    if not all_read(chain):
+        raise UsageError(f"inverse dynamics needs every joint's position or speed measured ({', '.join(chain.signature.joints)})")
+
+
+def evenly(e: Experiment) -> Experiment:
+    """The run at equal steps, by splines, where its steps differ by more than rounding: a filter over samples would else take
+    crowded samples for long times. A run with equal steps is returned as it is."""
+    from jaxid.data.signals import even_grid, spline
+
+    if (grid := even_grid(e.t)) is None:
+        return e
+    near = np.clip(np.searchsorted(e.t, grid), 0, len(e.t) - 1)
+    take = lambda x: None if x is None else x[near]
+    u = np.stack([np.interp(grid, e.t, c) for c in e.u.T], 1) if e.u.size else np.zeros((len(grid), e.u.shape[1]))
+    other = {k: np.interp(grid, e.t, v) for k, v in e.auxiliary.items()}
+    y = spline(e.t, e.motion(), grid)
+    return replace(e, t=grid, u=u, y=y, auxiliary=other, past=None, scatter=take(e.scatter), left_out=take(e.left_out))
+
+
+def moving_band(chain: Chain, runs: Sequence[Experiment], iy: Sequence[int], sigma: np.ndarray) -> float:
+    """Frequency (Hz) in which torques of runs at equal steps say something: `HARMONICS` times the one below which the speed of
+    every joint lies, at least `LOWEST`, at most a tenth of the sampling frequency. `iy` are the columns of the chain's outputs,
+    `sigma` their noise."""
+    from jaxid.data.signals import speed_content
+    from jaxid.dynamics.joint_readings import joint_readings
+
+    rate = min((len(e.t) - 1) / e.duration for e in runs)
+    used = [r.q for r in joint_readings(chain) if r.q is not None]
+    # Of each joint the run in which it is quickest: in a slow one noise is most of the speed.
+    quickest = [
+        (k, max(runs, key=lambda e, k=k: float(np.std(np.diff(e.motion()[:, iy[k]])) * len(e.t) / e.duration))) for k in used
+    ]
+    content = [speed_content(e.t, e.motion()[:, iy[k]], float(sigma[k])) for k, e in quickest]
+    return float(min(rate / 10, max(HARMONICS * max(content, default=0.0), LOWEST)))
 
 
 def own_numbers(chain: Chain) -> int:

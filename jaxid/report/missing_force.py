@@ -69,19 +69,17 @@ def picture(forces: Sequence[MissingForce], name: str, first: str = ""):
     bounds = plot.limits(*(plot.series(f.before) for f in forces), quantile=0.005)
 
     def draw(figure):
-        rows = figure.add_gridspec(3 if added else 2, 1)
+        rows, level = figure.add_gridspec(3 if added else 2, 1), None
         for row, which in enumerate(["before", "after"] if added else ["before"]):
             panels = rows[row].subgridspec(1, max(1, len(against))).subplots(sharey=True, squeeze=False)[0]
             for axes, (field, title) in zip(panels, against, strict=False):
                 binned.draw(axes, forces, field, which, law=added and which == "before")
                 axes.set_xlabel(title)
             panels[0].set_ylabel(f"{'still ' if which == 'after' else ''}missing ({plot.label(unit, 20)})")
-            level = plot.limits(*(line.get_ydata() for axes in panels for line in axes.get_lines()), quantile=0.0)
-            if which == "before" and level:
+            if which == "before":
+                level = plot.limits(*(line.get_ydata() for axes in panels for line in axes.get_lines()), quantile=0.0)
+            if level:
                 panels[0].set_ylim(level)
-                first_level = panels[0].get_ylim()
-            elif level:
-                panels[0].set_ylim(first_level)
         last = rows[-1].subgridspec(1, 3)
         over_time, spectrum_axes = figure.add_subplot(last[:2]), figure.add_subplot(last[2])
         over_time.plot(*plot.thin(longest.t, plot.series(longest.before)), color=plot.VERMILLION, linewidth=0.9)

@@ -35,7 +35,7 @@ class ActuatorCurve(InputEffect):
     check: ClassVar[str] = (
         "Measure the torque or the steady speed at a staircase of commands, and put that curve into the simulator."
     )
-    late: ClassVar[bool] = True
+    last_resort: ClassVar[bool] = True
     low: Array = param(
         0.0, -1.0, 4.0, scale=0.05, unit="1", meaning="share by which the slope differs up to a third of the reach"
     )

@@ -32,7 +32,8 @@ class Tiltable(Protocol):
     """A mechanism in gravity whose base may stand askew."""
 
     def tilted(self, angle: Float[Array, " nq"]) -> Mechanism:
-        """The same on a base turned by angle[0] about the first joint's axis."""
+        """The same on a base turned by angle[0] about the first joint's axis; an arm in space, which has two `tilts`, by angle[0]
+        about the world's x and by angle[1] about its y."""
         ...
 
 
@@ -71,7 +72,7 @@ def _where_loadable(mechanism, signature):
 
 
 def _where_tiltable(mechanism, signature):
-    return signature.joints[:1] if isinstance(mechanism, Tiltable) else ()
+    return signature.joints[: getattr(mechanism, "tilts", 1)] if isinstance(mechanism, Tiltable) else ()
 
 
 class ConstantTorque(JointEffect):

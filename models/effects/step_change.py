@@ -27,7 +27,7 @@ class StepChange(NumberEffect):
     seen: ClassVar[str] = "from {time} on"
     plain: ClassVar[str] = "At {time} something changed for good: the number named gains {size}."
     check: ClassVar[str] = "Look in the log or the video for what happened then: a load picked up or lost, a part that broke."
-    late: ClassVar[bool] = True
+    last_resort: ClassVar[bool] = True
     size: Array = param(0.0, -10 * NUMBER, 10 * NUMBER, scale=0.1 * NUMBER, unit="{p}", meaning="what the number gains")
     time: Array = param(
         1.0,

@@ -1,0 +1,277 @@
+"""The answer of a diagnosis by torque: which, how far and where, with the words of every other diagnosis."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from jaxid.diagnosis import where as location
+from jaxid.diagnosis.breakdown import Share
+from jaxid.diagnosis.how_far import closed, shrink
+from jaxid.diagnosis.result import ChannelGap, Finding, HowFar, MissingForce, Ranked, Regime
+from jaxid.diagnosis.torque.choose import Chooser, Model
+from jaxid.diagnosis.torque.library import BODY, Unit
+from jaxid.diagnosis.torque.study import Rows, Study
+from jaxid.diagnosis.where import Missing
+from jaxid.dynamics.parameter import resolve, specs
+from jaxid.fitting.problem_builder import Bench
+from jaxid.fitting.result import EffectEstimate, Estimate, Score, Trace
+from jaxid.fitting.scores import score
+from jaxid.wording import listed, percent, times
+
+
+#: Simulated repetitions of the noise in every regime.
+DRAWS = 12
+#: A number whose standard deviation is more than this share of what is known of it beforehand is not determined.
+TOLD = 0.5
+
+
+@dataclass(frozen=True, eq=False)
+class Answer:
+    """One model of a study, ready to be looked at: its columns and numbers."""
+
+    study: Study
+    rows: Rows
+    at: np.ndarray
+    numbers: np.ndarray
+    units: tuple[Unit, ...] = ()
+
+    def residual(self, run: int) -> np.ndarray:
+        """What it leaves of a run's torque, N m [samples n]."""
+        return self.rows.residual(run, self.at, self.numbers)
+
+    def gap(self, which: Sequence[int], joint: int | None = None) -> float:
+        """Root mean square of what it leaves of some runs in multiples of the noise, over joints that move; nan for none."""
+        total, count = 0.0, 0
+        for k in which:
+            inside = self.study.runs[k].moves.copy()
+            inside &= True if joint is None else np.arange(len(inside)) == joint
+            r = (self.residual(k) / self.study.noise)[:, inside]
+            total, count = total + float(np.sum(r**2)), count + r.size
+        return float(np.sqrt(total / count)) if count else float("nan")
+
+    def measured(self, run: int) -> np.ndarray:
+        r = self.study.runs[run]
+        return r.rows(self.study.plant.drive(r, self.rows.theta))
+
+
+def of_model(study: Study, rows: Rows, model: Model) -> Answer:
+    return Answer(study, rows, model.solution.at, model.solution.theta, tuple(rows.units[u] for u in model.units))
+
+
+def estimates(study: Study, chooser: Chooser, model: Model) -> tuple[dict[str, Estimate], tuple[EffectEstimate, ...]]:
+    """Numbers of the nominal model, and effects with theirs."""
+    s, b = model.solution, study.binding
+    covariance, determined = s.spread
+    dof = max(1, chooser.fit.rows - len(s.at))
+    level = max(1.0, s.cost / dof)
+    slopes, told = chooser.fit.scores(s.at, s.theta), np.nan_to_num(covariance)
+    sandwich = told @ (slopes.T @ slopes) @ told * len(slopes) / max(1, len(slopes) - 1)
+    wider = np.sqrt(np.maximum(1.0, np.diag(sandwich) / np.maximum(np.diag(told) * level, 1e-300)))
+    covariance = covariance * wider * wider[:, None]
+    std = np.sqrt(np.maximum(np.diag(covariance), 0.0) * level)
+    own: dict[str, Estimate] = {}
+    for k, i in enumerate(study.plant.free):
+        e = b.layout.entries[i]
+        sure = bool(determined[k]) and np.isfinite(std[k])
+        shown = float(std[k]) if sure else None
+        own[e.name] = Estimate(
+            float(s.theta[k]), shown, e.unit, float(b.lower[i]), float(b.upper[i]), bool(s.bound[k]), sure
+        )  # fmt: skip
+    effects, first = [], chooser.size
+    for u in model.units:
+        unit = chooser.units[u]
+        at = slice(first, first + len(unit.fields))
+        first = at.stop
+        effects.append(_effect(study, unit, s.theta[at], covariance[at, at] * level, s.bound[at]))
+    return own, tuple(effects)
+
+
+def _effect(study: Study, unit: Unit, values: np.ndarray, covariance: np.ndarray, bound: np.ndarray) -> EffectEstimate:
+    if unit.fields == BODY:
+        return EffectEstimate(unit.effect, unit.location, _body(unit, values, covariance))
+    std = np.sqrt(np.maximum(np.nan_to_num(np.diag(covariance)), 0.0))
+    found = {
+        f: Estimate(float(v), None if held else float(s), _unit(study, unit, f), float(low), float("inf"), bool(held), not held)
+        for f, v, s, low, held in zip(unit.fields, values, std, unit.least, bound, strict=True)
+        if f not in unit.hidden
+    }
+    shape = {
+        f: Estimate(float(v), None, _unit(study, unit, f), *_bounds(study, unit, f), False, True) for f, v in unit.shape.items()
+    }
+    return EffectEstimate(unit.effect, unit.location, found | shape)
+
+
+def _kind(study: Study, unit: Unit) -> Any:
+    return next(k for k in study.kinds if k.name == unit.effect)
+
+
+def _bounds(study: Study, unit: Unit, field: str) -> tuple[float, float]:
+    spec = specs(_kind(study, unit)())[field]
+    reference = study.binding.references[unit.joints[0]]
+    return resolve(spec.lower, reference), resolve(spec.upper, reference)
+
+
+def _unit(study: Study, unit: Unit, field: str) -> str:
+    own = specs(_kind(study, unit)())
+    template = own[field].unit if field in own else "{I}" if field == "inertia" else "rad"
+    return study.binding.chain.signature.unit(template, unit.joints[0])
+
+
+def _body(unit: Unit, values: np.ndarray, covariance: np.ndarray) -> dict[str, Estimate]:
+    """Mass, centre of mass and inertia about the link's origin of a body, from its ten numbers."""
+    m, inf = float(values[0]), float("inf")
+    told = lambda v, var, spread: np.sqrt(max(var, 0.0)) < TOLD * spread
+
+    def quantity(value: float, variance: float, unit_: str, sure: bool) -> Estimate:
+        return Estimate(value, float(np.sqrt(max(variance, 0.0))) if sure else None, unit_, -inf, inf, False, sure)
+
+    sure = told(m, covariance[0, 0], unit.spread[0])
+    out = {"mass": quantity(m, covariance[0, 0], "kg", bool(sure))}
+    for k, axis in ((1, "x"), (2, "y"), (3, "z")):
+        slope = np.zeros(10)
+        slope[k], slope[0] = 1 / m, -values[k] / m**2
+        seen = sure and told(values[k], covariance[k, k], unit.spread[k])
+        out[axis] = quantity(float(values[k] / m), float(slope @ covariance @ slope), "m", bool(seen))
+    for k in range(4, 10):
+        out[unit.fields[k]] = quantity(
+            float(values[k]), float(covariance[k, k]), "kg m^2", bool(told(values[k], covariance[k, k], unit.spread[k]))
+        )
+    return out
+
+
+def ranking(study: Study, chooser: Chooser, rows: Rows, which: Sequence[int]) -> tuple[Ranked, ...]:
+    """Every set that was tried, best on held-out runs first, by the effect that is new in it."""
+    nominal = of_model(study, rows, chooser.nominal).gap(which)
+    best: dict[tuple[str, str], tuple[Model, Unit, list[Unit]]] = {}
+    for m in sorted(chooser.tried, key=lambda m: m.loss):
+        own = [chooser.units[u] for u in m.units]
+        for u in own:
+            best.setdefault(u.place, (m, u, [v for v in own if v is not u]))
+    out = []
+    for m, u, others in list(best.values()):
+        gap = of_model(study, rows, m).gap(which)
+        beside = f" beside {listed(str(v) for v in others)}" if others else ""
+        share = closed(nominal**2, gap**2)
+        words = f"closes {percent(share)} of the gap" if share else "closes nothing of the gap"
+        evidence = float(chooser.nominal.loss - m.loss)
+        out.append(
+            Ranked(u.effect, u.location, gap, m.cost + chooser.price(m.units), evidence, f"{u}{beside}: {words} on held-out data")
+        )
+    return tuple(sorted(out, key=lambda r: r.validation_gap))
+
+
+# ---- how far
+
+
+def how_far(
+    study: Study, before: Answer, retuned: Answer, after: Answer, which: Sequence[int], split: str, verdict: str, note: str,
+    ceiling: float | None,
+) -> HowFar:  # fmt: skip
+    """Gaps on some runs: as stated, re-tuned, with the effects."""
+    models = (before, retuned, after)
+    gaps = [m.gap(which) for m in models]
+    channels: dict[str, ChannelGap] = {}
+    for j, (name, unit) in enumerate(study.binding.chain.torque_channels):
+        rmse = [m.gap(which, j) * study.noise[j] for m in models]
+        if np.isfinite(rmse).all():
+            channels[name] = ChannelGap(unit, *rmse, float(study.noise[j]), "noise of torque and motion, low-passed alike")
+    runs = tuple(
+        Share(study.runs[k].experiment.name, "", len(m0), *(m.gap([k]) for m in models))
+        for k in which
+        for m0 in [before.residual(k)]
+    )
+    shrinkage, reason = None, ""
+    if verdict == "none":
+        reason = "the verdict is none: there is no gap to shrink"
+    elif not gaps[0] > 1.0:
+        reason = "the gap was at the noise floor before any effect was added"
+    elif (exact := shrink(gaps[0] ** 2, gaps[2] ** 2)) < 0:
+        reason = f"on {split} data the gap does not shrink"
+    else:
+        shrinkage, reason = min(exact, 1.0), "by torque no interval is given: rows of one run are not runs"
+    text = (
+        f"gap on {split} data: {times(gaps[0])} times the noise before, {times(gaps[1])} after re-tuning the old parameters alone"
+    )
+    text += f", {times(gaps[2])} with the effects added" if verdict in ("named", "partly") else ""
+    if ceiling is not None:
+        text += f"; any law of a joint's own position, speed and load would close {percent(ceiling)} of it"
+    return HowFar(
+        gaps[0], gaps[1], gaps[2], 1.0, shrinkage, None, reason, channels, f"{text}. {note}".strip(), runs,
+        _by_regime(study, models, which), "", split, ceiling,
+    )  # fmt: skip
+
+
+def _by_regime(study: Study, models: Sequence[Answer], which: Sequence[int]) -> tuple[Share, ...]:
+    out, found = [], [missing(models[0], k, 0) for k in which]
+    for j, joint in enumerate(study.binding.chain.signature.joints):
+        masks = [location.regimes(m, j) for m in found]
+        for name in dict.fromkeys(n for mask in masks for n in mask):
+            inside = [mask.get(name, np.zeros(len(m.force), bool)) for mask, m in zip(masks, found, strict=True)]
+            count = sum(int(x.sum()) for x in inside)
+            if count < 20 or not any(study.runs[k].moves[j] for k in which):
+                continue
+            rms = [np.concatenate([m.residual(k)[x, j] for k, x in zip(which, inside, strict=True)]) for m in models]
+            out.append(Share(name, joint, count, *(float(np.sqrt(np.mean(r**2)) / study.noise[j]) for r in rms)))
+    return tuple(out)
+
+
+# ---- where
+
+
+def missing(answer: Answer, k: int, seed: int, draws: int = DRAWS) -> Missing:
+    """The torque that a model lacks along the rows of a run, and what noise alone would show."""
+    run = answer.study.runs[k]
+    force, keep = answer.residual(k), np.zeros(len(run.experiment.t), bool)
+    keep[run.kept] = True
+    null = answer.study.noise * np.random.default_rng([seed, k]).standard_normal((draws, *force.shape))
+    still = run.moves.astype(float)
+    return Missing(run.experiment, keep, run.q[keep], run.qd[keep], run.qdd[keep], answer.measured(k), force * still, null)
+
+
+def places(
+    study: Study, nominal: Answer, final: Answer, verdict: str, which: Sequence[int], seed: int
+) -> tuple[tuple[Finding, ...], tuple[MissingForce, ...], tuple[Regime, ...]]:
+    """Findings, pictures and regimes of some runs."""
+    joints, bench = study.binding.chain.signature.joints, Bench(study.binding)
+    before = [missing(nominal, k, seed) for k in which]
+    after = [missing(final, k, seed, 1) for k in which]
+    named: dict[str, str] = {}
+    for u in final.units:
+        for j in u.joints if verdict == "named" else ():
+            named.setdefault(joints[j], u.location if len(u.joints) == 1 else joints[j])
+    only = tuple(named)
+    given = {j: f for j in only if (f := location.supplied(before, after, joints.index(j))) is not None}
+    rows = location.table(before, joints, given)
+    found = location.findings(bench, before, rows, named, only, given) if verdict != "none" else []
+    return tuple(found), tuple(location.pictures(bench, before, after)), tuple(rows)
+
+
+def traces(study: Study, nominal: Answer, final: Answer, label: str) -> tuple[Trace, ...]:
+    """Measured torque, low-passed, and what the models need for the measured motion."""
+    out = []
+    for k in sorted(range(len(study.runs)), key=lambda k: ("report", "validation", "fit").index(study.runs[k].split)):
+        run, measured = study.runs[k], nominal.measured(k)
+        needed = {"nominal model, re-tuned": measured - nominal.residual(k)}
+        if label:
+            needed[label] = measured - final.residual(k)
+        for j, (name, unit) in enumerate(study.binding.chain.torque_channels):
+            series = {key: y[:, j] for key, y in needed.items()}
+            out.append(Trace(run.experiment.name, run.split, name, unit, run.t, measured[:, j], series, float(study.noise[j])))
+    return tuple(out)
+
+
+def scores(answer: Answer) -> dict[str, dict[str, Score]]:
+    """Split -> channel -> how well the torque is predicted."""
+    study, out = answer.study, {}
+    for split in ("fit", "validation", "report"):
+        if which := study.of(split):
+            pairs = [(answer.measured(k), answer.residual(k)) for k in which]
+            out[split] = {
+                name: score(np.concatenate([y[:, j] for y, _ in pairs]), np.concatenate([r[:, j] for _, r in pairs]), unit)
+                for j, (name, unit) in enumerate(study.binding.chain.torque_channels)
+            }
+    return out

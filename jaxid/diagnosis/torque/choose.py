@@ -1,0 +1,241 @@
+"""Which effects: proposed by the runs that are fitted, accepted by runs that are held out, taken back where not needed.
+
+One rule decides every step: of two sets of effects the smaller stands, unless the larger predicts the held-out runs better by
+several of its own standard errors (blocks against blocks), worse in none of them, and is worth its numbers on the fit runs too.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from itertools import combinations
+
+import numpy as np
+
+from jaxid.diagnosis.torque.algebra import better, Gram, Known, Solution, solve
+from jaxid.diagnosis.torque.library import Unit
+
+
+#: Standard errors by which more effects have to predict better, and by which fewer may predict worse.
+SURE, MISSED = 3.0, 2.0
+#: A column of which less than this share lies outside of what is there already shows nothing of its own.
+OWN = 1e-6
+#: So many sets of a kind go before the held-out runs.
+HEARD = 16
+#: Most laws of one joint.
+LAWS = 3
+
+
+@dataclass(frozen=True, eq=False)
+class Model:
+    """A set of units with its solution on the fit runs, and what it leaves of each block of the held-out ones."""
+
+    units: tuple[int, ...]
+    solution: Solution
+    held: np.ndarray
+
+    @property
+    def cost(self) -> float:
+        return self.solution.cost
+
+    @property
+    def loss(self) -> float:
+        return float(self.held.sum())
+
+
+def explained(H: np.ndarray, b: np.ndarray) -> tuple[float, np.ndarray]:
+    """Sum of squares that columns with these products explain, and their strengths."""
+    values, vectors = np.linalg.eigh(H)
+    seen = values > OWN
+    along = vectors[:, seen].T @ b
+    return float(np.sum(along**2 / values[seen])), vectors[:, seen] @ (along / values[seen])
+
+
+class Chooser:
+    """The search over sets of units."""
+
+    def __init__(
+        self, units: Sequence[Unit], size: int, fit: Gram, held: Gram, known: Known, start: np.ndarray, lower: np.ndarray,
+        upper: np.ndarray, most: int, spared: int = 8,
+    ):  # fmt: skip
+        """`size` numbers of the nominal model come first among the columns; `most` kinds of effects may be named, beside
+        `spared` ones of pairs and bodies (each is one)."""
+        self.units, self.size, self.fit, self.held, self.most = units, size, fit, held, most
+        self.known, self.start, self.lower, self.upper = known, start, lower, upper
+        ends = size + np.cumsum([0, *(len(u.fields) for u in units)])
+        self.columns = [np.arange(a, b) for a, b in zip(ends, ends[1:], strict=False)]
+        self._models: dict[frozenset[int], Model | None] = {}
+        self.tried: list[Model] = []
+
+    # ---- models
+
+    @cached_property
+    def nominal(self) -> Model:
+        found = self.model(())
+        assert found is not None
+        return found
+
+    def at(self, units: Iterable[int]) -> np.ndarray:
+        return np.concatenate([np.arange(self.size), *(self.columns[u] for u in sorted(units))])
+
+    def model(self, units: Iterable[int]) -> Model | None:
+        """None where an effect would have to act the wrong way round."""
+        key = frozenset(units)
+        if key not in self._models:
+            s = solve(self.fit.total, self.at(key), self.known, self.start, self.lower, self.upper)
+            # A number of an effect that its bound holds at nothing is one that is not there.
+            dead = bool(key) and any(np.all(s.theta[self._own(key, u)] == 0) for u in key)
+            self._models[key] = None if dead else Model(tuple(sorted(key)), s, self.held.losses(s.at, s.theta))
+            if self._models[key] is not None:
+                self.tried.append(self._models[key])  # type: ignore[arg-type]
+        return self._models[key]
+
+    def _own(self, key: frozenset[int], unit: int) -> slice:
+        first = self.size + sum(len(self.columns[u]) for u in sorted(key) if u < unit)
+        return slice(first, first + len(self.columns[unit]))
+
+    def price(self, units: Iterable[int]) -> float:
+        """What the numbers of a set have to be worth on the fit runs."""
+        count = sum(len(self.columns[u]) - len(self.units[u].hidden) + bool(self.units[u].shape) for u in units)
+        return count * np.log(max(self.fit.rows, 2))
+
+    def accepted(self, small: Model, large: Model) -> bool:
+        """Whether the larger set stands."""
+        total, worst = better(small.held, large.held, self.held.owner)
+        more = self.price(large.units) - self.price(small.units)
+        return total > SURE and worst > -MISSED and small.cost - large.cost > max(more, 0.0)
+
+    def missed(self, small: Model, large: Model) -> bool:
+        """Whether what the larger set has more of would be missed."""
+        more = self.price(large.units) - self.price(small.units)
+        return better(small.held, large.held, self.held.owner)[0] > MISSED and small.cost - large.cost > max(more, 0.0)
+
+    def alike(self, a: Model, b: Model) -> bool:
+        """Whether held-out and fit runs leave open which of two sets of one size it is."""
+        return abs(better(a.held, b.held, self.held.owner)[0]) < MISSED and b.cost - a.cost < self.price(b.units) + 6
+
+    # ---- search
+
+    def run(self) -> Model:
+        chosen = self.nominal
+        while len(self._kinds(chosen.units)) < self.most:
+            found = [m for m in self._wider(chosen) if self.accepted(chosen, m)]
+            if not found:
+                break
+            chosen = self._thinned(min(found, key=lambda m: m.loss))
+            chosen = self._exchanged(chosen)
+        return self._thinned(chosen)
+
+    def _kinds(self, units: Iterable[int]) -> set[str]:
+        """What counts as one: a law at all its joints; a pair or a body."""
+        return {self.units[u].effect for u in units}
+
+    def beside(self, units: Iterable[int]) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Sums of products of all columns, and with the target, once a set is projected out; columns in units of their size."""
+        at, p = self.at(units), len(self.fit.total) - 1
+        H = self.fit.total[:p, :p] + self.known.information
+        b = self.fit.total[:p, -1] + self.known.information @ self.known.mean
+        size = np.sqrt(np.maximum(np.diag(H), 0.0))
+        size = np.where(size > 0, size, 1.0)
+        H, b = H / size / size[:, None], b / size
+        inside = np.linalg.solve(H[np.ix_(at, at)] + 1e-9 * np.eye(len(at)), np.column_stack([H[at], b[at]]))
+        return H - H[:, at] @ inside[:, :-1], b - H[:, at] @ inside[:, -1], size
+
+    def gains(self, units: Iterable[int]) -> np.ndarray:
+        """What each unit alone would explain of the fit runs beside a set, nothing where it has nothing of its own."""
+        out, (H, b, _) = np.zeros(len(self.units)), self.beside(units)
+        for k, own in enumerate(self.columns):
+            if k not in units and np.any(np.diag(H)[own] > OWN):
+                out[k] = explained(H[np.ix_(own, own)], b[own])[0]
+        return out
+
+    def _best_shapes(self, units: Iterable[int]) -> dict[tuple[str, str], tuple[float, int]]:
+        """Of each effect at each place the shape that explains most, for places where it is not yet."""
+        taken, out = {self.units[u].place for u in units}, {}
+        for k, gain in enumerate(self.gains(units)):
+            place = self.units[k].place
+            if gain > 0 and place not in taken and gain > out.get(place, (0.0, -1))[0]:
+                out[place] = gain, k
+        return out
+
+    def _wider(self, chosen: Model) -> list[Model]:
+        """The set with one effect more at one place, or at all of its places."""
+        found = self._best_shapes(chosen.units)
+        carried = {self.units[u].effect for u in chosen.units if np.all(np.isfinite(self.units[u].spread))}
+        found = {p: f for p, f in found.items() if p[0] not in carried}  # one body at one link
+        singles = [k for _, k in sorted(found.values(), reverse=True)][:HEARD]
+        sets = [(*chosen.units, k) for k in singles]
+        for effect in dict.fromkeys(e for e, _ in found):
+            every = [k for (e, _), (_, k) in found.items() if e == effect]
+            lone = all(len(self.units[k].joints) == 1 for k in every)
+            sets += [(*chosen.units, *every)] if lone and len(every) > 1 else []
+        return [m for s in sets if (m := self._lively(s, chosen.units)) is not None]
+
+    def _lively(self, units: Sequence[int], base: Sequence[int] = ()) -> Model | None:
+        """The model of a set, without those of its units that would act the wrong way round; None where none is left of what it
+        has beyond `base`."""
+        while set(units) - set(base):
+            if (found := self.model(units)) is not None:
+                return found
+            s = solve(self.fit.total, self.at(units), self.known, self.start, self.lower, self.upper)
+            key = frozenset(units)
+            units = [u for u in units if u in base or np.any(s.theta[self._own(key, u)] != 0)]
+            if key == frozenset(units):
+                return None
+        return None
+
+    def _thinned(self, chosen: Model) -> Model:
+        """Without what is not missed, the least missed first."""
+        while chosen.units:
+            less = [m for u in chosen.units if (m := self.model([v for v in chosen.units if v != u])) is not None]
+            needless = [m for m in less if not self.missed(m, chosen)]
+            if not needless:
+                return chosen
+            chosen = min(needless, key=lambda m: m.loss)
+        return chosen
+
+    def _exchanged(self, chosen: Model) -> Model:
+        """Every joint's laws exchanged for whatever set of up to `LAWS` of them explains more, joint by joint."""
+        joints = sorted({u.joints[0] for u in self.units if len(u.joints) == 1})
+        for j in joints:
+            sets = self._laws_of(chosen, j)
+            found = [m for s in sets if (m := self.model(s)) is not None]
+            surer = [m for m in found if self.accepted(chosen, m)]
+            if surer:
+                chosen = min(surer, key=lambda m: m.loss)
+        return chosen
+
+    def _laws_of(self, chosen: Model, joint: int) -> list[tuple[int, ...]]:
+        """The sets of laws at a joint that explain most of the fit runs for their size, beside what stands elsewhere."""
+        here = lambda u: self.units[u].joints == (joint,)
+        others = tuple(u for u in chosen.units if not here(u))
+        kinds, room = self._kinds(others), self.most
+        best = {p: k for p, (_, k) in self._best_shapes(others).items() if self.units[k].joints == (joint,)}
+        pool = sorted({*best.values(), *(u for u in chosen.units if here(u))})
+        H, b, size = self.beside(others)
+        out: list[tuple[float, tuple[int, ...]]] = []
+        for count in range(1, LAWS + 1):
+            for s in combinations(pool, count):
+                effects = [self.units[u].effect for u in s]
+                if len(set(effects)) < count or len(kinds | set(effects)) > room:
+                    continue
+                own = np.concatenate([self.columns[u] for u in s])
+                gain, strength = explained(H[np.ix_(own, own)], b[own])
+                if np.all(strength / size[own] >= np.concatenate([self.units[u].least for u in s])):
+                    out.append((gain - self.price(s), (*others, *s)))
+        return [s for _, s in sorted(out, reverse=True)[:HEARD]]
+
+    def confusable(self, chosen: Model) -> list[int]:
+        """Units that could stand in the place of one that was chosen, for all that the data say."""
+        out = []
+        for u in chosen.units:
+            others = tuple(v for v in chosen.units if v != u)
+            near, taken = set(self.units[u].joints), {self.units[v].effect for v in chosen.units}
+            best = [k for (e, _), (_, k) in self._best_shapes(others).items()
+                    if near & set(self.units[k].joints) and e not in taken]  # fmt: skip
+            for k in best:
+                m = self.model((*others, k))
+                if m is not None and self.alike(chosen, m) and k not in out:
+                    out.append(k)
+        return out

@@ -1,0 +1,248 @@
+"""Every effect that the torque of a measured motion can show, as columns: one unit is one effect at one place with one shape."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
+from functools import lru_cache
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from jaxid.diagnosis.torque.forces import at_every_joint, coupled, shapes, strengths, with_numbers
+from jaxid.diagnosis.torque.plant import ArmPlant, Plant
+from jaxid.diagnosis.torque.rows import Run
+from jaxid.dynamics.chain import Chain
+from jaxid.dynamics.effect import BodyEffect, Effect, JointEffect
+from jaxid.dynamics.parameter import resolve, specs, with_fields
+from jaxid.dynamics.rigid_body import INERTIA
+from jaxid.numerics.precision import float64
+from jaxid.problem.binding import Binding
+
+
+#: Effects on the way from the command to the joint that a torque shows all the same.
+DRIVES = ("torque_scale", "input_delay")
+#: What a body at a link adds: a mass, then its first moments and inertia about the origin of the link's frame.
+BODY = ("mass", "mx", "my", "mz", *INERTIA[:6])
+#: Tilt (rad) over which the derivative of gravity is taken.
+TILT = 1e-3
+
+
+@dataclass(frozen=True, eq=False)
+class Unit:
+    """An effect at a place: rows of its columns [samples n k] in each run, one for each of `fields`. `least`, `most`: bounds of
+    each; `spread`: what is known of its size beforehand, infinite where nothing is; `hidden`: numbers that only make room."""
+
+    effect: str
+    location: str
+    fields: tuple[str, ...]
+    least: np.ndarray
+    most: np.ndarray
+    spread: np.ndarray
+    shape: dict[str, float]
+    joints: tuple[int, ...]
+    columns: list[np.ndarray]
+    hidden: tuple[str, ...] = ()
+
+    @property
+    def place(self) -> tuple[str, str]:
+        return self.effect, self.location
+
+    def __str__(self) -> str:
+        return f"{self.effect} at {self.location}"
+
+
+def shows(kind: type[Effect], chain: Chain) -> bool:
+    """Whether the torque of a measured motion can show an effect."""
+    if issubclass(kind, JointEffect):
+        return any(s.value == 0 for s in specs(kind()).values())
+    if issubclass(kind, BodyEffect):
+        return not chain.with_effects(kind()).stateful()[-1]
+    return kind.name in DRIVES and chain.direct
+
+
+def units(plant: Plant, kinds: Iterable[type[Effect]], runs: Sequence[Run], theta: np.ndarray, payloads: bool) -> list[Unit]:
+    """All units of these effects, along what the model takes with the numbers theta; `payloads`: whether bodies at the links of
+    an arm can be told from the arm's own, because its own are known."""
+    load = [plant.rigid(r, theta) for r in runs]
+    out: list[Unit] = []
+    for kind in kinds:
+        places = plant.binding.chain.offers(kind)
+        if issubclass(kind, JointEffect):
+            out += _shared(plant, kind, places, runs, load) if kind.couples else _laws(plant, kind, places, runs, load)
+        elif issubclass(kind, BodyEffect):
+            out += _bodies(plant, kind, places, runs, theta, payloads)
+        else:
+            out += _driven(plant, kind, places, runs, load)
+    return out
+
+
+def _unit(
+    kind: type[Effect], place: str, fields: Sequence[str], shape: dict[str, float], joints: Sequence[int],
+    columns: list[np.ndarray], binding: Binding,
+) -> Unit:  # fmt: skip
+    reference = binding.reference(kind, joints[0])
+    own = specs(kind())
+    low = np.array([resolve(own[f].lower, reference) if f in own else 0.0 for f in fields])
+    high = np.array([resolve(own[f].upper, reference) if f in own else np.inf for f in fields])
+    open_ = np.full(len(fields), np.inf)
+    return Unit(kind.name, place, tuple(fields), low, high, open_, shape, tuple(joints), columns)
+
+
+def _placed(x: np.ndarray, joint: int, n: int) -> np.ndarray:
+    out = np.zeros((len(x), n, x.shape[1]))
+    out[:, joint] = x
+    return out
+
+
+def _laws(plant: Plant, kind: Any, places: Sequence[str], runs: Sequence[Run], load: Sequence[np.ndarray]) -> list[Unit]:
+    """A law of each joint's own motion, at every point of its grid."""
+    b, n = plant.binding, plant.binding.chain.nq
+    joints = [b.chain.signature.joints.index(p) for p in places]
+    if not (linear := strengths(kind, n, runs[0].room)):
+        return []
+    grids = [shapes(kind, b.references[j], linear) for j in range(n)]
+    out = []
+    for k, made in enumerate(at_every_joint(kind, grids, runs, load, plant.turn)):
+        rows = [np.stack([r.rows(made[f][i]) for f in made], -1) for i, r in enumerate(runs)]
+        for j, place in zip(joints, places, strict=True):
+            if k < len(grids[j]):
+                own = [_placed(x[:, j], j, n) for x in rows]
+                out.append(_unit(kind, place, list(made), grids[j][k], [j], own, b))
+    return out
+
+
+def _shared(plant: Plant, kind: Any, places: Sequence[str], runs: Sequence[Run], load: Sequence[np.ndarray]) -> list[Unit]:
+    """A gear that a joint shares with the next: its friction, and the inertia of what turns with both."""
+    b = plant.binding
+    linear, out = strengths(kind, b.chain.nq, runs[0].room), []
+    for place in places:
+        j = b.chain.signature.joints.index(place)
+        shape = shapes(kind, b.references[j], linear)[0]
+        own = [coupled(kind, shape, j, r, f, plant.turn) for r, f in zip(runs, load, strict=True)]
+        columns = []
+        for r, x in zip(runs, own, strict=True):
+            both = np.zeros_like(r.qdd)
+            both[:, [j, j + 1]] = (r.qdd[:, j] + r.qdd[:, j + 1])[:, None]
+            columns.append(r.rows(np.concatenate([x, both[:, :, None]], 2)))
+        both = f"{place} and {b.chain.signature.joints[j + 1]}"
+        out.append(_unit(kind, both, [*linear, "inertia"], shape, [j, j + 1], columns, b))
+    return out
+
+
+def _driven(
+    plant: Plant, kind: type[Effect], places: Sequence[str], runs: Sequence[Run], load: Sequence[np.ndarray]
+) -> list[Unit]:
+    """What a drive makes of its command, seen from the torque that the model needs: the measured one would explain itself."""
+    b, n = plant.binding, plant.binding.chain.nq
+    names = [name for name, _ in b.chain.signature.inputs]
+    series = [-f if kind.name == "torque_scale" else np.gradient(f, r.step, axis=0) for r, f in zip(runs, load, strict=True)]
+    rows = [r.rows(x) for r, x in zip(runs, series, strict=True)]
+    field = next(iter(specs(kind())))
+    return [
+        _unit(kind, p, [field], {}, [j], [_placed(x[:, j, None], j, n) for x in rows], b)
+        for p in places for j in [names.index(p)]
+    ]  # fmt: skip
+
+
+def _bodies(
+    plant: Plant, kind: type[BodyEffect], places: Sequence[str], runs: Sequence[Run], theta: np.ndarray, payloads: bool
+) -> list[Unit]:
+    b, n = plant.binding, plant.binding.chain.nq
+    joints = b.chain.signature.joints
+    if kind.name == "reflected_inertia":
+        rows = [r.rows(r.qdd) for r in runs]
+        return [_unit(kind, p, ["inertia"], {}, [joints.index(p)], [_placed(x[:, j, None], j, n) for x in rows], b)
+                for p in places for j in [joints.index(p)]]  # fmt: skip
+    if isinstance(plant, ArmPlant) and kind.name == "payload":
+        return [_payload(plant, p, joints.index(p), runs, theta) for p in places] if payloads else []
+    if isinstance(plant, ArmPlant) and kind.name == "gravity_offset":
+        return [_tilt(plant, joints[0], runs, theta)]
+    return _derivatives(plant, kind, places, runs, theta)
+
+
+def _payload(plant: ArmPlant, place: str, link: int, runs: Sequence[Run], theta: np.ndarray) -> Unit:
+    """Any body at a link, by its ten numbers."""
+    first = 11 * link
+    order = [first + 9, *range(first + 6, first + 9), *range(first, first + 6)]
+    mass, reach = _size(plant, theta)
+    spread = mass * np.array([1.0, *[reach] * 3, *[reach**2] * 6])
+    columns = [r.rows(plant.columns(r, order)) for r in runs]
+    return Unit("payload", place, BODY, np.full(10, -np.inf), np.full(10, np.inf), spread, {}, tuple(range(link + 1)), columns)
+
+
+def _size(plant: ArmPlant, theta: np.ndarray) -> tuple[float, float]:
+    """Mass (kg) and length (m) that are large for a load of this arm."""
+    table = plant.arm
+    reach = float(sum(np.sum(np.abs(np.asarray(getattr(table, k)))) for k in ("a", "d", "b")))
+    return 30.0, max(0.3 * reach, 0.1)
+
+
+def _tilt(plant: ArmPlant, place: str, runs: Sequence[Run], theta: np.ndarray) -> Unit:
+    """A base that stands askew, by two angles; the first link's own moments begin to show in it."""
+    n = plant.binding.chain.nq
+    phi = plant.phi(theta)
+
+    def slope(r: Run, field: str) -> np.ndarray:
+        low, high = (
+            plant.columns(r, slice(None), True, with_fields(plant.arm, {field: np.asarray(getattr(plant.arm, field)) + s * TILT}))
+            for s in (-0.5, 0.5)
+        )
+        return (high - low) / TILT
+
+    columns = []
+    for r in runs:
+        both = [slope(r, f) for f in ("base_roll", "base_pitch")]
+        own = np.stack([y @ phi for y in both], -1)
+        columns.append(r.rows(np.concatenate([own, both[0][:, :, 6:8]], 2)))
+    infinite = np.full(4, np.inf)
+    return Unit(
+        "gravity_offset",
+        place,
+        ("roll", "pitch", "mx", "my"),
+        -infinite,
+        infinite,
+        infinite,
+        {},
+        tuple(range(n)),
+        columns,
+        ("mx", "my"),
+    )
+
+
+@lru_cache(maxsize=64)
+def _slope(kind: type[BodyEffect], field: str, place: int) -> Any:
+    def torque(value: Any, mechanism: Any, n: int, q: Any, qd: Any, qdd: Any) -> Any:
+        effect: Any = kind()
+        own = {f: jnp.full(n, s.value) for f, s in specs(effect).items()}
+        own[field] = own[field].at[place].set(value)
+        body = with_fields(with_numbers(effect, {}, n), own)(mechanism)
+        return jax.vmap(body.inverse)(q, qd, qdd)
+
+    def slope(mechanism: Any, q: Any, qd: Any, qdd: Any) -> Any:
+        at = lambda v: torque(v, mechanism, q.shape[1], q, qd, qdd)
+        return jax.jvp(at, (jnp.asarray(specs(kind())[field].value),), (jnp.ones(()),))[1]
+
+    return jax.jit(slope)
+
+
+def _derivatives(
+    plant: Plant, kind: type[BodyEffect], places: Sequence[str], runs: Sequence[Run], theta: np.ndarray
+) -> list[Unit]:
+    """What changes the mechanism, to first order in each of its numbers."""
+    b, out = plant.binding, []
+    joints = b.chain.signature.joints
+    fields = list(specs(kind()))
+    with float64():
+        mechanism = b.layout.model(theta).mechanism
+        for place in places:
+            columns, j = [], joints.index(place)
+            for r in runs:
+                series = [r.padded(x) for x in (r.q, r.qd, r.qdd)]
+                made = [np.asarray(_slope(kind, f, j)(mechanism, *series))[: len(r.q)] for f in fields]
+                columns.append(r.rows(np.stack(made, -1)))
+            if any(np.any(c) for c in columns):
+                out.append(_unit(kind, place, fields, {}, tuple(range(b.chain.nq)), columns, b))
+    return out

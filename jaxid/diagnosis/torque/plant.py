@@ -1,0 +1,181 @@
+"""The nominal model as columns: its torque along a measured motion is its numbers times these."""
+
+from __future__ import annotations
+
+import abc
+from collections.abc import Sequence
+from functools import lru_cache
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from jaxid.diagnosis.torque.forces import force, with_numbers
+from jaxid.diagnosis.torque.rows import Run
+from jaxid.dynamics.base_parameters import STANDARD, torque_columns
+from jaxid.dynamics.effect import JointEffect
+from jaxid.dynamics.parameter import specs
+from jaxid.dynamics.parameter_vector import Layout
+from jaxid.numerics.precision import float64
+from jaxid.problem.binding import Binding
+from jaxid.problem.torque_filter import drive_torque
+
+
+class Plant(abc.ABC):
+    """Abstract: the numbers of a model that a fit determines, and the torque equation linear in them."""
+
+    def __init__(self, binding: Binding, turn: np.ndarray):
+        self.binding, self.turn = binding, turn
+        self.free = list(binding.free)
+
+    @property
+    def size(self) -> int:
+        return len(self.free)
+
+    def drive(self, run: Run, theta: np.ndarray) -> np.ndarray:
+        """Joint torque that the drive makes of the recorded inputs, [time n]."""
+        return drive_torque(self.binding.layout, theta, run.u, np.concatenate([run.q, run.qd], 1))
+
+    @abc.abstractmethod
+    def linearised(self, run: Run, theta: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Target [time n] and columns [time n size] at the numbers theta (of the whole layout): columns times the free numbers
+        meet the target where nothing is missing."""
+
+    @abc.abstractmethod
+    def rigid(self, run: Run, theta: np.ndarray) -> np.ndarray:
+        """Torque [time n] that the mechanism takes without friction."""
+
+    def exact(self) -> bool:
+        """Whether the torque is linear in the free numbers, so that one linearisation is enough."""
+        return False
+
+
+class ArmPlant(Plant):
+    """A serial arm in NumPy: standard parameters from the regressor, friction by its own laws."""
+
+    def __init__(self, binding: Binding, turn: np.ndarray):
+        super().__init__(binding, turn)
+        self.arm: Any = binding.chain.mechanism
+        entries = [binding.layout.entries[i] for i in self.free]
+        self.inertial = [k for k, e in enumerate(entries) if e.owner < 0]
+        self.standard = [entries[k].place * len(STANDARD) + STANDARD.index(entries[k].field) for k in self.inertial]
+        self.laws = [k for k, e in enumerate(entries) if e.owner >= 0]
+
+    def exact(self) -> bool:
+        return True
+
+    def phi(self, theta: np.ndarray) -> np.ndarray:
+        """All standard parameters [11 n], a known payload in the last link's."""
+        arm: Any = self.binding.layout.model(theta).mechanism
+        with float64():
+            return np.concatenate([np.asarray(arm.inertia()), np.asarray(arm.Ia)[:, None]], 1).ravel()
+
+    def columns(self, run: Run, links: Sequence[int] | slice, still: bool = False, arm: Any = None) -> np.ndarray:
+        """Standard columns [time n …]; `still`: those of gravity alone."""
+        zero = 0 * run.qd
+        qd, qdd = (zero, zero) if still else (run.qd, run.qdd)
+        return torque_columns(self.arm if arm is None else arm, run.q, qd, qdd)[:, :, links]
+
+    def linearised(self, run, theta):
+        phi = self.phi(theta)
+        every = self.columns(run, slice(None))
+        held = phi.copy()
+        held[self.standard] -= theta[[self.free[k] for k in self.inertial]]
+        target = self.drive(run, theta) - every @ held - self._held_friction(run, theta)
+        out = np.zeros((*target.shape, self.size))
+        out[:, :, self.inertial] = every[:, :, self.standard]
+        for k in self.laws:
+            e = self.binding.layout.entries[self.free[k]]
+            out[:, e.place, k] = self._law(run, theta, e)[:, e.place]
+        return target, out
+
+    def rigid(self, run, theta):
+        return self.columns(run, slice(None)) @ self.phi(theta)
+
+    def _effects(self, theta: np.ndarray):
+        chain = self.binding.layout.model(theta)
+        return [(i, e) for i, e in enumerate(chain.effects) if isinstance(e, JointEffect)]
+
+    def _held_friction(self, run: Run, theta: np.ndarray) -> np.ndarray:
+        """Friction of numbers that are not fitted."""
+        at = theta.copy()
+        at[[self.free[k] for k in self.laws if self._strength(self.free[k])]] = 0.0
+        used = [e for _, e in self._effects(at) if any(np.any(getattr(e, f)) for f, s in specs(e).items() if s.value == 0)]
+        return sum((force(e, run, 0 * run.q, self.turn) for e in used), np.zeros_like(run.q))
+
+    def _strength(self, i: int) -> bool:
+        return self.binding.layout.entries[i].spec.value == 0
+
+    def _law(self, run: Run, theta: np.ndarray, entry: Any) -> np.ndarray:
+        effect: Any = self.binding.chain.effects[entry.owner]
+        own = {f: theta[[i for i, e in enumerate(self.binding.layout.entries) if e.owner == entry.owner and e.field == f]]
+               for f in specs(effect)}  # fmt: skip
+        shape = {f: v for f, v in own.items() if specs(effect)[f].value != 0}
+        return force(with_numbers(effect, {**shape, entry.field: 1.0}, run.q.shape[1]), run, 0 * run.q, self.turn)
+
+
+class AnyPlant(Plant):
+    """Any other model: derivatives of its own equations by the numbers."""
+
+    def __init__(self, binding: Binding, turn: np.ndarray):
+        super().__init__(binding, turn)
+        eps = binding.chain.smoothing_velocity or float(np.min(turn))
+        self.layout = Layout(binding.chain.smoothed(eps))
+
+    def linearised(self, run, theta):
+        missing, slope = self._missing(run, theta)
+        target = missing - np.einsum("tnp,p->tn", slope, theta[self.free])
+        return target, -slope
+
+    def rigid(self, run, theta):
+        with float64():
+            body = self.layout.model(theta).body()
+            return np.asarray(_inverse(body, *(run.padded(x) for x in (run.q, run.qd, run.qdd))))[: len(run.q)]
+
+    def _missing(self, run: Run, theta: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        n, series = len(run.q), [run.padded(x) for x in (run.u, run.q, run.qd, run.qdd)]
+        with float64():
+            missing, slope = _slopes(self.layout, tuple(self.free))(theta, run.step, *series)
+        return np.asarray(missing)[:n], np.asarray(slope)[:n]
+
+
+@jax.jit
+def _inverse(body: Any, q: Any, qd: Any, qdd: Any) -> Any:
+    return jax.vmap(body.inverse)(q, qd, qdd)
+
+
+@lru_cache(maxsize=32)
+def _slopes(layout: Layout, free: tuple[int, ...]) -> Any:
+    """(missing torque [time n], its slope by the free numbers [time n free])."""
+    from jaxid.dynamics.effect import Command
+
+    def missing(numbers: Any, theta: Any, h: Any, u: Any, q: Any, qd: Any, qdd: Any) -> Any:
+        chain = layout.model(theta.at[jnp.array(free, int)].set(numbers) if free else theta)
+
+        def step(z: Any, now: Any) -> Any:
+            u, q, qd, qdd = now
+            command = Command(jnp.zeros(()), h, u, u, lambda d: u)
+            out, z = chain.inverse(command, z, q, qd, qdd)
+            return z, out
+
+        z = chain.start(q[0], qd[0], u[0]).z
+        if jax.tree.leaves(z):
+            return jax.lax.scan(step, z, (u, q, qd, qdd))[1]
+        return jax.vmap(lambda *now: step(z, now)[1])(u, q, qd, qdd)
+
+    def both(theta: Any, h: Any, *series: Any) -> Any:
+        theta = jnp.asarray(theta)
+        own = theta[jnp.array(free, int)] if free else jnp.zeros(0)
+        out = missing(own, theta, h, *series)
+        slope = jax.jacfwd(missing)(own, theta, h, *series) if free else jnp.zeros((*out.shape, 0))
+        return out, slope
+
+    return jax.jit(both)
+
+
+def plant_of(binding: Binding, turn: np.ndarray) -> Plant:
+    """The columns of a binding's model."""
+    arm: Any = binding.chain.mechanism
+    kind = ArmPlant if hasattr(arm, "base") and hasattr(arm, "Ixx") else AnyPlant
+    return kind(binding, turn)

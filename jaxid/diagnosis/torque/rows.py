@@ -1,0 +1,104 @@
+"""Recordings as rows of the torque equation: motion on an even grid, everything through one low-pass, then decimated."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from jaxid.data.dataset import Experiment
+from jaxid.data.signals import filter_ends, zero_phase
+from jaxid.dynamics.joint_readings import joint_motion, joint_readings, stated_positions
+from jaxid.errors import UsageError
+from jaxid.problem.binding import Binding
+from jaxid.problem.torque_filter import check_motion, evenly, moving_band
+from jaxid.simulation.sample_buffers import bucket, columns
+
+
+#: Rows come at so many times the cutoff: between them there is nothing new.
+ROWS_PER_CUTOFF = 4.0
+#: Positions are smoothed at so many times the cutoff of the torque before they are differentiated.
+MOTION = 2.0
+#: A joint whose readings span less than so many times their noise stands still.
+STILL = 12.0
+#: Where a joint turns about, its dry friction counts as going over smoothly within this share of its top speed.
+TURN = 0.005
+
+
+@dataclass(frozen=True, eq=False)
+class Run:
+    """One recording: motion and inputs at all samples of an even grid, and which samples become rows."""
+
+    experiment: Experiment
+    q: np.ndarray  # [time n]
+    qd: np.ndarray
+    qdd: np.ndarray
+    u: np.ndarray  # [time nu]
+    kept: slice
+    cutoff_hz: float
+    moves: np.ndarray  # [n] whether a joint does anything in this run
+    room: int  # samples of the longest run, rounded up: what is compiled is compiled once
+
+    def padded(self, x: np.ndarray) -> np.ndarray:
+        """A series [time ...] with its last sample repeated up to `room`."""
+        return np.pad(x, ((0, self.room - len(x)), *((0, 0),) * (x.ndim - 1)), mode="edge")
+
+    @property
+    def split(self) -> str:
+        return self.experiment.split
+
+    @property
+    def t(self) -> np.ndarray:
+        """Times of the rows."""
+        return self.experiment.t[self.kept]
+
+    @property
+    def step(self) -> float:
+        """Seconds from one sample of the grid to the next."""
+        t = self.experiment.t
+        return float(t[-1] - t[0]) / (len(t) - 1)
+
+    def rows(self, x: np.ndarray) -> np.ndarray:
+        """A series [time ...] through the low-pass, at the rows."""
+        flat = x.reshape(len(x), -1)
+        return zero_phase(self.experiment.t, flat, self.cutoff_hz)[self.kept].reshape(-1, *x.shape[1:])
+
+
+def read_runs(binding: Binding, cutoff_hz: float | None) -> list[Run]:
+    """Every recording of a binding, fit runs first. Raises `UsageError` for a cutoff that a run's sampling does not allow."""
+    b = binding
+    check_motion(b.chain)
+    _, iy = columns(b.dataset, b.chain)
+    ordered = [e for split in ("fit", "validation", "report") for e in b.experiments(split)]
+    even = [evenly(e) for e in ordered]
+    cutoff = cutoff_hz or moving_band(b.chain, [e for e in even if e.split == "fit"] or even, iy, b.sigma)
+    room = bucket(max(len(e.t) for e in even))
+    return [_read(b, e, iy, cutoff, room) for e in even]
+
+
+def _read(binding: Binding, e: Experiment, iy: Sequence[int], cutoff_hz: float, room: int) -> Run:
+    chain = binding.chain
+    iu, _ = columns(binding.dataset, chain)
+    rate = (len(e.t) - 1) / e.duration
+    if not cutoff_hz < rate / 2.5:
+        raise UsageError(
+            f"{e.name!r} is sampled at {rate:.4g} Hz; a cutoff of {cutoff_hz:g} Hz is too high, give at most {rate / 4:.3g}"
+        )
+    motion_hz = min(MOTION * cutoff_hz, rate / 2.5)
+    y = e.motion()[:, iy]
+    q, qd, qdd, _ = joint_motion(chain, e.t, y, [motion_hz] * chain.nq, stated_positions(e, chain.signature))
+    ends = filter_ends(e.t, cutoff_hz)
+    every = max(1, int(rate / (ROWS_PER_CUTOFF * cutoff_hz)))
+    kept = slice(ends, len(e.t) - ends, every)
+    return Run(e, q, qd, qdd, e.u[:, iu], kept, cutoff_hz, _moving(binding, q), room)
+
+
+def _moving(binding: Binding, q: np.ndarray) -> np.ndarray:
+    noise = np.array([binding.sigma[r.q] if r.q is not None else 0.0 for r in joint_readings(binding.chain)])
+    return np.ptp(q, axis=0) > STILL * np.maximum(noise, 1e-9)
+
+
+def turning_speeds(runs: Sequence[Run]) -> np.ndarray:
+    """Speed over which each joint's dry friction turns [n]: see `TURN`."""
+    return np.maximum(TURN * np.percentile(np.abs(np.concatenate([r.qd for r in runs])), 99, axis=0), 1e-9)

@@ -1,0 +1,277 @@
+"""A diagnosis by torque from beginning to end."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from jaxid.diagnosis.how_far import closed
+from jaxid.diagnosis.next_experiment import advice
+from jaxid.diagnosis.result import Diagnosis, Which
+from jaxid.diagnosis.torque.algebra import BLOCKS, gram, Whitening
+from jaxid.diagnosis.torque.answer import Answer, estimates, how_far, of_model, places, ranking, scores, traces
+from jaxid.diagnosis.torque.ceiling import ceiling
+from jaxid.diagnosis.torque.choose import Chooser, Model
+from jaxid.diagnosis.torque.library import Unit, units
+from jaxid.diagnosis.torque.reference import Reference
+from jaxid.diagnosis.torque.rows import MOTION
+from jaxid.diagnosis.torque.study import BY_TORQUE, Rows, Study
+from jaxid.diagnosis.verdict import LEFT, level, PARTLY, SEEN
+from jaxid.dynamics.effect import Effect
+from jaxid.fitting.assemble import fitted_chain
+from jaxid.fitting.fitter import Progress
+from jaxid.fitting.result import EffectEstimate, Estimate, Fit
+from jaxid.fitting.stated import stated_numbers
+from jaxid.problem.binding import Binding
+from jaxid.wording import listed, percent, times
+
+
+#: Held-out runs that are so many times further away than those that were fitted are asked what is different in them.
+DIFFERENT = 2.0
+
+
+#: So often at most the search is done along the torque that what it found implies.
+PASSES = 3
+
+
+@dataclass(frozen=True, eq=False)
+class Found:
+    """What a search found: the model with the effects, the one without, and which runs chose and judge."""
+
+    chooser: Chooser
+    rows: Rows
+    white: Whitening
+    chosen: Model
+    nominal: Answer
+    final: Answer
+    fit: list[int]
+    choose: list[int]
+    judge: list[int]
+    different: bool = False  # whether the effects act in the runs that were not fitted alone
+
+
+def diagnose_by_torque(
+    binding: Binding, kinds: Sequence[type[Effect]], max_effects: int, cutoff_hz: float | None, seed: int,
+    reference: Reference | None, progress: Progress | None,
+) -> Diagnosis:  # fmt: skip
+    """See `jaxid.diagnose` with the residual `inverse_dynamics`."""
+    began = time.perf_counter()
+    given = None if reference is None else reference.known(binding)
+    say = progress or (lambda *_: None)
+    say("torque", 0, 4, "rows")
+    study = Study(binding, kinds, cutoff_hz, given, given is not None)
+    say("torque", 1, 4, f"{sum(r.rows(r.q[:, :1]).shape[0] for r in study.runs)} rows, effects")
+    found = _searched(study, max_effects)
+    say("torque", 2, 4, f"{len(found.chooser.tried)} sets of effects compared")
+    if given is None and _differs(found):
+        found = _difference(study, found, max_effects) or found
+    return _answered(study, found, max_effects, seed, began)
+
+
+def _searched(study: Study, most: int) -> Found:
+    fit, choose, judge = study.of("fit"), study.of("validation"), study.of("report")
+    theta, found = study.theta, None
+    for again in range(PASSES):
+        rows, white = study.rows_with_effects(theta, again > 0)
+        chooser = study.chooser(rows, white, fit, choose, most)
+        chosen = chooser.nominal if _at_floor(study, rows, chooser, fit, choose) else chooser.run()
+        found = Found(
+            chooser,
+            rows,
+            white,
+            chosen,
+            of_model(study, rows, chooser.nominal),
+            of_model(study, rows, chosen),
+            fit,
+            choose,
+            judge,
+        )
+        numbers = np.split(chosen.solution.theta[study.size :], np.cumsum([len(u.fields) for u in found.final.units])[:-1])
+        study.settle(rows.theta, list(zip(found.final.units, numbers, strict=True)) if chosen.units else ())
+        if not chosen.units or (study.plant.exact() and not any(rows.units[u].effect in BY_TORQUE for u in chosen.units)):
+            break
+        theta = theta.copy()  # once more, along the motion's torque with what was found
+        theta[study.plant.free] = np.clip(chosen.solution.theta[: study.plant.size], study.lower, study.upper)
+    assert found is not None
+    return found
+
+
+def _at_floor(study: Study, rows: Rows, chooser: Chooser, fit: Sequence[int], choose: Sequence[int]) -> bool:
+    """Whether the re-tuned model reaches the noise, at every joint, on data that were and that were not fitted."""
+    answer = of_model(study, rows, chooser.nominal)
+    gaps = [answer.gap(which, j) for which in (fit, choose) for j in range(len(study.noise))]
+    return all(not gap > SEEN for gap in gaps) and answer.gap(fit) ** 2 <= level(chooser.fit.rows) + 0.1
+
+
+def _differs(found: Found) -> bool:
+    inside, outside = found.final.gap(found.fit), found.final.gap(found.choose)
+    return outside > max(DIFFERENT * inside, LEFT)
+
+
+def _difference(study: Study, found: Found, most: int) -> Found | None:
+    """What is different in the runs that were not fitted: effects that act in those alone, beside numbers that all runs share.
+    Found on the validation runs, judged on the report runs; None where nothing is."""
+    if not found.judge:
+        return None
+    base = found.final
+    more = [k for k in study.kinds if k.name == "payload"]
+    every = [*found.rows.units, *units(study.plant, more, study.runs, found.rows.theta, True)]
+    mask = np.array([r.split != "fit" for r in study.runs], float)
+    acting = [replace(u, columns=[c * m for c, m in zip(u.columns, mask, strict=True)]) for u in every]
+    rows = [
+        np.concatenate([x[:, :, base.at], *(u.columns[k] for u in acting), x[:, :, -1:]], 2)
+        for k, x in enumerate(found.rows.rows)
+    ]
+    own = Rows(found.rows.theta, acting, rows)
+    chooser = _second(study, own, found, most)
+    chosen = chooser.run()
+    if not chosen.units:
+        return None
+    nominal = Answer(study, own, np.arange(len(base.at)), base.numbers, base.units)
+    final = of_model(study, own, chosen)
+    return Found(chooser, own, found.white, chosen, nominal, final, found.fit, found.choose, found.judge, True)
+
+
+def _second(study: Study, rows: Rows, found: Found, most: int) -> Chooser:
+    """The search for what acts in the runs that were not fitted."""
+    base, p = found.final, study.plant.size
+    both = [*base.units, *rows.units]
+    free = np.full(study.size - p, np.inf)
+    start = np.concatenate([study.theta[study.plant.free], base.numbers[p:], np.zeros(sum(len(u.fields) for u in rows.units))])
+    low = np.concatenate([study.lower, -free, *(u.least for u in both)])
+    high = np.concatenate([study.upper, free, *(u.most for u in both)])
+    known = study.known(len(start), rows.theta, both)
+    g = lambda which: gram([study.runs[k] for k in which], [rows.rows[k] for k in which], found.white, BLOCKS)
+    return Chooser(rows.units, len(base.numbers), g([*found.fit, *found.choose]), g(found.judge), known, start, low, high, most)
+
+
+# ---- the answer
+
+
+def _judged(found: Found) -> tuple[str, str]:
+    """Verdict, and its sentence: what is named comes down to the noise on runs that chose and on runs that did not."""
+    nominal, final, split = found.nominal, found.final, [found.choose, found.judge]
+    sets = [w for w in split if w] or [found.fit]
+    before = [nominal.gap(w) for w in sets]
+    after = [final.gap(w) for w in sets]
+    names = listed(_said(u) for u in final.units)
+    if not final.units:
+        gaps = [nominal.gap(w) for w in (found.fit, *sets) if w]
+        if all(not g > SEEN for g in gaps):
+            return "none", "The model reaches the noise of the torque on data that were not fitted: there is no gap."
+        return "unknown", (
+            f"There is a gap ({times(max(gaps))} times the noise), and no effect of the library predicts the runs that were not "
+            "fitted better."
+        )
+    shares = [closed(b**2, a**2) for b, a in zip(before, after, strict=True)]
+    what = "What is different in the runs that were not fitted is" if found.different else "The model lacks"
+    left = f"{times(max(after))} times the noise is left on held-out data"
+    # Where the question is what differs, what the model leaves of the runs that it was fitted to is what repeats would differ by.
+    least = max(1.0, nominal.gap(found.fit)) if found.different else 1.0
+    if max(after) <= LEFT * least and all(a < b for a, b in zip(after, before, strict=True)):
+        fitted = f", {times(least)} times on the runs that were fitted" if least > SEEN else ""
+        return "named", f"{what} {names}; with it {left}{fitted}."
+    if all(a < b for a, b in zip(after, before, strict=True)) and min(shares) >= PARTLY:
+        return "partly", (
+            f"{what} {names}, which explains {percent(min(shares))} of the gap on held-out data; a clear remainder stays "
+            f"unexplained: {left}."
+        )
+    return "unknown", (
+        f"No effect explains most of the gap: {names} explains {percent(min(shares))} of it on held-out data; {left}, so that it "
+        "is not claimed."
+    )
+
+
+def _said(unit: Unit) -> str:
+    return f"payload at link {unit.joints[-1] + 1} ({unit.location})" if unit.effect == "payload" else str(unit)
+
+
+def _answered(study: Study, found: Found, most: int, seed: int, began: float) -> Diagnosis:
+    b = study.binding
+    verdict, text = _judged(found)
+    claimed = verdict in ("named", "partly")
+    final = found.final if claimed else found.nominal
+    which = found.judge or found.choose or found.fit
+    own, effects = estimates(study, found.chooser, found.chosen)
+    plain, _ = estimates(study, found.chooser, found.chooser.nominal)
+    before, note = _before(study, found.nominal)
+    bound = None
+    if verdict in ("unknown", "partly"):
+        at = found.nominal
+        bound = ceiling(
+            study,
+            found.rows,
+            found.white,
+            at,
+            [*found.fit, *(found.choose if found.different else [])],
+            found.choose or found.fit,
+            which,
+        )
+    split = "report" if found.judge else "validation"
+    far = how_far(study, before, found.nominal, final, which, split, verdict, note, bound)
+    looked = [*found.choose, *found.judge] if found.different else study.of("fit")
+    findings, pictures, regimes = places(study, found.nominal, final, verdict, looked, seed)
+    mates = [found.chooser.units[k] for k in found.chooser.confusable(found.chosen)] if claimed else []
+    named = effects if claimed else ()
+    nominal_fit = _fit(study, found.nominal, plain, (), seed, began)
+    final_fit = _fit(study, final, own if claimed else plain, named, seed, began)
+    label = "with " + " and ".join(str(e) for e in named) if named else ""
+    return Diagnosis(
+        b.chain.mechanism.name, b.dataset.name, b.dataset.sha256, seed, "inverse_dynamics", findings,
+        Which(verdict, named, tuple(EffectEstimate(u.effect, u.location) for u in mates),
+              ranking(study, found.chooser, found.rows, found.judge if found.different else found.choose or found.fit), text),
+        far, advice(verdict, [e.effect for e in named], [u.effect for u in mates]), time.perf_counter() - began,
+        nominal_fit, final_fit, traces(study, found.nominal, final, label), pictures, regimes,
+        (*b.dataset.notes, *_notes(study, found)),
+    )  # fmt: skip
+
+
+def _before(study: Study, nominal: Answer) -> tuple[Answer, str]:
+    """The model with the values that the dataset states; what it does not state is re-tuned."""
+    b, numbers = study.binding, nominal.numbers.copy()
+    stated = [k for k, i in enumerate(study.plant.free) if i in b.stated]
+    if not stated:
+        return nominal, "The dataset states no parameter values, so the gap before is that of the re-tuned model."
+    numbers[stated] = b.theta[[study.plant.free[k] for k in stated]]
+    return replace(nominal, numbers=numbers), ""
+
+
+def _fit(
+    study: Study, answer: Answer, own: dict[str, Estimate], effects: tuple[EffectEstimate, ...], seed: int, began: float
+) -> Fit:
+    b, fit = study.binding, study.of("fit")
+    theta = answer.rows.theta.copy()
+    theta[study.plant.free] = np.clip(answer.numbers[: study.plant.size], study.lower, study.upper)
+    at = {b.layout.index(name): e for name, e in own.items()}
+    notes = [
+        *b.dataset.notes,
+        f"noise of rows: {listed(f'{c} {s:.2g} {u}' for (c, u), s in zip(b.chain.torque_channels, study.noise, strict=True))}",
+    ]
+    open_ = [name for name, e in own.items() if not e.identifiable]
+    if open_:
+        notes.append(f"not determined by these data: {', '.join(open_)}")
+    return Fit(
+        b.chain.mechanism.name, effects, "linear", "inverse_dynamics", "sum_of_squares", seed, True, False, "least squares",
+        answer.gap(fit) ** 2, own, scores(answer), {}, 1, time.perf_counter() - began, 0.0, b.dataset.name, b.dataset.sha256,
+        tuple(notes), theta=theta, simulation="inverse_dynamics", stated=stated_numbers(b, at),
+        chain=fitted_chain(b, theta, ()),
+    )  # fmt: skip
+
+
+def _notes(study: Study, found: Found) -> list[str]:
+    run = study.runs[0]
+    notes = [
+        f"torque and every column low-passed without phase at {run.cutoff_hz:.3g} Hz, positions at "
+        f"{MOTION * run.cutoff_hz:.3g} Hz before they are differentiated; residuals whitened joint by joint; sets of effects "
+        "compared on runs that were not fitted"
+    ]
+    joints = study.binding.chain.signature.joints
+    for j, joint in enumerate(joints):
+        still = [r.experiment.name for r in study.runs if not r.moves[j]]
+        if still:
+            where = "every run" if len(still) == len(study.runs) else listed(still[:4])
+            notes.append(f"{joint} stands still in {where}: its torque there says nothing and is left out")
+    return notes

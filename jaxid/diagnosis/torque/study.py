@@ -1,0 +1,264 @@
+"""One recording by torque: rows, weights, noise, and the models that were chosen on them."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from jaxid.data.signals import zero_phase
+from jaxid.diagnosis.torque.algebra import BLOCKS, gram, Known, Solution, solve, Whitening, whitening
+from jaxid.diagnosis.torque.choose import Chooser
+from jaxid.diagnosis.torque.forces import force, with_numbers
+from jaxid.diagnosis.torque.library import DRIVES, Unit, units
+from jaxid.diagnosis.torque.plant import Plant, plant_of
+from jaxid.diagnosis.torque.rows import read_runs, Run, turning_speeds
+from jaxid.dynamics.effect import Effect, JointEffect
+from jaxid.dynamics.joint_readings import joint_motion, stated_positions
+from jaxid.dynamics.parameter import specs
+from jaxid.fitting.problem_builder import Bench, start_values
+from jaxid.problem.binding import Binding
+from jaxid.simulation.sample_buffers import columns
+
+
+#: Steps of Gauss and Newton where a model is not linear in its numbers, and the change of the loss at which they end.
+STEPS, SETTLED = 12, 1e-6
+#: Dry friction may turn about within so much less speed than it is taken to.
+SHARPER = 4.0
+#: Samples of which the noise of the rows is made.
+SAMPLES = 4000
+#: Effects whose columns depend on the torque that the model itself needs.
+BY_TORQUE = ("load_dependent_friction", "gravity_offset", *DRIVES)
+
+
+@dataclass(frozen=True, eq=False)
+class Rows:
+    """The rows of every run for one linearisation: nominal columns, then those of the units, then the target."""
+
+    theta: np.ndarray  # of the whole layout, where the model was linearised
+    units: list[Unit]
+    rows: list[np.ndarray]  # per run [samples n p + 1]
+
+    @property
+    def size(self) -> int:
+        return self.rows[0].shape[2] - 1 - sum(len(u.fields) for u in self.units)
+
+    def residual(self, run: int, at: np.ndarray, numbers: np.ndarray) -> np.ndarray:
+        """What the columns `at` with these numbers leave of a run, [samples n]."""
+        x = self.rows[run]
+        return x[:, :, -1] - x[:, :, at] @ numbers
+
+
+class Study:
+    """Rows of a binding's recordings and everything that does not depend on which effects are chosen."""
+
+    def __init__(
+        self, binding: Binding, kinds: Iterable[type[Effect]], cutoff_hz: float | None, known: Known | None, payloads: bool
+    ):
+        self.binding, self.kinds = binding, list(kinds)
+        self.runs: list[Run] = read_runs(binding, cutoff_hz)
+        self.plant: Plant = plant_of(binding, turning_speeds(self.runs))
+        self.given, self.payloads = known, payloads
+        self.turns = [self._turns(r) for r in self.runs]
+        self._plain: tuple[Rows, Whitening, Solution] | None = None
+        self.noise = np.ones(binding.chain.nq)
+        self.theta = self._nominal()
+        self.measured = self._noise()
+        self.settle(self.theta)
+
+    def _turns(self, run: Run) -> np.ndarray:
+        """How else dry friction may turn about with each joint's motion, as columns of which nothing is asked [samples n k]: what
+        would pass for them says nothing."""
+        n, turn = run.q.shape[1], self.plant.turn
+        apart = [np.tanh(run.qd / (turn * wide)) - np.tanh(run.qd / turn) for wide in (1 / SHARPER, SHARPER)]
+        rows = [run.rows(x) for x in apart]
+        return np.concatenate([x[:, :, None] * np.eye(n) for x in rows], 2)
+
+    @property
+    def size(self) -> int:
+        """Columns that come before those of effects."""
+        return self.plant.size + 2 * self.binding.chain.nq
+
+    # ---- the nominal model
+
+    def of(self, *splits: str) -> list[int]:
+        """Which runs belong to some splits."""
+        return [k for k, r in enumerate(self.runs) if r.split in splits]
+
+    @property
+    def lower(self) -> np.ndarray:
+        return self.binding.lower[self.plant.free]
+
+    @property
+    def upper(self) -> np.ndarray:
+        return self.binding.upper[self.plant.free]
+
+    def known(self, size: int, theta: np.ndarray, found: Sequence[Unit] = ()) -> Known:
+        """What is known of all columns beforehand: stated priors, and how large effects may be. A reference counts where models
+        are compared; weights are those of numbers that are free to take in what differs."""
+        p = self.plant.size
+        information, mean = np.zeros((size, size)), np.zeros(size)
+        mean[:p] = theta[self.plant.free]
+        for i, (m, std) in self.binding.priors.items():
+            if i in self.plant.free:
+                k = self.plant.free.index(i)
+                information[k, k], mean[k] = std**-2, m
+        spread = np.concatenate([np.full(self.size - p, np.inf), *(u.spread for u in found)])
+        diagonal = np.arange(p, size)
+        information[diagonal, diagonal] = np.where(np.isfinite(spread), spread, np.inf) ** -2.0
+        return Known(information, mean)
+
+    def made(self, theta: np.ndarray, found: list[Unit]) -> Rows:
+        """Rows with the model linearised at theta."""
+        rows = []
+        for k, run in enumerate(self.runs):
+            target, own = self.plant.linearised(run, theta)
+            both = run.rows(np.concatenate([own, target[:, :, None]], 2))
+            rows.append(np.concatenate([both[:, :, :-1], self.turns[k], *(u.columns[k] for u in found), both[:, :, -1:]], 2))
+        return Rows(theta, found, rows)
+
+    def _nominal(self) -> np.ndarray:
+        """The nominal model fitted to the fit runs, each joint weighted by what is left of it."""
+        theta, white = self.binding.theta.copy(), None
+        if not self.plant.exact():
+            theta = start_values(Bench(self.binding), self.plant.free, 0)[0]
+        best, end = np.inf, theta
+        for step in range(1 if self.plant.exact() else STEPS):
+            rows = self.made(theta, [])
+            if white is None:
+                white = self._weights(rows, np.zeros(0, int), np.zeros(0))
+                white = self._weights(rows, *self._solved(rows, white))
+            loss = gram(*self._some(rows, self.of("fit")), white, 1).losses(np.arange(self.plant.size), theta[self.plant.free])[0]
+            if not loss < best * (1 - SETTLED) and step:
+                if loss <= best or np.allclose(theta, end, rtol=1e-9):
+                    break
+                theta = (theta + end) / 2  # too far
+                continue
+            best, end = min(best, loss), theta
+            theta = self._moved(theta, *self._solved(rows, white))
+        return theta if self.plant.exact() else end
+
+    def _moved(self, theta: np.ndarray, at: np.ndarray, numbers: np.ndarray) -> np.ndarray:
+        out = theta.copy()
+        out[self.plant.free] = np.clip(numbers[: self.plant.size], self.lower, self.upper)
+        return out
+
+    def _some(self, rows: Rows, which: Sequence[int]) -> tuple[list[Run], list[np.ndarray]]:
+        return [self.runs[k] for k in which], [rows.rows[k] for k in which]
+
+    def _solved(self, rows: Rows, white: Whitening, which: Sequence[int] | None = None) -> tuple[np.ndarray, np.ndarray]:
+        at = np.arange(rows.rows[0].shape[2] - 1)
+        s = self._solution(rows, white, at, self.of("fit") if which is None else which)
+        return s.at, s.theta
+
+    def _solution(self, rows: Rows, white: Whitening, at: np.ndarray, which: Sequence[int]) -> Solution:
+        size = rows.rows[0].shape[2] - 1
+        g = gram(*self._some(rows, which), white, 1).total
+        start, low, high = self.bounds(rows)
+        return solve(g, at, self.known(size, rows.theta, rows.units), start, low, high)
+
+    def bounds(self, rows: Rows) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Start, lower and upper bound of every column."""
+        low = [x for u in rows.units for x in u.least]
+        high = [x for u in rows.units for x in u.most]
+        free = np.full(self.size - self.plant.size, np.inf)
+        start = np.concatenate([rows.theta[self.plant.free], 0 * np.isinf(free), np.zeros(len(low))])
+        return start, np.concatenate([self.lower, -free, low]), np.concatenate([self.upper, free, high])
+
+    def _weights(self, rows: Rows, at: np.ndarray, numbers: np.ndarray) -> Whitening:
+        which = self.of("fit")
+        left = [rows.residual(k, at, numbers) for k in which]
+        return whitening(left, [self.runs[k].moves for k in which], 0 * self.noise)
+
+    # ---- effects
+
+    def rows_with_effects(self, theta: np.ndarray, chosen: bool = False) -> tuple[Rows, Whitening]:
+        """Rows with every unit, and the weights that the richest model of the fit runs leaves. Its numbers also tell the torques
+        that effects depend on; `chosen`: theta is that of a model with effects and tells them better."""
+        if self._plain is None or not self.plant.exact():
+            self._plain = self._without_torque(theta)
+        rows, white, s = self._plain
+        if loaded := [k for k in self.kinds if k.name in BY_TORQUE]:
+            at = theta if chosen else self._moved(theta, s.at, s.theta)
+            more = units(self.plant, loaded, self.runs, at, self.payloads)
+            every = [
+                np.concatenate([x[:, :, :-1], *(u.columns[k] for u in more), x[:, :, -1:]], 2) for k, x in enumerate(rows.rows)
+            ]
+            rows = Rows(theta, [*rows.units, *more], every)
+        return rows, white
+
+    def _without_torque(self, theta: np.ndarray) -> tuple[Rows, Whitening, Solution]:
+        """Rows with the units that depend on the motion alone, weights, and the richest model."""
+        plain = [k for k in self.kinds if k.name not in BY_TORQUE]
+        rows = self.made(theta, units(self.plant, plain, self.runs, theta, self.payloads))
+        rich = self._rich(rows)
+        white = self._weights(rows, rich, np.zeros(len(rich)))
+        for _ in range(2):
+            s = self._solution(rows, white, rich, self.of("fit"))
+            white = self._weights(rows, s.at, s.theta)
+        return rows, white, self._solution(rows, white, rich, self.of("fit"))
+
+    def _rich(self, rows: Rows) -> np.ndarray:
+        """Columns of the nominal model and of every law at every joint at one of its shapes."""
+        shapes: dict[tuple[str, str], list[np.ndarray]] = {}
+        ends = rows.size + np.cumsum([0, *(len(u.fields) for u in rows.units)])
+        for u, a, b in zip(rows.units, ends, ends[1:], strict=False):
+            if np.all(np.isinf(u.spread)):
+                shapes.setdefault(u.place, []).append(np.arange(a, b))
+        return np.concatenate([np.arange(rows.size), *(s[len(s) // 2] for s in shapes.values())])
+
+    def chooser(self, rows: Rows, white: Whitening, fit: Sequence[int], held: Sequence[int], most: int) -> Chooser:
+        """The search on some runs, judged on others."""
+        start, low, high = self.bounds(rows)
+        told = self.known(rows.rows[0].shape[2] - 1, rows.theta, rows.units)
+        if self.given is not None:
+            p = self.plant.size
+            told.information[:p, :p] += self.given.information
+            told.mean[:p] = np.where(np.diag(self.given.information) > 0, self.given.mean, told.mean[:p])
+        g = lambda which: gram(*self._some(rows, which), white, BLOCKS)
+        return Chooser(rows.units, rows.size, g(fit), g(held), told, start, low, high, most)
+
+    # ---- noise
+
+    def settle(self, theta: np.ndarray, found: Sequence[tuple[Unit, np.ndarray]] = ()) -> None:
+        """Sets the noise of the rows: that of readings and torques, and what nobody knows of how dry friction turns about with
+        the motion, for the friction of the numbers theta and of units with theirs."""
+        self.noise = np.hypot(self.measured, self._turning(theta, found))
+
+    def _turning(self, theta: np.ndarray, found: Sequence[tuple[Unit, np.ndarray]]) -> np.ndarray:
+        run, n = self._longest(), self.binding.chain.nq
+        effects = [e for e in self.binding.layout.model(theta).effects if isinstance(e, JointEffect)]
+        kinds = {k.name: k for k in self.kinds}
+        for u, numbers in found:
+            if (kind := kinds.get(u.effect)) is not None and issubclass(kind, JointEffect):
+                own = {f: v * np.eye(n)[u.joints[0]] for f, v in zip(u.fields, numbers, strict=True) if f in specs(kind())}
+                effects.append(with_numbers(kind(), {**u.shape, **own}, n))
+        load = self.plant.rigid(run, theta)
+        turn = self.plant.turn
+        apart = sum((force(e, run, load, turn / SHARPER) - force(e, run, load, turn) for e in effects), np.zeros_like(run.q))
+        return np.std(run.rows(apart), axis=0)
+
+    def _longest(self) -> Run:
+        return max((self.runs[k] for k in self.of("fit") or range(len(self.runs))), key=lambda r: len(r.q))
+
+    def _noise(self) -> np.ndarray:
+        """Standard deviation of the rows of each joint [n] that the noise of readings and torques makes of a perfect model."""
+        rng, b = np.random.default_rng(0), self.binding
+        run = self._longest()
+        e = run.experiment
+        part = slice(0, min(len(e.t), SAMPLES))
+        cut = replace(e, t=e.t[part], u=e.u[part], y=e.y[part], auxiliary={}, past=None, scatter=None, left_out=None)
+        _, iy = columns(b.dataset, b.chain)
+        noisy = cut.y[:, iy] + b.sigma * rng.standard_normal((len(cut.t), len(iy)))
+        hz = [min(2 * run.cutoff_hz, 0.4 / run.step)] * b.chain.nq
+        motion = [joint_motion(b.chain, cut.t, y, hz, stated_positions(e, b.chain.signature))[:3] for y in (cut.y[:, iy], noisy)]
+        here = [replace(run, experiment=cut, q=q, qd=qd, qdd=qdd, u=run.u[part]) for q, qd, qdd in motion]
+        needed = [self.plant.rigid(r, self.theta) for r in here]
+        drive = self.plant.drive(here[0], self.theta)
+        white = 1.4826 * np.median(np.abs(np.diff(drive, 3, axis=0)), axis=0) / np.sqrt(20.0)
+        shaken = needed[1] - needed[0] + white * rng.standard_normal(drive.shape)
+        ends = run.kept.start
+        left = zero_phase(cut.t, shaken, run.cutoff_hz)[ends : len(cut.t) - ends]
+        span = np.percentile(np.abs(drive), 99, axis=0)
+        return np.maximum(np.std(left, axis=0), np.maximum(1e-4 * span, 1e-12))

@@ -1,0 +1,207 @@
+"""Diagnosis by torque: twins whose torques come from Pinocchio, with one thing in them that the model does not have."""
+
+from __future__ import annotations
+
+import os
+import time
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+import jaxid
+from jaxid.data.signals import zero_phase
+from jaxid.diagnosis.run import run_diagnosis
+from jaxid.diagnosis.torque.reference import Reference
+from jaxid.dynamics.kinematics import modified_dh
+from jaxid.models import SerialArm, UR10e
+from jaxid.problem.residual import InverseDynamics
+from jaxid.problem.torque_filter import evenly
+from test_serial_arm import table_of, twin
+
+
+pin: Any = pytest.importorskip("pinocchio")
+DATA = Path(os.environ.get("JAXID_DATA", Path(__file__).resolve().parents[2] / "shared" / "data"))
+NOISE, TORQUE_NOISE = 2e-5, 0.02
+THREE = modified_dh(a=[0, 0.05, 0.4], alpha=[0, -np.pi / 2, 0], d=[0.3, 0, 0.05], theta=[0, -0.6, 0.9])
+
+
+def moved(n: int, seed: int, seconds: float = 16.0, rate: float = 100.0) -> tuple[np.ndarray, ...]:
+    """t [time], and a motion of several sines q, qd, qdd [time n]."""
+    rng, t = np.random.default_rng(seed), np.arange(0, seconds, 1 / rate)
+    a, w = rng.uniform(0.1, 0.4, (4, n)), 2 * np.pi * rng.uniform(0.1, 0.7, (4, n))
+    angle = w * t[:, None, None] + rng.uniform(0, 6, (4, n))
+    return t, (a * np.sin(angle)).sum(1), (a * w * np.cos(angle)).sum(1), -(a * w * w * np.sin(angle)).sum(1)
+
+
+def run(arm: Any, seed: int, load: np.ndarray | None = None, more: Any = None, tilt: float = 0.0) -> tuple[np.ndarray, ...]:
+    """t, torque and position of one run; `load` ten numbers added to the last link, `more(q, qd, qdd, rigid)` another torque."""
+    table = table_of(arm)
+    inertia = np.array(table.inertia)
+    inertia[-1] += 0 if load is None else load
+    model = twin(table.with_inertia(inertia, table.drive_inertia))
+    model.gravity.linear = 9.81 * np.array([0, -np.sin(tilt), -np.cos(tilt)])
+    data, n = model.createData(), table.n
+    t, q, qd, qdd = moved(n, seed)
+    rigid = np.array([pin.rnea(model, data, *s) for s in zip(q, qd, qdd, strict=True)])
+    rng = np.random.default_rng([seed, 1])
+    tau = rigid + 0.3 * qdd + 2.0 * qd + 1.5 * np.tanh(qd / 0.003) + (0 if more is None else more(q, qd, qdd, rigid))
+    return t, tau + TORQUE_NOISE * rng.standard_normal(q.shape), q + NOISE * rng.standard_normal(q.shape)
+
+
+def recorded(runs: list[tuple[np.ndarray, ...]], splits: tuple[str, ...] = ("fit", "validation", "report")) -> jaxid.Dataset:
+    n = runs[0][1].shape[1]
+    series = lambda name, k: {f"{name}{j + 1}": [r[k][:, j] for r in runs] for j in range(n)}
+    units = {f"tau{j + 1}": "N m" for j in range(n)} | {f"q{j + 1}": "rad" for j in range(n)}
+    return jaxid.Dataset.from_arrays([r[0] for r in runs], series("tau", 1), series("q", 2), units=units, split=list(splits))
+
+
+def asked(arm: Any, runs: list[tuple[np.ndarray, ...]], effects: Any = None, reference: Any = None) -> jaxid.Diagnosis:
+    """Without the check of the recording, which has its own tests."""
+    return run_diagnosis(arm, recorded(runs), 3, effects, (), InverseDynamics(), 0, None, reference)
+
+
+def named(d: jaxid.Diagnosis) -> set[tuple[str, str]]:
+    return {(e.effect, e.location) for e in d.which.effects}
+
+
+def body(mass: float, x: float, y: float, z: float) -> np.ndarray:
+    """Ten numbers of a point mass about the frame's origin."""
+    six = np.array([y * y + z * z, -x * y, -x * z, x * x + z * z, -y * z, x * x + y * y])
+    return mass * np.concatenate([six, [x, y, z, 1.0]])
+
+
+def wrist(q: np.ndarray, qd: np.ndarray, qdd: np.ndarray, rigid: np.ndarray) -> np.ndarray:
+    """What the last two joints' shared gear takes."""
+    out, w = np.zeros_like(q), qd[:, -2] + qd[:, -1]
+    out[:, -2:] = (1.2 * w + 0.8 * np.tanh(w / 0.003) + 0.15 * (qdd[:, -2] + qdd[:, -1]))[:, None]
+    return out
+
+
+def at(joint: int, law: Any) -> Any:
+    """A torque at one joint."""
+    return lambda q, qd, qdd, rigid: np.eye(q.shape[1])[joint] * law(q[:, joint], qd[:, joint], rigid[:, joint])[:, None]
+
+
+ARMS = {"ur10e": UR10e(), "three": SerialArm(THREE)}
+LAWS = {
+    "drag": ("three", at(1, lambda q, v, r: 0.8 * np.abs(v) * v), {("quadratic_drag", "q2")}),
+    "spring": ("three", at(2, lambda q, v, r: 1.5 * q), {("spring_torque", "q3")}),
+    "load": ("three", at(1, lambda q, v, r: 0.15 * np.abs(r) * np.tanh(v / 0.003)), {("load_dependent_friction", "q2")}),
+    "wrist": ("ur10e", wrist, {("coupled_friction", "q5 and q6")}),
+}
+
+
+@pytest.mark.parametrize("law", [pytest.param(k, marks=() if k == "wrist" else pytest.mark.slow) for k in LAWS])
+def test_what_is_withheld_is_named(law, tmp_path):
+    arm, more, truth = LAWS[law]
+    d = asked(ARMS[arm], [run(ARMS[arm], s, more=more) for s in (1, 2, 3)])
+    assert d.which.verdict in ("named", "partly") and named(d) == truth, d.which.text
+    assert d.how_far.gap_after < 1.6 < d.how_far.gap_retuned
+    assert "<html" in d.report(tmp_path / "report.html").read_text().lower()
+
+
+EITHER = ["ur10e", pytest.param("three", marks=pytest.mark.slow)]
+
+
+@pytest.mark.parametrize("arm", EITHER)
+def test_nothing_is_named_where_nothing_is_missing(arm):
+    d = asked(ARMS[arm], [run(ARMS[arm], s) for s in (4, 5, 6)])
+    assert d.which.verdict == "none" and not d.which.effects, d.which.text
+
+
+def test_an_outsider_gets_no_name():
+    """Damping that depends on the position of another joint is in no library."""
+    outsider = lambda q, qd, qdd, rigid: np.stack([2.5 * np.sin(4 * q[:, 1]) * qd[:, 0], 0 * q[:, 0], 0 * q[:, 0]], 1)
+    d = asked(ARMS["three"], [run(ARMS["three"], s, more=outsider) for s in (7, 8, 9)])
+    assert d.which.verdict == "unknown", d.which.text
+    assert d.how_far.ceiling is not None and d.how_far.ceiling < 0.9
+
+
+def payload_of(d: jaxid.Diagnosis) -> dict[str, Any]:
+    (found,) = [e for e in d.which.effects if e.effect == "payload"]
+    return found.parameters
+
+
+@pytest.mark.parametrize("arm", EITHER)
+def test_a_load_that_only_later_runs_carry_is_named(arm):
+    load, last = body(1.5, 0.05, 0.02, 0.1), f"q{len(ARMS[arm].prismatic)}"
+    d = asked(ARMS[arm], [run(ARMS[arm], 1), run(ARMS[arm], 2, load), run(ARMS[arm], 3, load)])
+    assert d.which.verdict == "named" and named(d) == {("payload", last)}, d.which.text
+    mass = payload_of(d)["mass"]
+    assert abs(mass.value - 1.5) < 0.1
+    assert d.where and all("run_1" not in f.text for f in d.where)
+
+
+def test_a_reference_turns_the_question_to_what_is_different():
+    arm, load = ARMS["three"], body(1.5, 0.05, 0.02, 0.1)
+    before = jaxid.identify(arm, recorded([run(arm, s) for s in (11, 12, 13)]), friction="linear", as_recorded=True)
+    d = asked(arm, [run(arm, s, load) for s in (1, 2, 3)], reference=Reference.read(before))
+    assert d.which.verdict in ("named", "partly") and ("payload", "q3") in named(d), d.which.text
+    assert abs(payload_of(d)["mass"].value - 1.5) < 0.2
+    alone = asked(arm, [run(arm, s, load) for s in (1, 2, 3)])  # absorbed by the arm's own numbers
+    assert alone.which.verdict == "none"
+
+
+@pytest.mark.slow
+def test_a_tilted_base_is_named():
+    arm = ARMS["three"]
+    d = asked(arm, [run(arm, s, tilt=0.05) for s in (1, 2, 3)])
+    assert d.which.verdict == "named" and named(d) == {("gravity_offset", "q1")}, d.which.text
+    (found,) = d.which.effects
+    assert abs(abs(found.parameters["roll"].value) - 0.05) < 0.01
+
+
+def test_what_a_torque_cannot_show_is_refused_by_name():
+    runs = [run(ARMS["three"], s) for s in (1, 2, 3)]
+    with pytest.raises(jaxid.UsageError, match="cannot see backlash"):
+        asked(ARMS["three"], runs, effects=["backlash"])
+
+
+@pytest.mark.slow
+def test_uneven_samples_tell_what_even_ones_do():
+    """Every 15th sample is late by half a step and a rest of the steps are even: plain least squares on both is the yardstick."""
+    t, tau, q = run(ARMS["three"], 1)
+    late = t.copy()
+    late[7::15] += 0.6 * (t[1] - t[0])
+    uneven = [(late, *(np.stack([np.interp(late, t, c) for c in x.T], 1) for x in (tau, q)))]
+    numbers = []
+    for runs in ([(t, tau, q)], uneven):
+        f = jaxid.fit(ARMS["three"], recorded(runs, ("fit",)), residual="inverse_dynamics", as_recorded=True, cutoff_hz=8.0)
+        numbers.append({k: v.value for k, v in f.parameters.items() if v.identifiable and v.std and v.std < 0.1 * abs(v.value)})
+    shared = numbers[0].keys() & numbers[1].keys()
+    assert len(shared) > 8
+    for name in shared:
+        assert numbers[1][name] == pytest.approx(numbers[0][name], rel=0.05), name
+
+
+def test_a_series_at_equal_steps():
+    t = np.cumsum(np.tile([0.002, 0.002, 0.0053, 0.0018], 200))
+    e = jaxid.Dataset.from_arrays(t, {"tau": np.sin(t)}, {"q": np.cos(t)}, units={"tau": "N m", "q": "rad"}).experiments[0]
+    even = evenly(e)
+    assert np.ptp(np.diff(even.t)) < 1e-9 and np.allclose(even.y[:, 0], np.cos(even.t), atol=1e-6)
+    assert np.allclose(zero_phase(even.t, even.u, 20.0)[100:-100, 0], np.sin(even.t)[100:-100], atol=1e-3)
+    assert evenly(even) is even
+
+
+# ---- recordings of others
+
+
+@pytest.fixture
+def public():
+    def load(name: str) -> jaxid.Dataset:
+        if not (DATA / name).is_dir():
+            pytest.skip(f"{name} is not in {DATA}; set JAXID_DATA")
+        return jaxid.load_dataset(DATA / name)
+
+    return load
+
+
+@pytest.mark.slow
+def test_a_double_pendulum_is_bounded_honestly(public):
+    """Somebody's machine: what it lacks at joint 1 is not known."""
+    began = time.process_time()
+    d = jaxid.diagnose(None, public("double_pendulum_c0"), residual="inverse_dynamics", cutoff_hz=8.0, as_recorded=True)
+    assert time.process_time() - began < 60
+    assert d.which.verdict in ("unknown", "partly")
