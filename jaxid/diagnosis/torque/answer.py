@@ -201,7 +201,7 @@ def how_far(
         text += f"; any law of a joint's own position, speed and load would close {percent(ceiling)} of it"
     return HowFar(
         gaps[0], gaps[1], gaps[2], 1.0, shrinkage, None, reason, channels, f"{text}. {note}".strip(), runs,
-        _by_regime(study, models, which), "", split, ceiling,
+        _by_regime(study, models, which), "", split, ceiling=ceiling,
     )  # fmt: skip
 
 
