@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import abc
 from collections.abc import Callable
-from typing import Any, ClassVar, NamedTuple
+from typing import Any, ClassVar, NamedTuple, TypeVar
 
 import equinox as eqx
 import numpy as np
@@ -84,6 +84,9 @@ class Effect(eqx.Module):
     last_resort: ClassVar[bool] = False
     #: At which of its places it makes sense on a mechanism; None: at all.
     offered: ClassVar[Callable[[Mechanism, Signature], tuple[str, ...]] | None] = None
+
+
+AnEffect = TypeVar("AnEffect", bound=Effect)
 
 
 def drives(mechanism: Mechanism, signature: Signature) -> tuple[str, ...]:
@@ -192,6 +195,6 @@ class RecordEffect(Effect):
     ) -> Float[Array, "time ny"]: ...
 
 
-def neutral(kind: Callable[..., Effect]) -> Effect:
+def neutral(kind: Callable[..., AnEffect]) -> AnEffect:
     """An effect that does nothing: every parameter at its default."""
     return kind()

@@ -176,11 +176,13 @@ def how_far(
     gaps = [m.gap(which) for m in models]
     channels: dict[str, ChannelGap] = {}
     for j, (name, unit) in enumerate(study.binding.chain.torque_channels):
-        rmse = [m.gap(which, j) * study.noise[j] for m in models]
+        rmse = [float(m.gap(which, j) * study.noise[j]) for m in models]
         if np.isfinite(rmse).all():
-            channels[name] = ChannelGap(unit, *rmse, float(study.noise[j]), "noise of torque and motion, low-passed alike")
+            channels[name] = ChannelGap(
+                unit, rmse[0], rmse[1], rmse[2], float(study.noise[j]), "noise of torque and motion, low-passed alike"
+            )
     runs = tuple(
-        Share(study.runs[k].experiment.name, "", len(m0), *(m.gap([k]) for m in models))
+        Share(study.runs[k].experiment.name, "", len(m0), before.gap([k]), retuned.gap([k]), after.gap([k]))
         for k in which
         for m0 in [before.residual(k)]
     )

@@ -15,7 +15,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from jaxid.diagnosis.torque.rows import Run
-from jaxid.dynamics.effect import Command, JointEffect, Signals
+from jaxid.dynamics.effect import Command, JointEffect, neutral, Signals
 from jaxid.dynamics.parameter import Reference, resolve, specs, with_fields
 from jaxid.numerics.precision import float64
 
@@ -59,7 +59,7 @@ def with_numbers(effect: JointEffect, numbers: Mapping[str, Any], n: int) -> Joi
 def strengths(kind: type[JointEffect], n: int, room: int) -> tuple[str, ...]:
     """Names of the numbers in which the force of an effect is linear, each by itself, tried on a motion of n joints and so many
     samples: that of the runs, so that one program serves."""
-    effect = kind()
+    effect = neutral(kind)
     t = np.linspace(0.0, 0.15 * room, room)[:, None] * np.linspace(1.0, 0.7, n)
     q, qd = np.sin(t) + 0.3 * np.sin(0.3 * t), np.cos(t) + 0.09 * np.cos(0.3 * t)
 
@@ -77,7 +77,7 @@ def strengths(kind: type[JointEffect], n: int, room: int) -> tuple[str, ...]:
 def shapes(kind: type[JointEffect], reference: Reference, linear: Sequence[str]) -> list[dict[str, float]]:
     """The grid of the numbers that shape an effect at a joint with these typical magnitudes, from its probes; `linear`: its
     strengths."""
-    own = specs(kind())
+    own = specs(kind)
     resolved = [{k: resolve(v, reference) for k, v in p.items() if k not in linear} for p in kind.probes]
     found = [dict(s) for s in dict.fromkeys(tuple(sorted(p.items())) for p in resolved)] or [{}]
     varied = {k for s in found for k in s}
@@ -86,7 +86,7 @@ def shapes(kind: type[JointEffect], reference: Reference, linear: Sequence[str])
         if len(varied) == 1 and spec.log and len(values) < GRID:
             low, high = (resolve(b, reference) for b in (spec.lower, spec.upper))
             ends = np.clip([min(values) / BEYOND, max(values) * BEYOND], low, high)
-            return [{name: float(v)} for v in np.geomspace(*ends, GRID)]
+            return [{name: float(v)} for v in np.geomspace(ends[0], ends[1], GRID)]
     return found
 
 
@@ -95,7 +95,7 @@ def at_every_joint(
     turn: np.ndarray,
 ) -> list[dict[str, list[np.ndarray]]]:  # fmt: skip
     """For each point of the joints' grids and each strength: its force along each run, [time n] for each."""
-    n, effect, out = len(turn), kind(), []
+    n, effect, out = len(turn), neutral(kind), []
     for k in range(max(map(len, grids))):
         point = [g[min(k, len(g) - 1)] for g in grids]
         names = {name for p in point for name in p}
@@ -107,7 +107,7 @@ def at_every_joint(
 
 def coupled(kind: type[JointEffect], shape: Mapping[str, float], place: int, run: Run, load: np.ndarray, turn: np.ndarray):
     """[time n strengths] of an effect at one place that acts on several joints."""
-    n, effect = len(turn), kind()
+    n, effect = len(turn), neutral(kind)
     names = strengths(kind, n, run.room)
     here = np.eye(n)[place]
     return np.stack([force(with_numbers(effect, {**shape, name: here}, n), run, load, turn) for name in names], -1)

@@ -15,7 +15,7 @@ from jaxid.diagnosis.torque.forces import at_every_joint, coupled, shapes, stren
 from jaxid.diagnosis.torque.plant import ArmPlant, Plant
 from jaxid.diagnosis.torque.rows import Run
 from jaxid.dynamics.chain import Chain
-from jaxid.dynamics.effect import BodyEffect, Effect, JointEffect
+from jaxid.dynamics.effect import BodyEffect, Effect, JointEffect, neutral
 from jaxid.dynamics.parameter import resolve, specs, with_fields
 from jaxid.dynamics.rigid_body import INERTIA
 from jaxid.numerics.precision import float64
@@ -57,9 +57,9 @@ class Unit:
 def shows(kind: type[Effect], chain: Chain) -> bool:
     """Whether the torque of a measured motion can show an effect."""
     if issubclass(kind, JointEffect):
-        return any(s.value == 0 for s in specs(kind()).values())
+        return any(s.value == 0 for s in specs(kind).values())
     if issubclass(kind, BodyEffect):
-        return not chain.with_effects(kind()).stateful()[-1]
+        return not chain.with_effects(neutral(kind)).stateful()[-1]
     return kind.name in DRIVES and chain.direct
 
 
@@ -84,7 +84,7 @@ def _unit(
     columns: list[np.ndarray], binding: Binding,
 ) -> Unit:  # fmt: skip
     reference = binding.reference(kind, joints[0])
-    own = specs(kind())
+    own = specs(kind)
     low = np.array([resolve(own[f].lower, reference) if f in own else 0.0 for f in fields])
     high = np.array([resolve(own[f].upper, reference) if f in own else np.inf for f in fields])
     open_ = np.full(len(fields), np.inf)
@@ -140,7 +140,7 @@ def _driven(
     names = [name for name, _ in b.chain.signature.inputs]
     series = [-f if kind.name == "torque_scale" else np.gradient(f, r.step, axis=0) for r, f in zip(runs, load, strict=True)]
     rows = [r.rows(x) for r, x in zip(runs, series, strict=True)]
-    field = next(iter(specs(kind())))
+    field = next(iter(specs(kind)))
     return [
         _unit(kind, p, [field], {}, [j], [_placed(x[:, j, None], j, n) for x in rows], b)
         for p in places for j in [names.index(p)]
@@ -215,7 +215,7 @@ def _tilt(plant: ArmPlant, place: str, runs: Sequence[Run], theta: np.ndarray) -
 @lru_cache(maxsize=64)
 def _slope(kind: type[BodyEffect], field: str, place: int) -> Any:
     def torque(value: Any, mechanism: Any, n: int, q: Any, qd: Any, qdd: Any) -> Any:
-        effect: Any = kind()
+        effect: Any = neutral(kind)
         own = {f: jnp.full(n, s.value) for f, s in specs(effect).items()}
         own[field] = own[field].at[place].set(value)
         body = with_fields(with_numbers(effect, {}, n), own)(mechanism)
@@ -223,7 +223,7 @@ def _slope(kind: type[BodyEffect], field: str, place: int) -> Any:
 
     def slope(mechanism: Any, q: Any, qd: Any, qdd: Any) -> Any:
         at = lambda v: torque(v, mechanism, q.shape[1], q, qd, qdd)
-        return jax.jvp(at, (jnp.asarray(specs(kind())[field].value),), (jnp.ones(()),))[1]
+        return jax.jvp(at, (jnp.asarray(specs(kind)[field].value),), (jnp.ones(()),))[1]
 
     return jax.jit(slope)
 
@@ -234,7 +234,7 @@ def _derivatives(
     """What changes the mechanism, to first order in each of its numbers."""
     b, out = plant.binding, []
     joints = b.chain.signature.joints
-    fields = list(specs(kind()))
+    fields = list(specs(kind))
     with float64():
         mechanism = b.layout.model(theta).mechanism
         for place in places:

@@ -14,7 +14,7 @@ from jaxid.diagnosis.torque.forces import force, with_numbers
 from jaxid.diagnosis.torque.library import DRIVES, Unit, units
 from jaxid.diagnosis.torque.plant import Plant, plant_of
 from jaxid.diagnosis.torque.rows import read_runs, Run, turning_speeds
-from jaxid.dynamics.effect import Effect, JointEffect
+from jaxid.dynamics.effect import Effect, JointEffect, neutral
 from jaxid.dynamics.joint_readings import joint_motion, stated_positions
 from jaxid.dynamics.parameter import specs
 from jaxid.fitting.problem_builder import Bench, start_values
@@ -232,8 +232,8 @@ class Study:
         kinds = {k.name: k for k in self.kinds}
         for u, numbers in found:
             if (kind := kinds.get(u.effect)) is not None and issubclass(kind, JointEffect):
-                own = {f: v * np.eye(n)[u.joints[0]] for f, v in zip(u.fields, numbers, strict=True) if f in specs(kind())}
-                effects.append(with_numbers(kind(), {**u.shape, **own}, n))
+                own = {f: v * np.eye(n)[u.joints[0]] for f, v in zip(u.fields, numbers, strict=True) if f in specs(kind)}
+                effects.append(with_numbers(neutral(kind), {**u.shape, **own}, n))
         load = self.plant.rigid(run, theta)
         turn = self.plant.turn
         apart = sum((force(e, run, load, turn / SHARPER) - force(e, run, load, turn) for e in effects), np.zeros_like(run.q))
