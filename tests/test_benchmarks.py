@@ -54,6 +54,7 @@ def test_the_twins_of_the_blind_cases_are_those_of_the_tests():
         assert np.abs(y[lane] - q[:, 0]).max() < 3e-5, truth
 
 
+@pytest.mark.slow
 def test_the_arms_twin_is_as_good_as_its_noise():
     """Dry friction between two coupled links: taken with the mass matrix of a step's beginning it is off by more than the noise
     once the arm swings."""
@@ -71,6 +72,7 @@ def test_the_arms_twin_is_as_good_as_its_noise():
 
 
 @pytest.mark.parametrize("model", twins_mujoco.PLANTS)
+@pytest.mark.slow
 def test_the_twins_of_mujoco_are_the_same_machines(model):
     """For 1.5 s, with what MuJoCo has itself and what is set anew before every step; the arm swings over the top."""
     plant = twins.PLANTS[model]

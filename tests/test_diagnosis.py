@@ -89,6 +89,7 @@ def test_a_withheld_effect_is_named(effect, place, truth, parameters):
 RIPPLE: dict[str, Any] = {"ripple": 0.05, "ripple_order": 27.7}
 
 
+@pytest.mark.slow
 def test_the_order_of_a_ripple_is_read_off_the_missing_torque():
     """A joint without end stops passes dozens of its periods: no probe is near, and a free run has a minimum at every one. From
     the probes alone this fit ends at an order of 12.7."""
@@ -168,6 +169,7 @@ class Answer:
         (None, "named", 80.0, 9.0, "", "named"),
     ],
 )  # fmt: skip
+@pytest.mark.slow
 def test_windows_are_asked_where_chaotic_free_runs_find_nothing(monkeypatch, given, first, left, grown, second, expected):
     asked = []
 
@@ -289,6 +291,7 @@ def test_a_nominal_term_taken_out_is_found():
 
 
 @pytest.mark.parametrize("dry", [0.02, 0.0])
+@pytest.mark.slow
 def test_what_refines_an_effect_that_is_missing_comes_with_it(dry):
     """Stribeck friction is no law without dry friction: a model that has none is asked for both, and keeps what the data need."""
     data = recording("pendulum", 5, coulomb=dry, stribeck=0.02, stribeck_speed=0.15)
@@ -300,6 +303,7 @@ def test_what_refines_an_effect_that_is_missing_comes_with_it(dry):
     assert extra.std is not None and abs(extra.value - 0.02) < 4 * extra.std
 
 
+@pytest.mark.slow
 def test_of_two_effects_neither_need_help_alone():
     """A lag beside asymmetric friction explains the fit runs and spoils the validation runs, which go where the friction counts;
     what a lag of the sensor explains is less, of both."""
@@ -310,6 +314,7 @@ def test_of_two_effects_neither_need_help_alone():
     assert {e.effect for e in d.which.effects} == {"actuator_lag", "asymmetric_friction"}
 
 
+@pytest.mark.slow
 def test_something_small_is_found_beside_what_was_named():
     """The first effect brings the model to 1.05 times the noise; what is left is white, and has the shape of the second."""
     data = recording("pendulum", 1, load=0.1, drag=1e-4)

@@ -14,6 +14,7 @@ from pathlib import Path
 from typing import Any
 
 import click
+import jax
 import pytest
 
 import jaxid
@@ -30,10 +31,12 @@ def blocks(page: Path, language: str) -> list[str]:
     return re.findall(rf"```{language}\n(.*?)```", page.read_text(encoding="utf-8"), re.S)
 
 
-def test_python_blocks_run(tmp_path, monkeypatch, capsys):
+def test_python_blocks_run(tmp_path, monkeypatch, capsys, request):
     """Those of the pages, with few candidates; the README's own run in full in test_readme."""
     shutil.copytree(ROOT / "examples" / "servo_pendulum", tmp_path / "my_robot")
     monkeypatch.chdir(tmp_path)
+    before = jax.config.read("jax_enable_x64")  # a block sets it
+    request.addfinalizer(lambda: jax.config.update("jax_enable_x64", before))
     whole = jaxid.diagnose
     found: dict = {}
 

@@ -7,6 +7,7 @@ from jaxid.diagnosis.equivalence import equivalences
 
 @pytest.mark.timeout(600)
 @pytest.mark.parametrize("model", ["joint", pytest.param("pendulum", marks=pytest.mark.slow)])
+@pytest.mark.slow
 def test_classes_are_those_of_mechanics(model):
     found = equivalences(model)
     classes = {frozenset(map(str, c)) for c in found.classes}

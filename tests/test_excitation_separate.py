@@ -80,6 +80,7 @@ def test_the_input_stays_within_what_was_recorded(made, recordings, tmp_path):
     assert json.loads((folder / "excitation.json").read_text())["separates"] == made.content["separates"]
 
 
+@pytest.mark.slow
 def test_the_distance_is_what_a_recording_shows(diagnosis, made, recordings):
     """The designed run, recorded on the independent twin, sets the two apart by about what was claimed."""
     c = made.content

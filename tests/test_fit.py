@@ -316,6 +316,7 @@ def test_a_float32_program_beside_a_fit_is_unchanged(swing):
     assert before == {k: getattr(jax.config, k) for k in before}
 
 
+@pytest.mark.slow
 def test_a_part_cut_from_a_run_starts_with_what_effects_remember():
     """A slow drive under a steep command: what it still delivers at the cut is nothing that the part's own samples show."""
     t = np.arange(801) * 0.005
@@ -356,6 +357,7 @@ def test_a_part_cut_from_a_run_starts_before_its_sensor():
     assert all(found.scores[split]["q"].rmse < 1.2 * noise for split in ("validation", "report"))  # 4500 where it is late twice
 
 
+@pytest.mark.slow
 def test_a_part_cut_from_a_run_knows_how_its_spring_is_twisted():
     """A link behind a spring swings on as it did: it follows the measured motor up to the cut."""
     plant = dataclasses.replace(twins.PLANTS["pendulum"], resolution=0.0, noise=0.0)

@@ -459,6 +459,7 @@ def arm_folder(folder: Path, model: str) -> Path:
 TABLE = 'name = "serial_arm"\n[model.dh]\na = [0.0, 0.4]\nalpha = [1.5707963, 0.0]\nd = [0.3, 0.0]'
 
 
+@pytest.mark.slow
 def test_links_in_the_dataset(tmp_path):
     """A table under [model.dh], and a URDF of the folder: read, fitted, saved and read again."""
     from jaxid.problem.binding import resolve_model

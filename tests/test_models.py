@@ -163,6 +163,7 @@ def test_the_floating_base_is_the_full_lagrangian_at_zero_momentum():
         np.testing.assert_allclose(torque(model, q, v, a), truth[3:], rtol=1e-9, atol=1e-8)
 
 
+@pytest.mark.slow
 def test_the_base_turns_as_the_full_system_does_and_is_an_effect():
     equations, mass = space(True)
     t = np.arange(601) * 0.01

@@ -74,6 +74,7 @@ def test_parts_of_a_run_keep_their_scatter():
     assert np.allclose(data.experiments[0].noise(np.array([3e-4]), [0])[:, 0] ** 2 - 9e-8, data.experiments[0].scatter[:, 0] ** 2)  # type: ignore[index]
 
 
+@pytest.mark.slow
 def test_a_fit_reads_the_spread_and_weighs_the_readings_by_it():
     data = recording("pendulum", 1, jitter=0.003)
     plain, fit = (jaxid.fit("pendulum", data, effects=e) for e in ((), ("timestamp_jitter",)))

@@ -88,6 +88,7 @@ def test_the_floor_is_told_where_it_lies():
     assert floor[: N // 2 - 20] == pytest.approx(10, rel=0.4) and floor[N // 2 + 20 :] == pytest.approx(1, rel=0.4)
 
 
+@pytest.mark.slow
 def test_a_right_model_shows_what_noise_shows():
     """At each joint, though one moves faster than the other: what is measured and what is simulated pass the same filters."""
     plant, t = dataclasses.replace(twins.PLANTS["tracker"], resolution=0.0), np.arange(800) / 100

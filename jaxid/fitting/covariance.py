@@ -55,7 +55,7 @@ def covariance(problem: Problem, z: np.ndarray) -> Covariance:
         finite = np.isfinite(part.J).all((0, 1))  # a derivative that a run leaves undefined tells nothing
         broken[np.array(part.z_columns, int)[~finite]] = True
         part = part._replace(J=np.where(finite, part.J, 0.0))
-        if len(problem.records) > len(problem.runs.experiments):  # windows of runs, with many starts
+        if problem.by_windows:
             part = part._replace(J=_beside_its_start(part.J, np.array(part.z_columns), problem.free.size, at_bound))
         J = part.J.reshape(part.r.size, len(part.z_columns))
         index = np.ix_(part.z_columns, part.z_columns)

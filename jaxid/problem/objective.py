@@ -112,6 +112,11 @@ class AbstractProblem(abc.ABC):
         return self.lower.size
 
     @property
+    def by_windows(self) -> bool:
+        """Whether its records are windows of runs, each with a start of its own."""
+        return False
+
+    @property
     @abc.abstractmethod
     def names(self) -> list[str]:
         """Printed names of z."""

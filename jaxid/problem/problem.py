@@ -266,6 +266,10 @@ class Problem(AbstractProblem):
     def pieces(self) -> int:
         return len(self.records)
 
+    @property
+    def by_windows(self) -> bool:
+        return len(self.records) > len(self.runs.experiments)
+
     def part(self, pieces, weights):
         records = [self.records[k] for k in pieces]
         lower, upper, scale = self.whole
