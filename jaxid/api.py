@@ -5,6 +5,7 @@ from __future__ import annotations
 import warnings
 from collections.abc import Iterable, Mapping
 from dataclasses import replace
+from importlib import import_module
 from pathlib import Path
 from typing import Any, TYPE_CHECKING
 
@@ -261,6 +262,8 @@ def resolve_residual(residual: Residual | str | None, cutoff_hz: float | None = 
             raise UsageError(f"a cutoff of {cutoff_hz:g} Hz is none; give one above 0")
         return InverseDynamics(cutoff_hz=cutoff_hz)
     if isinstance(residual, str):
+        import_module("jaxid.problem.closed_loop")  # which enters its own
+        import_module("jaxid.problem.frequency_response")
         if residual not in RESIDUALS:
             raise UsageError(f"there is no residual {residual!r}{nearest(residual, RESIDUALS)}")
         return RESIDUALS[residual]()

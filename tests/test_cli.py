@@ -16,7 +16,7 @@ import pytest
 
 import jaxid
 import jaxid.api  # it takes its names before some of them are replaced here
-from jaxid import wording
+from jaxid import catalogue, wording
 from jaxid.cli import app as cli, terminal
 from jaxid.data.dataset import Dataset
 from jaxid.runtime import Interrupted
@@ -54,6 +54,12 @@ def run(*arguments: object) -> int:
 
 def python(*arguments: str) -> subprocess.CompletedProcess[str]:
     return subprocess.run([sys.executable, *arguments], cwd=ROOT, capture_output=True, text=True)
+
+
+def test_every_residual_is_known_by_its_name():
+    """In a process that has imported nothing but the verbs."""
+    code = "import jaxid.api as a; from jaxid.catalogue import RESIDUALS; print([a.resolve_residual(n).name for n in RESIDUALS])"
+    assert python("-c", code).stdout.strip() == str(list(catalogue.RESIDUALS))
 
 
 def test_help_is_light():
