@@ -342,8 +342,7 @@ def test_control_characters_never_reach_the_terminal(calls, monkeypatch, tmp_pat
     assert not set("\x1b\x07\u202e") & set(captured.out + captured.err)
 
 
-def test_progress_shows_on_a_terminal_only(monkeypatch, capsys):
-    assert terminal.Progress(quiet=False).callback is None
+def test_a_terminal_gets_a_bar(monkeypatch, capsys):
     monkeypatch.setattr(sys.stderr, "isatty", lambda: True)
     assert terminal.Progress(quiet=True).callback is None
     with terminal.Progress(quiet=False) as progress:
@@ -363,3 +362,15 @@ def test_reader_that_goes_away():
 
 def test_tables_line_up():
     assert wording.table(("a", "b"), [("long", "x"), ("s", "y")]) == "a     b\nlong  x\ns     y"
+
+
+def test_a_pipe_gets_a_line_every_half_minute(capsys, monkeypatch):
+    clock = iter([0.0, 10.0, 31.0, 45.0, 62.0])
+    monkeypatch.setattr(terminal.time, "monotonic", lambda: next(clock))
+    with terminal.Progress(quiet=False) as progress:
+        assert progress.callback is not None
+        for done in range(4):
+            progress.callback("effects", done, 9, "best dead_zone\x1b[2J")
+    lines = capsys.readouterr().err.splitlines()
+    assert lines == ["jaxid: effects 1 of 9, best dead_zone?[2J (31 s)", "jaxid: effects 3 of 9, best dead_zone?[2J (62 s)"]
+    assert terminal.Progress(quiet=True).callback is None

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import sys
+import time
 from collections.abc import Callable
 from contextlib import suppress
 
@@ -18,13 +19,21 @@ def complain(text: object) -> None:
         print(f"jaxid: {clean(text)}", file=sys.stderr, flush=True)
 
 
+#: Seconds between two lines of progress where standard error is no terminal.
+LINE_S = 30.0
+
+
 class Progress:
-    """A progress line on standard error while work goes on; nothing at all where that is no terminal."""
+    """A progress bar on standard error while work goes on; a line every half minute where that is no terminal."""
 
     def __init__(self, quiet: bool):
         self.callback: Callable[[str, int, int, str], None] | None = None
         self._bar = None
-        if quiet or not sys.stderr.isatty():
+        if quiet:
+            return
+        if not sys.stderr.isatty():
+            self._began = self._told = time.monotonic()
+            self.callback = self._line
             return
         from rich.console import Console
         from rich.progress import BarColumn, Progress as Bar, SpinnerColumn, TextColumn, TimeElapsedColumn
@@ -40,6 +49,13 @@ class Progress:
         )
         self._tasks = {}
         self.callback = self._advance
+
+    def _line(self, stage: str, done: int, total: int, text: str) -> None:
+        now = time.monotonic()
+        if now - self._told >= LINE_S:
+            self._told = now
+            part = f" {done} of {total}" if total else ""
+            complain(f"{one_line(stage)}{part}{', ' if text else ''}{one_line(text)} ({now - self._began:.0f} s)")
 
     def _advance(self, stage: str, done: int, total: int, text: str) -> None:
         assert self._bar is not None
@@ -59,7 +75,7 @@ class Progress:
         """Takes the line away; what is written afterwards stands by itself."""
         if self._bar is not None:
             self._bar.stop()
-            self._bar = self.callback = None
+        self._bar = self.callback = None
 
     def __exit__(self, *exception) -> None:
         self.stop()
