@@ -32,6 +32,7 @@ import jaxid
 from jaxid.dynamics.rigid_body import about_origin
 from jaxid.models import UR10
 from jaxid.numerics.precision import float64
+from jaxid.study.papers.payload import path
 from jaxid.study.papers.twins.serial_arm import torques
 
 
@@ -50,32 +51,19 @@ LOAD = about_origin(MASS, [0, 0, 0.0296], [0.0064, 0, 0, 0.0064, 0, 0.0045])
 
 
 # %%
-def motion(seed: int) -> tuple[np.ndarray, ...]:
-    rng = np.random.default_rng(seed)
-    t = np.arange(0, 10, 1 / 125)
-    w = 2 * np.pi * 0.1 * np.arange(1, 6)
-    a, b = rng.normal(size=(2, 5, 6))
-    peak = np.hypot(a, b)
-    shrink = np.maximum((peak / w[:, None]).sum(0) / 1.4, peak.sum(0) / 2.0)
-    a, b, wide = a / shrink, b / shrink, w[:, None]
-    s, c = np.sin(np.outer(t, w)), np.cos(np.outer(t, w))
-    home = np.array([0, -np.pi / 2, 0, -np.pi / 2, 0, 0])
-    return t, home + s @ (a / wide) - c @ (b / wide), c @ a + s @ b, -s @ (a * wide) + c @ (b * wide)
-
-
-def torque(path: tuple[np.ndarray, ...], load: np.ndarray | None = None) -> np.ndarray:
+def torque(motion: tuple[np.ndarray, ...], load: np.ndarray | None = None) -> np.ndarray:
     """By the paper's modified Denavit-Hartenberg table with the bodies that jaxid ships."""
     arm = UR10()
     with float64():
         bodies, drives, table = np.array(arm.inertia()), np.array(arm.Ia), [np.array(x) for x in (arm.alpha, arm.a, arm.d)]
     if load is not None:
         bodies[-1] += load
-    _, q, qd, qdd = path
+    _, q, qd, qdd = motion
     rigid = torques(table[0], table[1], table[2], bodies, drives, (q, qd, qdd))
     return rigid + (LEVEL + VISCOUS * np.abs(qd) ** EXPONENT) * np.sign(qd)
 
 
-PATHS = [motion(3), motion(8)]
+PATHS = [path(3), path(8)]
 TORQUES = {loaded: [torque(p, LOAD if loaded else None) for p in PATHS] for loaded in (False, True)}
 
 
