@@ -93,14 +93,17 @@ def stated_sentences(stated: Sequence[Stated]) -> list[str]:
 
 
 def meaning(which: Which) -> list[str]:
-    """What the named effects are, in plain words."""
-    return [s for e in which.effects if (s := words(e, "plain"))] if which.verdict in ("named", "partly") else []
+    """What the named effects are, in plain words; with the place of each where they are several."""
+    if which.verdict not in ("named", "partly"):
+        return []
+    place = (lambda e: f"{one_line(e.location)}: ") if len(which.effects) > 1 else (lambda e: "")
+    return [place(e) + s for e in which.effects if (s := words(e, "plain"))]
 
 
 def to_check(which: Which) -> list[str]:
     """What to look for at the machine."""
     told = [words(e, "check") for e in which.effects] if which.verdict in ("named", "partly") else []
-    return [f"At the machine: {check[:1].lower()}{check[1:]}" for check in told if check]
+    return [f"At the machine: {check[:1].lower()}{check[1:]}" for check in dict.fromkeys(told) if check]
 
 
 def which_sentence(which: Which, how_far: HowFar | None = None) -> str:
