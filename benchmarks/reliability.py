@@ -24,7 +24,8 @@ from pathlib import Path
 import psutil
 
 from jaxid.study import read_study, run_study, study_status
-from jaxid.study.store import Row, Store, StoreError
+from jaxid.study.rows import Row
+from jaxid.study.store import Store, StoreError
 from tests.study_fleet import number
 from tests.test_batch import acknowledged, rows_of, SOLVE, start, table, write_dataset, write_study
 from tests.test_batch_hostile import rich_study, survives

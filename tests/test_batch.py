@@ -23,9 +23,10 @@ import pytest
 
 import jaxid
 from jaxid.cli import app as cli
-from jaxid.study import cluster, read_study, run_study, store as stores, study_status
+from jaxid.study import cluster, lease, read_study, run_study, store as stores, study_status
 from jaxid.study.plan import StudyError
-from jaxid.study.store import LeaseLost, Row, Store, StoreError
+from jaxid.study.rows import Row
+from jaxid.study.store import LeaseLost, Store, StoreError
 from study_fleet import number
 
 
@@ -383,7 +384,7 @@ def test_two_coordinators(home, monkeypatch):
     # A process that slept through its lease finds that another took over, and saves nothing.
     first = Store(home / "out")
     first.acquire()
-    monkeypatch.setattr(stores, "_alive", lambda held: False)
+    monkeypatch.setattr(stores, "alive", lambda held: False)
     with Store(home / "out") as second:
         second.acquire()
         with pytest.raises(LeaseLost, match="another process has taken"):
@@ -404,7 +405,7 @@ def test_lease_of_the_dead_and_of_other_machines(tmp_path):
             other.db.execute("UPDATE lease SET host = 'elsewhere/1', renewed = ?", (time.time() - 10,))
             with pytest.raises(StoreError, match="on elsewhere"), Store(tmp_path) as third:
                 third.acquire()
-            other.db.execute("UPDATE lease SET renewed = ?", (time.time() - 2 * stores.LEASE_S,))
+            other.db.execute("UPDATE lease SET renewed = ?", (time.time() - 2 * lease.LEASE_S,))
             with Store(tmp_path) as third:
                 third.acquire()
 

@@ -21,7 +21,7 @@ from jaxid.data.io import load_dataset
 from jaxid.errors import UsageError
 from jaxid.hardware import Dynamixel, HardwareError, Limits, record, recover, Trajectory
 from jaxid.hardware.dynamixel import registers as x
-from jaxid.hardware.dynamixel.driver import Bus
+from jaxid.hardware.dynamixel.bus import Bus
 from jaxid.hardware.link import Driver
 
 

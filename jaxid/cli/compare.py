@@ -56,7 +56,7 @@ def compare(
     DIR/partial.
     """
     jaxid, data = start(dataset, out)
-    from jaxid.report.text import comparison_text
+    from jaxid.report.comparison_text import comparison_text
 
     with Output(out, as_json, quiet) as output:
         result = jaxid.compare(

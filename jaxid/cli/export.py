@@ -32,7 +32,7 @@ def export(result, to, robot, ranges, out, as_json, quiet) -> int:
     from jaxid import runtime
 
     runtime.prepare()
-    from jaxid.report.text import export_text
+    from jaxid.report.carried_text import export_text
     from jaxid.robots.export.run import export as exported
     from jaxid.robots.export.save import save
 
@@ -82,7 +82,7 @@ def replay(dataset, robot, against, out, as_json, quiet) -> int:
     the same file. Writes replay.json into DIR.
     """
     jaxid, data = start(dataset, out)
-    from jaxid.report.text import replay_text
+    from jaxid.report.carried_text import replay_text
 
     with Output(out, as_json, quiet) as output:
         return output.deliver(jaxid.replay(data, robot, against), replay_text)

@@ -2,16 +2,16 @@
 
 from __future__ import annotations
 
-import re
 import warnings
 from collections.abc import Callable, Iterable
 from dataclasses import replace
 from typing import Any
 
-from jaxid.data.dataset import Controller, Dataset, Geometry, ModelSpec, ParameterPrior
+from jaxid.data.assemble_model import as_robot, as_robot_entry, geometry_of, model_spec
+from jaxid.data.dataset import Controller, Dataset, Geometry
 from jaxid.data.patterns import expanded_channels
 from jaxid.data.records import Harvest, read_record, read_response, Reading
-from jaxid.data.schema import Document, ExperimentEntry, Header, ModelEntry, Places, PriorEntry
+from jaxid.data.schema import Document, ExperimentEntry, Header, Places
 from jaxid.data.table import Table
 from jaxid.data.units import Conversion, conversion, si_unit, UnitError
 from jaxid.dynamics.joint_names import in_chain_order, number_of, renamed, renumbered
@@ -33,9 +33,9 @@ def assemble(
 ):
     """The dataset, or `DatasetError` with every fault of the description, the model and the samples."""
     problems = list(document.problems)
-    document.model = _as_robot_entry(document, open_text)
+    document.model = as_robot_entry(document, open_text)
     problems += expanded_channels(document, places, open_table)
-    geometry = _geometry(document, places, open_text, problems)
+    geometry = geometry_of(document, places, open_text, problems)
     info = _model_info(document, places, problems, geometry) if check_model else None
     readings = _readings(document, places, problems, info)
     problems += _roles(document, places, known_model=info is not None)
@@ -59,13 +59,13 @@ def assemble(
         channels=tuple(r.channel for r in readings),
         experiments=tuple(e for h in harvests for e in h.experiments),
         responses=tuple(r for h in harvests for r in h.responses),
-        model=None if document.model is None else replace(_model_spec(document.model), geometry=geometry),
+        model=None if document.model is None else replace(model_spec(document.model), geometry=geometry),
         controller=None if document.controller is None else Controller(document.controller.kind, document.controller.settings),
         notes=tuple([*document.notes, *(note for h in harvests for note in h.notes), *alerts]),
         sha256=sha256(),
     )
     if check_model and geometry is not None and geometry.robot:
-        return _as_robot(dataset, places)
+        return as_robot(dataset, places)
     try:
         return in_chain_order(dataset, chain)
     except UsageError as error:
@@ -103,102 +103,6 @@ def _origin(header: Header) -> dict[str, Any] | str | None:
     first = {"source": header.source} if isinstance(header.source, str) else (header.source or {})
     merged = {k: v if isinstance(v, str | int | float) else v.isoformat() for k, v in {**first, **more}.items()}
     return merged or None
-
-
-def _model_spec(entry: ModelEntry) -> ModelSpec:
-    return ModelSpec(
-        name="robot" if entry.robot is not None else entry.name,
-        without=tuple(entry.without),
-        free=entry.free,
-        constants={k: float(v) for k, v in entry.constants.items()},
-        parameters={k: _prior(p) for k, p in entry.parameters.items()},
-        joints=dict(entry.joints),
-        base={} if entry.base is None else entry.base.model_dump(exclude_unset=True),
-    )
-
-
-def _prior(entry: PriorEntry) -> ParameterPrior:
-    return ParameterPrior(**entry.model_dump())
-
-
-def _geometry(document: Document, places: Places, open_text: Any, problems: list[Problem]) -> Geometry | None:
-    """The links that `[model]` states; a URDF is read from the folder and kept as text."""
-    entry = document.model
-    if entry is None or (entry.urdf is None and entry.dh is None and entry.robot is None):
-        return None
-    if entry.robot is not None:
-        return _robot(entry, places, open_text, problems)
-    if entry.dh is not None:
-        columns = entry.dh.model_dump(exclude={"convention"}, exclude_none=True)
-        return Geometry(convention=entry.dh.convention, columns=columns)
-    assert entry.urdf is not None
-    key = ("model", "urdf")
-    if open_text is None:
-        problems.append(places.problem(key, "a URDF needs a folder", "Give the model as SerialArm.from_urdf(...)"))
-        return None
-    text = open_text(entry.urdf, key)
-    if isinstance(text, Problem):
-        problems.append(text)
-        return None
-    geometry = Geometry(urdf=text, file=entry.urdf, tip=entry.tip, root=entry.root)
-    try:
-        arm_table(geometry)
-    except UsageError as error:
-        stated = ("model", "tip") if "tip" in str(error) else ("model", "root") if "root" in str(error) else key
-        problems.append(places.problem(stated, str(error), "Correct it"))
-        return None
-    return geometry
-
-
-def _as_robot_entry(document: Document, open_text: Any) -> ModelEntry | None:
-    """The model; a `serial_arm` whose `urdf` is an MJCF, or whose goals are recorded under a stated law and no input is, is read
-    as a robot."""
-    entry, roles = document.model, {c.role for c in document.channels.values()}
-    goals = any(name.endswith("_cmd") for name in document.channels)
-    if entry is None or entry.urdf is None:
-        return entry
-    text = open_text(entry.urdf, ("model", "urdf")) if open_text is not None and entry.urdf.endswith((".xml", ".mjcf")) else ""
-    mjcf = isinstance(text, str) and re.search(r"<\s*mujoco\b", text) is not None
-    driven = document.controller is not None and "input" not in roles and goals and not entry.free
-    if not (mjcf or driven):
-        return entry
-    return entry.model_copy(update={"name": None, "urdf": None, "robot": entry.urdf})
-
-
-def _robot(entry: ModelEntry, places: Places, open_text: Any, problems: list[Problem]) -> Geometry | None:
-    """The robot's file as text, if it can be read as a robot."""
-    from jaxid.robots.match import robot_of
-    from jaxid.robots.mjcf_text import expanded
-
-    key = ("model", "robot")
-    if open_text is None:
-        problems.append(places.problem(key, "a robot's file needs a folder", "Give the model as Robot.from_mjcf(...)"))
-        return None
-    text = open_text(entry.robot, key)
-    if isinstance(text, Problem):
-        problems.append(text)
-        return None
-    try:
-        if not str(entry.robot).lower().endswith(".urdf"):
-            text = expanded(open_text.path(entry.robot), text)
-        robot_of(text, str(entry.robot), entry.tip)
-    except UsageError as error:
-        problems.append(places.problem(key, str(error), "Correct the file, or name another"))
-        return None
-    return Geometry(robot=text, file=str(entry.robot), tip=entry.tip, path=str(open_text.path(entry.robot)))
-
-
-def _as_robot(dataset: Dataset, places: Places) -> Dataset:
-    """The dataset under the names of its robot's joints. Raises `DatasetError` where they do not go together."""
-    from jaxid.robots.match import prepared
-
-    try:
-        robot: Any
-        robot, dataset = prepared(None, dataset)
-        robot.matched(dataset)
-    except UsageError as error:
-        raise DatasetError([places.problem(("model",), str(error), "Correct [model], [controller] or the channels")]) from None
-    return dataset
 
 
 def _readings(document: Document, places: Places, problems: list[Problem], info: Any) -> list[Reading]:

@@ -7,7 +7,8 @@ from collections.abc import Callable
 from pathlib import Path
 
 from jaxid.data.places import Places
-from jaxid.data.schema import ChannelEntry, Document, ExperimentEntry, ModelEntry
+from jaxid.data.schema import ChannelEntry, Document, ExperimentEntry
+from jaxid.data.schema_model import ModelEntry
 from jaxid.data.table import Table
 from jaxid.errors import Problem
 

@@ -8,7 +8,7 @@ effect is one number per location (joint, input or output channel); at its neutr
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable
-from typing import Any, NamedTuple, TYPE_CHECKING, TypeVar
+from typing import Any, TYPE_CHECKING, TypeVar
 
 import equinox as eqx
 import jax
@@ -16,6 +16,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float
 
+from jaxid.dynamics.carry import Carry, first_command, first_state
 from jaxid.dynamics.dry_friction import solve_dry
 from jaxid.dynamics.effect import (
     Applied,
@@ -39,17 +40,6 @@ if TYPE_CHECKING:
 
 
 Port = TypeVar("Port", bound=Effect)
-#: Least share that a change leaves of a number which is positive by its nature.
-LEAST = 0.02
-
-
-def _first_state(e: Effect, q: Array, u: Array, y: Array, rate: Array) -> Any:
-    """State of an effect at the beginning of a run: `InputEffect.start` and the like; () for one that has none."""
-    if isinstance(e, InputEffect):
-        return e.start(u)
-    if isinstance(e, JointEffect):
-        return e.start(q)
-    return e.start(y, rate) if isinstance(e, OutputEffect) else ()
 
 
 #: Structure of a chain -> which of its effects have states: tracing takes a while.
@@ -58,22 +48,8 @@ _REMEMBERING: dict[Any, tuple[bool, ...]] = {}
 _NUMBERS: dict[Any, tuple[Any, ...]] = {}
 
 
-def _first(command: Command, n: int) -> Command:
-    """The first n inputs of a command."""
-
-    def delayed(delay: Array) -> Array:
-        return command.delayed(jnp.concatenate([delay, jnp.zeros(command.u.shape[0] - n)]))[:n]
-
-    return command._replace(u=command.u[:n], other=command.other[:n], delayed=delayed)
-
-
-class Carry(NamedTuple):
-    """State of a simulation between steps: mechanism, effects, and two predictors (dry torque, acceleration)."""
-
-    x: Any
-    z: tuple[Any, ...]
-    lam: Float[Array, " nq"]
-    acc: Float[Array, " nq"]
+#: Least share that a change leaves of a number which is positive by its nature.
+LEAST = 0.02
 
 
 class Chain(eqx.Module):
@@ -235,7 +211,7 @@ class Chain(eqx.Module):
 
             def states(e: Effect) -> Any:
                 hidden = isinstance(e, BodyEffect) and e(self.mechanism).hidden_states
-                return q if hidden else () if isinstance(e, OutputEffect) else _first_state(e, q, u, u, u)
+                return q if hidden else () if isinstance(e, OutputEffect) else first_state(e, q, u, u, u)
 
             _REMEMBERING[key] = tuple(bool(jax.tree.leaves(jax.eval_shape(states, e))) for e in self.effects)
         return _REMEMBERING[key]
@@ -248,7 +224,7 @@ class Chain(eqx.Module):
         x = body.start(q, qd)
         y, rate = self.begins(body, q, qd) if self.at(OutputEffect) else (jnp.zeros(0), jnp.zeros(0))
         u = u[: len(self.signature.commands)]
-        z = [_first_state(e, q, u, y, rate) for e in self.effects]
+        z = [first_state(e, q, u, y, rate) for e in self.effects]
         for i, e in self.at(InputEffect):
             z[i] = e.settled(z[i], u, q, lambda: body.inverse(q, jnp.zeros_like(q), jnp.zeros_like(q)))
         return Carry(x, tuple(z), jnp.zeros_like(q), jnp.zeros_like(q))
@@ -282,7 +258,7 @@ class Chain(eqx.Module):
         whole, n = s.command, len(self.signature.commands)
         u, beside, z_new = whole.u[:n], whole.u[n:], list(z)
         if n < whole.u.shape[0]:
-            s = s._replace(command=_first(whole, n), beside=beside)
+            s = s._replace(command=first_command(whole, n), beside=beside)
         for i, e in self.at(InputEffect):
             if self.signature.rates and (late := e.late()) is not None:
                 still = jnp.zeros(beside.shape[0] - self.signature.rates)

@@ -239,7 +239,7 @@ class Comparison:
         return ax
 
     def __repr__(self) -> str:
-        from jaxid.report.text import comparison_text
+        from jaxid.report.comparison_text import comparison_text
 
         return comparison_text(self)
 

@@ -59,7 +59,7 @@ class Replay:
         return out
 
     def __repr__(self) -> str:
-        from jaxid.report.text import replay_text
+        from jaxid.report.carried_text import replay_text
 
         return replay_text(self)
 

@@ -17,7 +17,8 @@ import numpy as np
 
 from jaxid.data.dataset import Dataset, Experiment
 from jaxid.dynamics import controller as feedback
-from jaxid.dynamics.chain import Carry, Chain
+from jaxid.dynamics.carry import Carry
+from jaxid.dynamics.chain import Chain
 from jaxid.dynamics.controller import Law, law_of, Memory, Reading
 from jaxid.dynamics.effect import Command
 from jaxid.dynamics.parameter_vector import Layout

@@ -8,7 +8,7 @@ import numpy as np
 
 from jaxid import wording
 from jaxid.fitting.comparison import along
-from jaxid.report import plot, text
+from jaxid.report import comparison_text, plot
 from jaxid.report.page import Section
 
 
@@ -32,10 +32,10 @@ def section(c: Comparison) -> Section:
         {
             "c": c,
             "effects": wording.listed(c.effects),
-            "headline": text.comparison_headline(c),
-            "setting": text.comparison_setting(c),
+            "headline": comparison_text.comparison_headline(c),
+            "setting": comparison_text.comparison_setting(c),
             "common_time": wording.number(c.common_time, 2),
-            "rows": text.comparison_rows(c),
+            "rows": comparison_text.comparison_rows(c),
             "convergence": plot.svg("convergence", (9.2, 3.6), lambda figure: _convergence(c, figure)),
             "scatter": plot.svg("scatter", (9.2, 1.1 + 0.52 * len(c.best)), lambda figure: _scatter(c, figure))
             if c.best

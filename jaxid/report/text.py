@@ -26,13 +26,10 @@ from jaxid.wording import (
 
 if TYPE_CHECKING:
     from jaxid.diagnosis.result import Diagnosis, Finding, HowFar, Which
-    from jaxid.fitting.comparison import Comparison, Typical
-    from jaxid.fitting.replay import Replay
     from jaxid.fitting.result import EffectEstimate, Estimate, Fit
     from jaxid.fitting.simulation import Simulation
     from jaxid.fitting.stated import Stated
     from jaxid.identification.run import Identification
-    from jaxid.robots.export.run import Exported
 
 
 def remark(estimate: Estimate) -> str:
@@ -294,74 +291,6 @@ def simulation_text(simulation: Simulation) -> str:
     return "\n".join([head, table(("run", "channel", "rms error"), rows), *map(one_line, simulation.notes)])
 
 
-def comparison_headline(c: Comparison) -> str:
-    """Which fitter reached the target most reliably, at which cost."""
-    table = c.table
-    best = table[0]
-    if not best.successes:
-        return f"No fitter came within {percent(c.tolerance)} of the best known loss."
-    equal = [s for s in table if s.successes * best.runs == best.successes * s.runs]
-    others = f", like {listed(s.fitter for s in equal[1:])} (at no less cost)" if len(equal) > 1 else ""
-    return f"{best.fitter} reached the best known loss in {best.successes} of {best.runs} runs{others}."
-
-
-def comparison_setting(c: Comparison) -> str:
-    """What was the same for all."""
-    limits = [f"{c.budget} evaluations"] if c.budget is not None else []
-    limits += [f"{short(c.limit_s)} s"] if c.limit_s is not None else []
-    return (
-        f"Every fitter on {c.residual}, {c.loss_name.replace('_', ' ')}, with at most {' and '.join(limits)} a run, from"
-        f" {'random starts within the bounds' if c.starts == 'random' else 'the start that the data suggest'}."
-        f" The target is {number(c.target, 5)}: the best known loss {number(c.best_loss, 5)} plus {percent(c.tolerance)}."
-    )
-
-
-def comparison_rows(c: Comparison) -> list[list[str]]:
-    """One line a fitter: the cells of the table that terminal and report share."""
-    rows = []
-    for s in c.table:
-        low, high = s.success_interval_95
-        rows.append(
-            [
-                one_line(s.fitter),
-                f"{s.successes}/{s.runs} ({100 * low:.0f} to {100 * high:.0f} %)",
-                f"{s.in_time}/{s.runs}",
-                spread(s.evaluations_to_target),
-                spread(s.seconds_to_target),
-                count(s.expected_evaluations),
-                number(s.loss.median, 4),
-                count(s.evaluations),
-                number(s.seconds, 2),
-            ]
-        )
-    return rows
-
-
-def spread(t: Typical) -> str:
-    """`410 (380 to 520)`, with ∞ for what was never reached."""
-    return (
-        f"{count(t.median)} ({count(t.lower)} to {count(t.upper)})" if math.isfinite(t.median) or math.isfinite(t.lower) else "∞"
-    )
-
-
-def count(value: float) -> str:
-    """A count or a time, three digits."""
-    return "∞" if math.isinf(value) else f"{value:.0f}" if value >= 100 else number(value, 2)
-
-
-def comparison_text(c: Comparison) -> str:
-    """Headline and table of a comparison."""
-    header = ("fitter", "reached", f"in {number(c.common_time, 2)} s", "evaluations to target", "seconds to target",
-              "per success", "median loss", "evaluations", "seconds")  # fmt: skip
-    parts = [
-        wrapped(f"{c.dataset}, model {c.model}: {comparison_headline(c)}"),
-        wrapped(comparison_setting(c)),
-        table(header, comparison_rows(c)),
-        f"{len(c.runs)} runs in {number(c.wall_time_s)} s",
-    ]
-    return "\n".join(parts)
-
-
 def identification_text(result: Identification) -> str:
     """The result as tables for a terminal."""
     from jaxid.conventions.finding import data_lines
@@ -392,50 +321,3 @@ def identification_text(result: Identification) -> str:
     )
     parts += [f"note: {n}" for n in (result.filter, *result.notes)]
     return "\n".join(parts)
-
-
-def export_text(exported: Exported, folder: Any) -> str:
-    """What went where, a line for each row, and the files."""
-    head = ("effect or number", "at", "field", "value", "how")
-    rows = [
-        (
-            one_line(r.effect),
-            one_line(r.location),
-            one_line(r.field) or "-",
-            f"{_short(r.value)} {one_line(r.unit)}".strip(),
-            r.how,
-        )
-        for r in exported.rows
-    ]
-    notes = dict.fromkeys(
-        f"{one_line(r.effect)} at {one_line(r.location)}: {one_line(r.note)}" for r in exported.rows if r.how != "exact"
-    )
-    files = [f"{folder}/{one_line(name)}" for name in (*exported.files, "export.json")]
-    return "\n".join([table(head, rows), *notes, *map(one_line, exported.notes), f"written: {listed(files)}"])
-
-
-def _short(value: Any) -> str:
-    if isinstance(value, dict):
-        return ", ".join(f"{k} {_short(v)}" for k, v in value.items())
-    if isinstance(value, list | tuple):
-        return "[" + " ".join(_short(v) for v in value) + "]"
-    return f"{value:.5g}" if isinstance(value, float) else one_line(str(value))
-
-
-def replay_text(result: Replay) -> str:
-    """Each joint's error in every run of a simulator beside the other's."""
-    other = result.other
-    rows = [
-        (one_line(r["experiment"]), one_line(r["joint"]), number(r["mujoco"]), "-" if r[other] is None else number(r[other]),
-         "-" if r["difference"] is None else number(r["difference"]), r["unit"])
-        for r in result.rows
-    ]  # fmt: skip
-    head = (
-        "run",
-        "joint",
-        "rms error in MuJoCo",
-        f"in {'the other file' if other == 'against' else 'jaxid'}",
-        "between both",
-        "unit",
-    )
-    return "\n".join([f"{one_line(result.robot)} on {one_line(result.dataset)}", table(head, rows), *map(one_line, result.notes)])

@@ -9,7 +9,8 @@ from typing import Any
 import jax.numpy as jnp
 from jax.flatten_util import ravel_pytree
 
-from jaxid.dynamics.chain import Carry, Chain
+from jaxid.dynamics.carry import Carry
+from jaxid.dynamics.chain import Chain
 from jaxid.dynamics.effect import Command, OutputEffect
 from jaxid.dynamics.mechanism import Mechanism
 from jaxid.dynamics.ode import check_smooth, rates

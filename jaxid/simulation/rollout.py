@@ -10,7 +10,8 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, Int
 
-from jaxid.dynamics.chain import Carry, Chain
+from jaxid.dynamics.carry import Carry
+from jaxid.dynamics.chain import Chain
 from jaxid.dynamics.effect import Command
 from jaxid.dynamics.mechanism import Mechanism
 from jaxid.numerics.batch_loop import loop_over_time

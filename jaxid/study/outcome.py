@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from typing import Any
 
 from jaxid.study.plan import Task
-from jaxid.study.store import Row
+from jaxid.study.rows import Row
 
 
 #: A result of these counts as failed; `crashed` killed its process twice, `timeout` took longer than allowed.

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from jaxid import wording
-from jaxid.report import plot, text, write_page
+from jaxid.report import comparison_text, plot, write_page
 from jaxid.report.compared import COLORS, LOWEST, MARKERS
 from jaxid.report.page import render, Section
 from jaxid.wording import one_line
@@ -62,11 +62,11 @@ def ranking_row(r) -> list[str]:
     """The cells that terminal and report share."""
     low, high = r.reached_interval_95
     return [
-        text.one_line(r.fitter),
+        wording.one_line(r.fitter),
         f"{r.reached}/{r.runs} ({100 * low:.0f} to {100 * high:.0f} %)",
         wording.number(r.mean_rank, 3),
         "∞" if np.isinf(r.excess) else wording.percent(r.excess) if r.excess > 0 else "0 %",
-        text.count(r.evaluations) if np.isfinite(r.evaluations) else "–",
+        comparison_text.count(r.evaluations) if np.isfinite(r.evaluations) else "–",
         wording.number(r.seconds, 2) if np.isfinite(r.seconds) else "–",
         str(r.failed),
     ]

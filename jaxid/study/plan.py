@@ -22,7 +22,8 @@ from typing import Any, Literal
 from pydantic import BaseModel, ConfigDict, Field, field_validator
 
 from jaxid.catalogue import LOSSES, RESIDUALS
-from jaxid.data.schema import Document, entry_of, Places, plain_text
+from jaxid.data.schema import Document, entry_of, Places
+from jaxid.data.schema_fields import plain_text
 from jaxid.errors import DatasetError, nearest, Problem, UsageError
 from jaxid.wording import one_line
 

@@ -8,19 +8,18 @@ appear whole (rename) before the rows that name them.
 from __future__ import annotations
 
 import io
-import json
 import os
-import socket
 import sqlite3
 import time
 import uuid
 import zlib
 from collections.abc import Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 from jaxid.errors import UsageError
+from jaxid.study.lease import alive, machine, started
+from jaxid.study.rows import COLUMNS, read_damaged, Row, sound
 
 
 #: "jxid": tells a store from any other SQLite file.
@@ -37,10 +36,6 @@ MIGRATIONS: tuple[str, ...] = (
     """,
 )
 SCHEMA = len(MIGRATIONS)
-#: A row as bytes: SQLite takes any bytes for text, and Python stops at those that are none.
-COLUMNS = "id, CAST(key AS BLOB), CAST(status AS BLOB), CAST(arrays AS BLOB), CAST(body AS BLOB), crc"
-#: A process on another machine that has not renewed its lease for so long is taken for dead.
-LEASE_S = 60.0
 #: How long to wait for another process's transaction.
 BUSY_S = 20.0
 
@@ -55,20 +50,6 @@ class NotBegun(StoreError):
 
 class LeaseLost(StoreError):
     """Another process has taken the store over."""
-
-
-@dataclass(frozen=True)
-class Row:
-    """One finished task: `body` is its outcome as JSON, `arrays` the file that holds its history, or empty."""
-
-    key: str
-    status: str
-    body: bytes
-    arrays: str = ""
-
-    @property
-    def crc(self) -> int:
-        return zlib.crc32("\0".join((self.key, self.status, self.arrays)).encode() + b"\0" + self.body)
 
 
 class Store:
@@ -198,14 +179,14 @@ class Store:
         now = time.time()
         with self._transaction():
             held = self.db.execute("SELECT host, pid, started, renewed FROM lease").fetchone()
-            if held is not None and _alive(held):
+            if held is not None and alive(held):
                 raise StoreError(
                     f"{self.path}: this study is being run by process {held[1]} on {held[0].split('/')[0]}; "
                     "`jaxid batch STUDY.toml --status` shows how far it is"
                 )
             self.db.execute(
                 "INSERT OR REPLACE INTO lease (id, owner, host, pid, started, renewed, running) VALUES (1, ?, ?, ?, ?, ?, 0)",
-                (owner, host, os.getpid(), _started(os.getpid()), now),
+                (owner, host, os.getpid(), started(os.getpid()), now),
             )
         self.owner = owner
 
@@ -290,14 +271,14 @@ class Store:
     def _rows(self) -> Iterator[tuple[int, Row | None]]:
         try:
             for number, *fields in self.db.execute(f"SELECT {COLUMNS} FROM results ORDER BY id"):
-                yield number, _sound(fields)
+                yield number, sound(fields)
         except sqlite3.Error as error:
             raise self._said(error) from None
 
     def running(self) -> int:
         """Tasks handed out by a process that is alive."""
         held = self.db.execute("SELECT host, pid, started, renewed, running FROM lease").fetchone()
-        return held[4] if held is not None and _alive(held) else 0
+        return held[4] if held is not None and alive(held) else 0
 
     def arrays(self, row: Row) -> dict[str, Any]:
         """The history of a task [points 2]: evaluations and best loss so far; empty where it has none or its file is gone."""
@@ -376,70 +357,4 @@ class _Transaction:
             raise self.store._said(error, self.unsaved) from None
 
 
-def _sound(fields: Sequence[Any]) -> Row | None:
-    """The row of (key, status, arrays, body, crc), or None if anything in it was changed."""
-    key, status, arrays, body, crc = fields
-    try:
-        row = Row(key.decode(), status.decode(), body, arrays.decode())
-    except (UnicodeDecodeError, AttributeError):  # other bytes, or no bytes at all
-        return None
-    return row if row.crc == crc else None
-
-
-def read_damaged(path: Path) -> Iterator[Row]:
-    """Every sound row of a file whose structure is damaged: pages that cannot be read are stepped over."""
-    try:
-        db = sqlite3.connect(f"{path.resolve().as_uri()}?mode=ro&immutable=1", uri=True)
-    except sqlite3.Error:
-        return
-    try:
-        at, step, seen = 0, 1, set()
-        while step < 1 << 40:
-            try:
-                cursor = db.execute(f"SELECT {COLUMNS} FROM results NOT INDEXED WHERE id > ? ORDER BY id", (at,))
-                for number, *fields in cursor:
-                    at, step = max(at, number), 1
-                    row = _sound(fields)
-                    if row is not None and row.key not in seen:
-                        seen.add(row.key)
-                        yield row
-                return
-            except sqlite3.Error:
-                at, step = at + step, 2 * step
-    finally:
-        db.close()
-
-
 # ---- who holds the lease
-
-
-def machine() -> str:
-    """This machine since its last start, and, in a container, this one: a process id means nothing elsewhere."""
-    try:
-        boot = Path("/proc/sys/kernel/random/boot_id").read_text().strip()
-    except OSError:
-        boot = f"{uuid.getnode():x}"
-    return f"{socket.gethostname()}/{boot}"
-
-
-def _started(pid: int) -> float:
-    """When a process began; 0 if there is none."""
-    import psutil
-
-    try:
-        return psutil.Process(pid).create_time()
-    except psutil.Error:
-        return 0.0
-
-
-def _alive(held: Sequence[Any]) -> bool:
-    """Whether the holder of a lease (host, pid, started, renewed) lives: here by its process, elsewhere by its last word."""
-    host, pid, started, renewed = held[:4]
-    if host == machine():
-        return abs(_started(pid) - started) < 1.0
-    return abs(time.time() - renewed) < LEASE_S
-
-
-def loads(body: bytes) -> dict[str, Any]:
-    """The outcome that a row holds."""
-    return json.loads(body)

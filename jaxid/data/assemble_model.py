@@ -1,0 +1,108 @@
+"""The model that a dataset states: its links from the text of a file, or a robot."""
+
+from __future__ import annotations
+
+import re
+from typing import Any
+
+from jaxid.data.dataset import Dataset, Geometry, ModelSpec, ParameterPrior
+from jaxid.data.schema import Document, Places
+from jaxid.data.schema_model import ModelEntry, PriorEntry
+from jaxid.dynamics.urdf_table import arm_table
+from jaxid.errors import DatasetError, Problem, UsageError
+
+
+def model_spec(entry: ModelEntry) -> ModelSpec:
+    return ModelSpec(
+        name="robot" if entry.robot is not None else entry.name,
+        without=tuple(entry.without),
+        free=entry.free,
+        constants={k: float(v) for k, v in entry.constants.items()},
+        parameters={k: prior_of(p) for k, p in entry.parameters.items()},
+        joints=dict(entry.joints),
+        base={} if entry.base is None else entry.base.model_dump(exclude_unset=True),
+    )
+
+
+def prior_of(entry: PriorEntry) -> ParameterPrior:
+    return ParameterPrior(**entry.model_dump())
+
+
+def geometry_of(document: Document, places: Places, open_text: Any, problems: list[Problem]) -> Geometry | None:
+    """The links that `[model]` states; a URDF is read from the folder and kept as text."""
+    entry = document.model
+    if entry is None or (entry.urdf is None and entry.dh is None and entry.robot is None):
+        return None
+    if entry.robot is not None:
+        return robot_geometry(entry, places, open_text, problems)
+    if entry.dh is not None:
+        columns = entry.dh.model_dump(exclude={"convention"}, exclude_none=True)
+        return Geometry(convention=entry.dh.convention, columns=columns)
+    assert entry.urdf is not None
+    key = ("model", "urdf")
+    if open_text is None:
+        problems.append(places.problem(key, "a URDF needs a folder", "Give the model as SerialArm.from_urdf(...)"))
+        return None
+    text = open_text(entry.urdf, key)
+    if isinstance(text, Problem):
+        problems.append(text)
+        return None
+    geometry = Geometry(urdf=text, file=entry.urdf, tip=entry.tip, root=entry.root)
+    try:
+        arm_table(geometry)
+    except UsageError as error:
+        stated = ("model", "tip") if "tip" in str(error) else ("model", "root") if "root" in str(error) else key
+        problems.append(places.problem(stated, str(error), "Correct it"))
+        return None
+    return geometry
+
+
+def as_robot_entry(document: Document, open_text: Any) -> ModelEntry | None:
+    """The model; a `serial_arm` whose `urdf` is an MJCF, or whose goals are recorded under a stated law and no input is, is read
+    as a robot."""
+    entry, roles = document.model, {c.role for c in document.channels.values()}
+    goals = any(name.endswith("_cmd") for name in document.channels)
+    if entry is None or entry.urdf is None:
+        return entry
+    text = open_text(entry.urdf, ("model", "urdf")) if open_text is not None and entry.urdf.endswith((".xml", ".mjcf")) else ""
+    mjcf = isinstance(text, str) and re.search(r"<\s*mujoco\b", text) is not None
+    driven = document.controller is not None and "input" not in roles and goals and not entry.free
+    if not (mjcf or driven):
+        return entry
+    return entry.model_copy(update={"name": None, "urdf": None, "robot": entry.urdf})
+
+
+def robot_geometry(entry: ModelEntry, places: Places, open_text: Any, problems: list[Problem]) -> Geometry | None:
+    """The robot's file as text, if it can be read as a robot."""
+    from jaxid.robots.match import robot_of
+    from jaxid.robots.mjcf_text import expanded
+
+    key = ("model", "robot")
+    if open_text is None:
+        problems.append(places.problem(key, "a robot's file needs a folder", "Give the model as Robot.from_mjcf(...)"))
+        return None
+    text = open_text(entry.robot, key)
+    if isinstance(text, Problem):
+        problems.append(text)
+        return None
+    try:
+        if not str(entry.robot).lower().endswith(".urdf"):
+            text = expanded(open_text.path(entry.robot), text)
+        robot_of(text, str(entry.robot), entry.tip)
+    except UsageError as error:
+        problems.append(places.problem(key, str(error), "Correct the file, or name another"))
+        return None
+    return Geometry(robot=text, file=str(entry.robot), tip=entry.tip, path=str(open_text.path(entry.robot)))
+
+
+def as_robot(dataset: Dataset, places: Places) -> Dataset:
+    """The dataset under the names of its robot's joints. Raises `DatasetError` where they do not go together."""
+    from jaxid.robots.match import prepared
+
+    try:
+        robot: Any
+        robot, dataset = prepared(None, dataset)
+        robot.matched(dataset)
+    except UsageError as error:
+        raise DatasetError([places.problem(("model",), str(error), "Correct [model], [controller] or the channels")]) from None
+    return dataset

@@ -1,0 +1,132 @@
+"""The tables of dataset.toml that say what is simulated: model, base, links, priors of parameters, and the controller."""
+
+from __future__ import annotations
+
+import math
+from typing import Any, Literal
+
+from pydantic import BaseModel, ConfigDict, Field, field_validator, FiniteFloat, model_validator
+
+from jaxid.data.schema_fields import Number, plain_text, Strict
+
+
+class GaussEntry(Strict):
+    """A Gaussian prior."""
+
+    mean: FiniteFloat
+    std: FiniteFloat = Field(gt=0)
+
+
+class PriorEntry(Strict):
+    """`[model.parameters.NAME]`: start value, bounds, search scale and Gaussian prior of a fitted number."""
+
+    value: FiniteFloat | None = None
+    lower: FiniteFloat | None = None
+    upper: FiniteFloat | None = None
+    log: bool | None = None
+    prior: GaussEntry | None = None
+
+    @model_validator(mode="after")
+    def _ordered(self) -> PriorEntry:
+        given = [v for v in (self.lower, self.value, self.upper) if v is not None]
+        if given != sorted(given) or (self.lower is not None and self.lower == self.upper):
+            raise ValueError("lower, value and upper must rise in this order (a known value belongs in [model.constants])")
+        if self.log and self.lower is not None and self.lower <= 0:
+            raise ValueError("log = true searches the logarithm, and lower is not above 0: raise it")
+        ends = (-math.inf if self.lower is None else self.lower, math.inf if self.upper is None else self.upper)
+        if self.prior is not None and not ends[0] <= self.prior.mean <= ends[1]:
+            raise ValueError("the mean of the prior lies outside of lower and upper")
+        return self
+
+
+class LinksEntry(Strict):
+    """`[model.dh]`: a Denavit-Hartenberg table of a `serial_arm`, one number a joint, m and rad."""
+
+    convention: Literal["modified", "standard"] = "modified"
+    a: list[FiniteFloat] = Field(min_length=1, max_length=64)
+    alpha: list[FiniteFloat]
+    d: list[FiniteFloat]
+    theta: list[FiniteFloat] | None = None
+    prismatic: list[bool] | None = None
+
+    @model_validator(mode="after")
+    def _even(self) -> LinksEntry:
+        for name in ("alpha", "d", "theta", "prismatic"):
+            column = getattr(self, name)
+            if column is not None and len(column) != len(self.a):
+                raise ValueError(f"{name} has {len(column)} entries and a has {len(self.a)}: one for each joint")
+        return self
+
+
+class BaseEntry(Strict):
+    """`[model.base]` of a robot: how its base stands, rad."""
+
+    kind: Literal["fixed", "prescribed", "free"] = "fixed"
+    roll: FiniteFloat = 0.0
+    pitch: FiniteFloat = 0.0
+    yaw: FiniteFloat = 0.0
+
+
+class ModelEntry(Strict):
+    """`[model]`. `urdf` (a file of the folder, with the `root` and the `tip` of the chain where it has several) or `dh` are the
+    links of a `serial_arm`; `robot` is the file of any robot, MJCF or URDF, with its `base`; `joints` says which joint a channel
+    is of (`q1` and its `tau1`, `q1_cmd` … alike)."""
+
+    name: str | None = None
+    without: list[str] = []
+    free: bool = False
+    constants: dict[str, Number] = {}
+    parameters: dict[str, PriorEntry] = {}
+    urdf: str | None = None
+    tip: str | None = None
+    root: str | None = None
+    dh: LinksEntry | None = None
+    robot: str | None = None
+    base: BaseEntry | None = None
+    joints: dict[str, str] = {}
+
+    @field_validator("joints")
+    @classmethod
+    def _joints(cls, value: dict[str, str]) -> dict[str, str]:
+        for channel, joint in value.items():
+            plain_text(joint)
+            if sum(joint == other for other in value.values()) > 1:
+                raise ValueError(f"{channel!r}: two channels are of joint {joint!r}; one joint has one position")
+        return value
+
+    @model_validator(mode="after")
+    def _apart(self) -> ModelEntry:
+        if self.robot is not None and (self.name not in (None, "robot") or self.urdf is not None or self.dh is not None):
+            raise ValueError("robot names the file of a robot, beside which name, urdf and dh do not stand: keep one of them")
+        if self.name not in (None, "robot") and self.base is not None:
+            raise ValueError('base belongs to a robot: write robot = "robot.xml" (or a URDF) in place of the name')
+        both = sorted(set(self.constants) & set(self.parameters))
+        if both:
+            raise ValueError(f"{both[0]!r} is both known (constants) and to be fitted (parameters)")
+        if self.urdf is not None and self.dh is not None:
+            raise ValueError("the links stand in both urdf and dh: keep one of them")
+        if (self.urdf is not None or self.dh is not None) and self.name != "serial_arm":
+            raise ValueError('urdf and dh are the links of the model "serial_arm": write name = "serial_arm"')
+        if self.urdf is None and (self.root is not None or (self.tip is not None and self.robot is None)):
+            word, what = ("root", "beginning") if self.root is not None else ("tip", "end")
+            raise ValueError(f"{word} names the {what} of a chain in a URDF, and there is no urdf")
+        return self
+
+
+class ControllerEntry(BaseModel):
+    """`[controller]`: its kind; gains, sample time and saturation as numbers or lists of numbers; the names of channels."""
+
+    model_config = ConfigDict(extra="allow", strict=True, allow_inf_nan=False)
+    __pydantic_extra__: dict[str, FiniteFloat | list[FiniteFloat] | dict[str, FiniteFloat]]
+    kind: str
+    fit: list[str] | None = None
+    spread: dict[str, FiniteFloat] | None = None
+    velocity: str | None = None
+    reference: str | list[str] | None = None
+    reference_velocity: str | list[str] | dict[str, str] | None = None
+    disturbance: str | list[str] | None = None
+
+    @property
+    def settings(self) -> dict[str, Any]:
+        """Everything that is stated besides the kind."""
+        return {name: value for name, value in self.model_dump(exclude={"kind"}).items() if value is not None}

@@ -1,0 +1,64 @@
+"""What an export and a replay say on a terminal."""
+
+from __future__ import annotations
+
+from typing import Any, TYPE_CHECKING
+
+from jaxid.wording import (
+    listed,
+    number,
+    one_line,
+    table,
+)
+
+
+if TYPE_CHECKING:
+    from jaxid.fitting.replay import Replay
+    from jaxid.robots.export.run import Exported
+
+
+def export_text(exported: Exported, folder: Any) -> str:
+    """What went where, a line for each row, and the files."""
+    head = ("effect or number", "at", "field", "value", "how")
+    rows = [
+        (
+            one_line(r.effect),
+            one_line(r.location),
+            one_line(r.field) or "-",
+            f"{_short(r.value)} {one_line(r.unit)}".strip(),
+            r.how,
+        )
+        for r in exported.rows
+    ]
+    notes = dict.fromkeys(
+        f"{one_line(r.effect)} at {one_line(r.location)}: {one_line(r.note)}" for r in exported.rows if r.how != "exact"
+    )
+    files = [f"{folder}/{one_line(name)}" for name in (*exported.files, "export.json")]
+    return "\n".join([table(head, rows), *notes, *map(one_line, exported.notes), f"written: {listed(files)}"])
+
+
+def _short(value: Any) -> str:
+    if isinstance(value, dict):
+        return ", ".join(f"{k} {_short(v)}" for k, v in value.items())
+    if isinstance(value, list | tuple):
+        return "[" + " ".join(_short(v) for v in value) + "]"
+    return f"{value:.5g}" if isinstance(value, float) else one_line(str(value))
+
+
+def replay_text(result: Replay) -> str:
+    """Each joint's error in every run of a simulator beside the other's."""
+    other = result.other
+    rows = [
+        (one_line(r["experiment"]), one_line(r["joint"]), number(r["mujoco"]), "-" if r[other] is None else number(r[other]),
+         "-" if r["difference"] is None else number(r["difference"]), r["unit"])
+        for r in result.rows
+    ]  # fmt: skip
+    head = (
+        "run",
+        "joint",
+        "rms error in MuJoCo",
+        f"in {'the other file' if other == 'against' else 'jaxid'}",
+        "between both",
+        "unit",
+    )
+    return "\n".join([f"{one_line(result.robot)} on {one_line(result.dataset)}", table(head, rows), *map(one_line, result.notes)])
