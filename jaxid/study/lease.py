@@ -23,7 +23,7 @@ def machine() -> str:
     return f"{socket.gethostname()}/{boot}"
 
 
-def started(pid: int) -> float:
+def process_start(pid: int) -> float:
     """When a process began; 0 if there is none."""
     import psutil
 
@@ -37,5 +37,5 @@ def alive(held: Sequence[Any]) -> bool:
     """Whether the holder of a lease (host, pid, started, renewed) lives: here by its process, elsewhere by its last word."""
     host, pid, started, renewed = held[:4]
     if host == machine():
-        return abs(started(pid) - started) < 1.0
+        return abs(process_start(pid) - started) < 1.0
     return abs(time.time() - renewed) < LEASE_S

@@ -186,7 +186,7 @@ class Store:
                 )
             self.db.execute(
                 "INSERT OR REPLACE INTO lease (id, owner, host, pid, started, renewed, running) VALUES (1, ?, ?, ?, ?, ?, 0)",
-                (owner, host, os.getpid(), started(os.getpid()), now),
+                (owner, host, os.getpid(), process_start(os.getpid()), now),
             )
         self.owner = owner
 
