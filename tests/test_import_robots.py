@@ -16,7 +16,7 @@ import pytest
 from jaxid.data.dataset import Controller, Dataset, ModelSpec
 from jaxid.data.importers.robot import import_lerobot, import_mcap, import_rosbag
 from jaxid.data.io import load_dataset, save_dataset
-from jaxid.dynamics.joint_names import in_chain_order
+from jaxid.data.joint_names import in_chain_order
 from jaxid.errors import DatasetError, DatasetWarning, UsageError
 
 

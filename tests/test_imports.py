@@ -35,7 +35,7 @@ DISPLAY = {"report", "plot", "__repr__", "_repr_html_", "export"}
 #: Imports at the head of a module that still point up: (module, package).
 MODULE_LEVEL = {
     ("catalogue", "fitting"),
-    ("data.assemble", "dynamics"),
+    ("data.assemble_model", "dynamics"),
     ("fitting.run", "fitters"),
     ("fitting.simulate", "api"),
     ("numerics.program_cache", "cli"),
@@ -52,7 +52,7 @@ INSIDE_FUNCTIONS = {
     ("conventions.finding", "fitting"),
     ("data.assemble", "catalogue"),
     ("data.assemble", "dynamics"),
-    ("data.assemble", "robots"),
+    ("data.assemble_model", "robots"),
     ("data.capacity", "problem"),
     ("numerics.export_cache", "fitters"),
     ("numerics.export_cache", "models"),

@@ -7,15 +7,14 @@ from collections.abc import Callable, Iterable
 from dataclasses import replace
 from typing import Any
 
-from jaxid.data.assemble_model import as_robot, as_robot_entry, geometry_of, model_spec
+from jaxid.data.assemble_model import as_robot, as_robot_entry, geometry_of, joints_of, model_spec
 from jaxid.data.dataset import Controller, Dataset, Geometry
+from jaxid.data.joint_names import in_chain_order, number_of, renamed, renumbered
 from jaxid.data.patterns import expanded_channels
 from jaxid.data.records import Harvest, read_record, read_response, Reading
 from jaxid.data.schema import Document, ExperimentEntry, Header, Places
 from jaxid.data.table import Table
 from jaxid.data.units import Conversion, conversion, si_unit, UnitError
-from jaxid.dynamics.joint_names import in_chain_order, number_of, renamed, renumbered
-from jaxid.dynamics.urdf_table import arm_table
 from jaxid.errors import DatasetError, DatasetWarning, nearest, Problem, UsageError
 
 
@@ -40,7 +39,7 @@ def assemble(
     readings = _readings(document, places, problems, info)
     problems += _roles(document, places, known_model=info is not None)
     problems += _references(document, places)
-    chain = arm_table(geometry).joints if geometry is not None and geometry.urdf and check_model else ()
+    chain = joints_of(geometry) if check_model else ()
     if info is not None:
         problems += _fits_model(document, _of_chain(document, readings, chain), places, info)
     harvests = _samples(document, readings, open_table, problems)
@@ -178,6 +177,7 @@ def _model_info(document: Document, places: Places, problems: list[Problem], geo
     if entry is None or entry.name is None or entry.robot is not None:
         return None
     from jaxid import catalogue
+    from jaxid.dynamics.urdf_table import arm_table
 
     names = catalogue.model_names()
     if entry.name not in names:

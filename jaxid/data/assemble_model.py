@@ -106,3 +106,8 @@ def as_robot(dataset: Dataset, places: Places) -> Dataset:
     except UsageError as error:
         raise DatasetError([places.problem(("model",), str(error), "Correct [model], [controller] or the channels")]) from None
     return dataset
+
+
+def joints_of(geometry: Geometry | None) -> tuple[str, ...]:
+    """The joints of an arm that a URDF states, in the order of its chain; none where it has no names."""
+    return arm_table(geometry).joints if geometry is not None and geometry.urdf else ()

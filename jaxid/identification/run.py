@@ -14,9 +14,9 @@ from jaxid.conventions.checking import run_check
 from jaxid.conventions.finding import as_data, DataFinding
 from jaxid.data.capacity import need, refuse_too_large
 from jaxid.data.dataset import Dataset
+from jaxid.data.joint_names import in_chain_order, joint_names, names_of_joints
 from jaxid.dynamics.base_parameters import BaseParameters
 from jaxid.dynamics.chain import Chain
-from jaxid.dynamics.joint_names import in_chain_order, joint_names, names_of_joints
 from jaxid.dynamics.parameter_vector import Layout
 from jaxid.errors import nearest, UsageError
 from jaxid.fitting.result import versions

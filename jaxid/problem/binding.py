@@ -13,11 +13,11 @@ from jaxtyping import Array, Float
 
 from jaxid import catalogue
 from jaxid.data.dataset import Dataset, Experiment, ParameterPrior
+from jaxid.data.joint_names import in_chain_order, joint_names
 from jaxid.data.noise import Noise, noise_floor
 from jaxid.data.time_stamps import scattered_stamps, Stamps, with_scatter
 from jaxid.dynamics.chain import Chain
 from jaxid.dynamics.effect import Effect, neutral
-from jaxid.dynamics.joint_names import in_chain_order, joint_names
 from jaxid.dynamics.joint_readings import all_read, with_speeds
 from jaxid.dynamics.mechanism import Mechanism, Signature
 from jaxid.dynamics.parameter import Reference, settings, with_settings

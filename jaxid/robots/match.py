@@ -12,8 +12,8 @@ from typing import Any, TypeGuard
 import numpy as np
 
 from jaxid.data.dataset import Dataset, Experiment, Geometry, ModelSpec
+from jaxid.data.joint_names import plain_name
 from jaxid.dynamics.chain import Chain
-from jaxid.dynamics.joint_names import plain_name
 from jaxid.dynamics.joint_readings import with_speeds
 from jaxid.dynamics.parameter import with_fields
 from jaxid.errors import nearest, UsageError
