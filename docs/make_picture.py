@@ -48,7 +48,7 @@ def picture(diagnosis: jaxid.Diagnosis) -> str:
         right.set_title(f"{closed} of the gap closed", fontsize=9, loc="left")
         right.set_xlabel("gap, multiples of the noise (logarithmic)")
 
-    return plot.svg("readme", (9.2, 2.7), draw)
+    return plot.element("readme", (9.2, 2.7), draw)
 
 
 if __name__ == "__main__":

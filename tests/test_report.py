@@ -66,7 +66,7 @@ def test_diagnosis_page(tmp_path):
         "Without repeats the noise is the sensor's alone.",
     ):
         assert words in page.text, words
-    assert [tag for tag, _ in page.elements].count("svg") == 6
+    assert [tag for tag, _ in page.elements].count("figure") == 6
     assert list(path.parent.iterdir()) == [path]  # no partial file is left
 
 

@@ -56,6 +56,34 @@ def test_pages_are_accessible(kind, tmp_path):
     assert found["violations"] == []
 
 
+def test_letters_of_pictures_can_be_read_on_a_phone(tmp_path):
+    page = sample_diagnosis(800).report(tmp_path / "page.html")
+    source = re.sub(r"<meta http-equiv=[^>]*>", "", page.read_text(encoding="utf-8"))
+    run = """
+    const shown = [...document.querySelectorAll("figure svg")].filter(s => s.getClientRects().length);
+    const scale = t => { const m = t.getScreenCTM(); return Math.hypot(m.a, m.b); };
+    const size = t => parseFloat(getComputedStyle(t).fontSize) * scale(t);
+    const outside = t => { const r = t.getBoundingClientRect(); return r.left < 0 || r.right > innerWidth; };
+    const letters = shown.flatMap(s => [...s.querySelectorAll("text")]);
+    parent.postMessage(JSON.stringify({pictures: shown.length, all: document.querySelectorAll("figure").length,
+      width: document.documentElement.scrollWidth, least: Math.min(...letters.map(size)),
+      cut: letters.filter(outside).map(t => t.textContent)}), "*");
+    """
+    page.write_text(source.replace("</body>", f"<script>{run}</script></body>"), encoding="utf-8")
+    phone = tmp_path / "phone.html"
+    phone.write_text(
+        "<pre id=found></pre><script>onmessage = m => document.getElementById('found').textContent = m.data</script>"
+        f'<iframe src="{page.as_uri()}" style="width: 390px; height: 800px; border: 0"></iframe>',
+        encoding="utf-8",
+    )
+    shown = chromium("--virtual-time-budget=60000", "--dump-dom", phone.as_uri(), folder=tmp_path)
+    match = re.search(r'<pre id="found">({.*?})</pre>', shown, re.S)
+    assert match is not None, "the page did not answer"
+    found = json.loads(html.unescape(match[1]))
+    assert found["pictures"] == found["all"] > 3  # one of the two of each
+    assert found["least"] >= 9.0 and found["width"] <= 390 and found["cut"] == []
+
+
 def test_prints_on_a4(tmp_path):
     page = sample_diagnosis(800).report(tmp_path / "page.html")
     pdf = tmp_path / "page.pdf"

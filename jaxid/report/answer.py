@@ -126,7 +126,7 @@ def far_card(diagnosis: Diagnosis) -> tuple[str, list[str]]:
 def gap_picture(how_far: HowFar, verdict: str):
     """Bars of the gap before, after retuning and after adding the effect, against the noise."""
     bars = 3 if verdict in ("named", "partly") else 2
-    return plot.svg("gap", (9.2, 0.62 + 0.42 * bars), lambda figure: draw_gap(figure.add_subplot(), how_far, verdict))
+    return plot.svg("gap", (plot.WIDE, 0.62 + 0.42 * bars), lambda figure: draw_gap(figure.add_subplot(), how_far, verdict))
 
 
 def draw_gap(axes: Axes, how_far: HowFar, verdict: str) -> Axes:
@@ -157,7 +157,7 @@ def draw_gap(axes: Axes, how_far: HowFar, verdict: str) -> Axes:
             color="#000000",
         )
     axes.axvline(floor, color=plot.BLACK, linestyle=(0, (4, 2)), linewidth=1.2)
-    axes.annotate("noise", (floor, -0.52), xytext=(4, 0), textcoords="offset points", va="bottom", ha="left", fontsize=8.5)
+    axes.annotate("noise", (floor, -0.52), xytext=(4, 0), textcoords="offset points", va="bottom", ha="left")
     axes.set_yticks(range(len(bars)), [name for name, _, _ in bars])
     axes.set_ylim(len(bars) - 0.5, -0.85)
     low = min([floor, *(gap for _, gap, _ in bars if 0 < gap < floor)])

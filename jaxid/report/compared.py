@@ -36,11 +36,11 @@ def section(c: Comparison) -> Section:
             "setting": comparison_text.comparison_setting(c),
             "common_time": wording.number(c.common_time, 2),
             "rows": comparison_text.comparison_rows(c),
-            "convergence": plot.svg("convergence", (9.2, 3.6), lambda figure: _convergence(c, figure)),
-            "scatter": plot.svg("scatter", (9.2, 1.1 + 0.52 * len(c.best)), lambda figure: _scatter(c, figure))
+            "convergence": plot.svg("convergence", (plot.WIDE, 3.6), lambda figure: _convergence(c, figure)),
+            "scatter": plot.svg("scatter", (plot.WIDE, 1.1 + 0.52 * len(c.best)), lambda figure: _scatter(c, figure))
             if c.best
             else None,
-            "cost": plot.svg("cost", (9.2, 3.2), lambda figure: _cost(c, figure)),
+            "cost": plot.svg("cost", (plot.WIDE, 3.2), lambda figure: _cost(c, figure)),
         },
     )
 
@@ -93,7 +93,7 @@ def _convergence(c: Comparison, figure) -> None:
     draw_convergence(c, left, "evaluations")
     draw_convergence(c, right, "seconds")
     right.set_ylabel("")
-    figure.legend(*left.get_legend_handles_labels(), loc="outside upper center", ncols=min(8, len(c.fitters)))
+    plot.legend(figure, left.get_legend_handles_labels()[0], 8, "outside upper center")
 
 
 def width(known: Known) -> float:
@@ -131,7 +131,7 @@ def _scatter(c: Comparison, figure) -> None:
     axes.set_ylim(len(names) - 0.5, -0.5)
     axes.set_xlabel("distance from the best known value, in its standard deviations")
     axes.xaxis.set_major_formatter(lambda v, _: f"{v:g}" if abs(v) < 1e5 else f"{v:.0e}")
-    figure.legend(*axes.get_legend_handles_labels(), loc="outside upper center", ncols=min(8, len(fitters)))
+    plot.legend(figure, axes.get_legend_handles_labels()[0], 8, "outside upper center")
 
 
 def _cost(c: Comparison, figure) -> None:
@@ -159,4 +159,4 @@ def _cost(c: Comparison, figure) -> None:
         plot.plain_log(axes.xaxis)
         plot.plain_log(axes.yaxis)
     left.set_ylabel("loss above the best known")
-    figure.legend(*left.get_legend_handles_labels(), loc="outside upper center", ncols=min(8, len(c.fitters)))
+    plot.legend(figure, left.get_legend_handles_labels()[0], 8, "outside upper center")

@@ -53,4 +53,4 @@ def history_picture(fit: Fit):
         axes.set_ylabel("best loss so far")
         plot.plain_log(axes.yaxis)
 
-    return plot.svg("history", (9.2, 2.4), draw) if positive.any() else None
+    return plot.svg("history", (plot.WIDE, 2.4), draw) if positive.any() else None

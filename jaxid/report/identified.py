@@ -91,18 +91,20 @@ def payload_rows(result: Identification) -> list[tuple[str, str, str]]:
 
 def picture(result: Identification, k: int):
     name, split, t, tau, predicted = result.traces[k]
+    joints = tau.shape[1]
 
     def draw(figure):
-        axes = figure.subplots(-(-tau.shape[1] // 2), 2, sharex=True, squeeze=False).ravel()
-        for j in range(tau.shape[1]):
+        columns = 1 if plot.narrow(figure) else 2
+        axes = figure.subplots(-(-joints // columns), columns, sharex=True, squeeze=False).ravel()
+        for j in range(joints):
             axes[j].plot(*plot.thin(t, tau[:, j], 700), color=plot.BLACK, linewidth=1.4, label="measured, filtered")
             axes[j].plot(*plot.thin(t, predicted[:, j], 700), color=plot.BLUE, linewidth=0.9, label="predicted")
             axes[j].plot(*plot.thin(t, tau[:, j] - predicted[:, j], 700), color=plot.VERMILLION, linewidth=0.7, label="left over")
-            axes[j].set_title(f"{result.labels[j]} ({result.torque_units[j]})", fontsize=9, loc="left")
-        for left in axes[tau.shape[1] :]:
+            axes[j].set_title(f"{result.labels[j]} ({result.torque_units[j]})", fontsize="medium", loc="left")
+        for left in axes[joints:]:
             left.set_visible(False)
-        for lowest in axes[max(0, tau.shape[1] - 2) : tau.shape[1]]:
+        for lowest in axes[max(0, joints - columns) : joints]:
             lowest.set_xlabel("time (s)")
-        figure.legend(*axes[0].get_legend_handles_labels(), loc="outside upper right", ncols=3)
+        plot.legend(figure, axes[0].get_legend_handles_labels()[0], 3, "outside upper right")
 
-    return plot.svg(f"torque-{k}", (9.2, 1.5 * (-(-tau.shape[1] // 2)) + 0.6), draw)
+    return plot.svg(f"torque-{k}", (plot.WIDE, 1.5 * (-(-joints // 2)) + 0.6), draw, 1.4 * joints + 0.8)

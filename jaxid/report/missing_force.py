@@ -30,7 +30,7 @@ def section(forces: Sequence[MissingForce], regimes: Sequence[Regime], where: Se
         j: max(float(np.nanstd(plot.series(f.before) - plot.series(f.after))) for f in forces if f.joint == j) for j in joints
     }
     joints.sort(key=lambda j: -most[j])
-    told_by = {w.channel: FIELDS.get(w.variable, "") for w in reversed(where)}
+    told_by = {w.channel: w.variable for w in reversed(where)}
     pictures = []
     for i, joint in enumerate(joints[:SHOWN]):
         own = [f for f in forces if f.joint == joint]
@@ -53,49 +53,66 @@ def supplied(force: MissingForce) -> float:
     return float(np.nanstd(plot.series(force.before) - plot.series(force.after)))
 
 
-def picture(forces: Sequence[MissingForce], name: str, first: str = ""):
-    """All recordings of one joint: the force as means against speed, position and load (`first`: the field that comes first),
-    without and with the named effects; over time and as a spectrum that of the longest recording."""
+def picture(forces: Sequence[MissingForce], name: str, variable: str = ""):
+    """All recordings of one joint: the force as means against speed, position and load (first that which shows a law of this
+    `variable` best), without and with the named effects; over time and as a spectrum that of the longest recording."""
     longest = max(forces, key=lambda f: len(f.t))
     unit = longest.unit
     against = [
         ("qd", f"velocity ({plot.label(longest.qd_unit, 20)})"),
         ("q", f"position ({plot.label(longest.q_unit, 20)})"),
-        ("load", f"load ({plot.label(unit, 20)})"),
+        ("load", f"{'command' if variable == 'command' else 'load'} ({plot.label(unit, 20)})"),
     ]
     against = [(field, title) for field, title in against if any(np.ptp(getattr(f, field)) > 0 for f in forces)]
-    against.sort(key=lambda a: a[0] != first)
+    against.sort(key=lambda a: a[0] != FIELDS.get(variable))
     added = any(not np.array_equal(f.before, f.after) for f in forces)
     bounds = plot.limits(*(plot.series(f.before) for f in forces), quantile=0.005)
 
+    kinds = ["before", "after"] if added else ["before"]
+
     def draw(figure):
-        rows, level = figure.add_gridspec(3 if added else 2, 1), None
-        for row, which in enumerate(["before", "after"] if added else ["before"]):
-            panels = rows[row].subgridspec(1, max(1, len(against))).subplots(sharey=True, squeeze=False)[0]
-            for axes, (field, title) in zip(panels, against, strict=False):
-                binned.draw(axes, forces, field, which, law=added and which == "before")
+        panels, over_time, spectrum_axes = layout(figure, kinds, len(against))
+        level, points = None, plot.points(figure)
+        for kind, row in zip(kinds, panels, strict=True):
+            for axes, (field, title) in zip(row, against, strict=True):
+                binned.draw(axes, forces, field, kind, law=added and kind == "before")
                 axes.set_xlabel(title)
-            panels[0].set_ylabel(f"{'still ' if which == 'after' else ''}missing ({plot.label(unit, 20)})")
-            if which == "before":
-                level = plot.limits(*(line.get_ydata() for axes in panels for line in axes.get_lines()), quantile=0.0)
-            if level:
-                panels[0].set_ylim(level)
-        last = rows[-1].subgridspec(1, 3)
-        over_time, spectrum_axes = figure.add_subplot(last[:2]), figure.add_subplot(last[2])
-        over_time.plot(*plot.thin(longest.t, plot.series(longest.before)), color=plot.VERMILLION, linewidth=0.9)
+            if kind == "before":
+                level = plot.limits(*(line.get_ydata() for axes in row for line in axes.get_lines()), quantile=0.0)
+            for axes in row:
+                if level:
+                    axes.set_ylim(level)
+                if axes.get_subplotspec().is_first_col() or plot.narrow(figure):
+                    axes.set_ylabel(f"{'still ' if kind == 'after' else ''}missing ({plot.label(unit, 20)})")
+        over_time.plot(*plot.thin(longest.t, plot.series(longest.before), points), color=plot.VERMILLION, linewidth=0.9)
         if added:
-            over_time.plot(*plot.thin(longest.t, plot.series(longest.after)), color=plot.BLUE, linewidth=0.9)
-        draw_noise(over_time, longest.t, plot.series(longest.floor), 400)
+            over_time.plot(*plot.thin(longest.t, plot.series(longest.after), points), color=plot.BLUE, linewidth=0.9)
+        draw_noise(over_time, longest.t, plot.series(longest.floor), points // 4)
         over_time.set_xlabel(f"time in {plot.label(longest.experiment)} (s)")
         over_time.set_ylabel(f"missing ({plot.label(unit, 20)})")
         over_time.margins(x=0)
         if bounds:
             over_time.set_ylim(bounds)
         draw_spectrum(spectrum_axes, longest)
-        handles = legend(over_time, added, len(against) > 1)
-        figure.legend(handles=handles, loc="outside upper left", ncols=3, fontsize=8.5)
+        plot.legend(figure, legend(over_time, added, len(against) > 1), 3)
 
-    return plot.svg(name, (9.2, 7.6 if added else 5.4), draw)
+    return plot.svg(name, (plot.WIDE, 7.6 if added else 5.4), draw, 1.9 * (len(against) + 2) + 0.8)
+
+
+def layout(figure, kinds: Sequence[str], count: int):
+    """Axes [kind][field] of the means, one over time, one of the spectrum; on phones a field is a row, before beside after."""
+    if plot.narrow(figure):
+        rows = figure.add_gridspec(count + 2, 1)
+        by_field = [rows[k].subgridspec(1, len(kinds)).subplots(sharey=True, squeeze=False)[0] for k in range(count)]
+        return (
+            [[row[i] for row in by_field] for i in range(len(kinds))],
+            figure.add_subplot(rows[-2]),
+            figure.add_subplot(rows[-1]),
+        )
+    rows = figure.add_gridspec(len(kinds) + 1, 1)
+    panels = [rows[i].subgridspec(1, max(1, count)).subplots(sharey=True, squeeze=False)[0][:count] for i in range(len(kinds))]
+    last = rows[-1].subgridspec(1, 3)
+    return panels, figure.add_subplot(last[:2]), figure.add_subplot(last[2])
 
 
 def legend(axes, added: bool, both: bool) -> list:
@@ -161,41 +178,38 @@ def spectrum(t: np.ndarray, series: np.ndarray) -> tuple[np.ndarray, np.ndarray]
 
 
 def regime_picture(regimes: Sequence[Regime]):
-    """Each regime's strength against the band that noise alone would give."""
-    known = any(r.supplied is not None for r in regimes)
+    """How strong the missing force is in each regime of each joint, against the whole recording; where no named effect tells it
+    apart from the noise, beside what a perfect model would show."""
+    guessed = any(r.supplied is None for r in regimes)
+    labels = [(plot.label(r.joint, 20), plot.label(wording.regime_words(r.regime), 30)) for r in regimes]
+    lines = 1 + (max(len(a) + len(b) for a, b in labels) > 24)
 
     def draw(figure):
         axes = figure.add_subplot()
         axes.grid(False, axis="y")
         for i, r in enumerate(regimes):
-            low, high = map(plot.drawable, r.null)
-            strength = plot.drawable(r.strength)
-            axes.barh(i, high - low, left=low, height=0.6, color=plot.PALE)
-            mark, color = ("o", plot.VERMILLION) if r.stands_out else ("D", plot.GREY)
-            if r.supplied is not None:
-                axes.plot([plot.drawable(r.ratio)], [i], "|", color=plot.BLACK, markersize=11)
-            axes.plot([strength], [i], mark, color=color, markersize=6)
-            axes.annotate(
-                wording.number(r.strength),
-                (max(strength, high, plot.drawable(r.ratio)), i),
-                xytext=(8, 0),
-                textcoords="offset points",
-                va="center",
-                fontsize=8.5,
-            )
-        axes.set_yticks(
-            range(len(regimes)),
-            [f"{plot.label(r.joint, 20)}, {plot.label(wording.regime_words(r.regime), 30)}" for r in regimes],
-        )
+            strength, (low, high) = plot.drawable(r.strength), map(plot.drawable, r.null)
+            axes.barh(i, strength, height=0.6, color=plot.VERMILLION if r.stands_out else "#b5b5b5")
+            end = strength
+            if r.supplied is None:
+                axes.plot([low, high], [i, i], color=plot.BLACK, linewidth=2.5, solid_capstyle="butt")
+                end = max(strength, high)
+            axes.annotate(wording.number(r.strength, 2), (end, i), xytext=(6, 0), textcoords="offset points", va="center")
+        axes.axvline(1.0, color=plot.BLACK, linestyle=(0, (4, 2)), linewidth=1.1)
+        between = ",\n" if plot.narrow(figure) and lines > 1 else ", "
+        axes.set_yticks(range(len(regimes)), [between.join(label) for label in labels])
         axes.set_ylim(len(regimes) - 0.4, -0.6)
-        axes.set_xlim(0, 1.12 * max([1e-3, *(plot.drawable(x) for r in regimes for x in (r.strength, r.ratio, r.null[1]))]))
-        axes.set_xlabel("rms of the missing force in the regime / rms over all samples")
+        axes.tick_params(axis="y", length=0)
+        ends = [x for r in regimes for x in (r.strength, *(r.null[1:] if r.supplied is None else ()))]
+        axes.set_xlim(0, 1.12 * max([1.0, *map(plot.drawable, ends)]))
+        axes.set_xlabel("missing force there, as a multiple of that over the whole recording (rms)")
         handles = [
-            *axes.plot([], [], "o", color=plot.VERMILLION, label="stands out"),
-            *axes.plot([], [], "D", color=plot.GREY, label="does not"),
-            *(axes.plot([], [], "|", color=plot.BLACK, markersize=11, label="with the noise in it") if known else ()),
-            axes.barh([0], [0], color=plot.PALE, label="what a perfect model would show (95 %)"),
+            axes.barh([0], [0], color=plot.VERMILLION, label="stronger than elsewhere"),
+            axes.barh([0], [0], color="#b5b5b5", label="as elsewhere, or weaker"),
         ]
-        figure.legend(handles=handles, loc="outside upper left", ncols=4, fontsize=8.5)
+        if guessed:
+            handles += axes.plot([], [], color=plot.BLACK, linewidth=2.5, label="what a perfect model would show (95 %)")
+        plot.legend(figure, handles, 3)
 
-    return plot.svg("regimes", (9.2, 1.0 + 0.3 * len(regimes)), draw)
+    height = 1.0 + 0.3 * len(regimes)
+    return plot.svg("regimes", (plot.WIDE, height), draw, 1.2 + (0.3 + 0.12 * (lines - 1)) * len(regimes))

@@ -4,8 +4,9 @@ from __future__ import annotations
 
 import io
 import re
+import textwrap
 import warnings
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from typing import Any
 
 import matplotlib
@@ -30,6 +31,10 @@ BLACK, ORANGE, SKY, GREEN, BLUE, VERMILLION, PURPLE = (
 )
 GREY, PALE = "#8c8c8c", "#dddddd"
 
+#: Inches that a picture is wide on screens and on paper, and on phones: letters of 9 points are then at least 9 pixels high.
+WIDE, NARROW = 9.2, 4.4
+LETTER = 0.075  # inches that a letter of 9 points takes, roughly
+
 LARGEST = 1e12
 POINTS = 1500  # drawn of a series, however long it is
 
@@ -50,14 +55,23 @@ _SETTINGS: dict[Any, Any] = {
 }
 
 
-def svg(name: str, size: tuple[float, float], draw: Callable[[Figure], object]) -> Markup:
-    """What `draw` draws on a figure of this size (inches), as an SVG element; the same bytes for the same data."""
+def svg(name: str, size: tuple[float, float], draw: Callable[[Figure], object], narrow_height: float | None = None) -> Markup:
+    """What `draw` draws on a figure of this size (inches), as two SVG elements of which a page shows one: for screens and paper,
+    and for phones (`NARROW` and `narrow_height` inches; by default as high as the other). The same bytes for the same data."""
+    phone = element(f"{name}-narrow", (NARROW, narrow_height or size[1]), draw)
+    return Markup(element(name, size, draw) + phone.replace("<svg ", '<svg class="narrow" ', 1))
+
+
+def element(name: str, size: tuple[float, float], draw: Callable[[Figure], object]) -> str:
+    """One SVG element of this size (inches)."""
     with matplotlib.rc_context(), warnings.catch_warnings():
         warnings.simplefilter("ignore")  # a glyph missing from matplotlib's font: the browser draws the text
         matplotlib.rcdefaults()
         matplotlib.rcParams.update({**_SETTINGS, "svg.hashsalt": name})
         figure = Figure(figsize=size, layout="constrained")
         draw(figure)
+        if narrow(figure):
+            _wrap_titles(figure)
         buffer = io.StringIO()
         figure.savefig(buffer, format="svg", metadata={"Date": None, "Creator": None, "Format": None, "Type": None})
     source = buffer.getvalue()
@@ -66,7 +80,38 @@ def svg(name: str, size: tuple[float, float], draw: Callable[[Figure], object]) 
     source = re.sub(r"<!--.*?-->", "", source, flags=re.DOTALL)
     source = re.sub(r'<g id="[^"]*"(/?)>', r"<g\1>", source)  # the same in every picture of a page
     source = re.sub(r' d="[^"]*"', _shorter, source)
-    return Markup(re.sub(r"\n\s*", "\n", source))
+    return re.sub(r"\n\s*", "\n", source)
+
+
+def narrow(figure: Figure) -> bool:
+    """Whether a picture is drawn for a phone."""
+    return figure.get_figwidth() <= NARROW
+
+
+def points(figure: Figure) -> int:
+    """How many samples of a series a picture shows."""
+    return int(POINTS * figure.get_figwidth() / WIDE)
+
+
+def legend(figure: Figure, handles: Sequence[Any], columns: int, where: Any = "outside upper left") -> None:
+    """A legend outside the axes in at most so many columns: as many as fit."""
+    longest = max(len(str(h.get_label())) for h in handles)
+    fit = int(figure.get_figwidth() // (LETTER * longest + 0.5))
+    figure.legend(handles=handles, loc=where, ncols=max(1, min(columns, fit)))
+
+
+def _wrap_titles(figure: Figure) -> None:
+    """Axis titles in as many lines as their axes need."""
+    figure.draw_without_rendering()
+    for axes in figure.axes:
+        box = axes.get_window_extent()
+        for title, set_title, length in (
+            (axes.get_xlabel(), axes.set_xlabel, box.width),
+            (axes.get_ylabel(), axes.set_ylabel, box.height),
+        ):
+            letters = max(12, int(length / figure.dpi / LETTER))
+            if max(map(len, title.split("\n"))) > letters:
+                set_title(textwrap.fill(title, letters))
 
 
 def _shorter(path: re.Match[str]) -> str:

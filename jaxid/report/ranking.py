@@ -54,6 +54,7 @@ def picture(rows: list[tuple[Ranked, str]], name: str) -> Markup:
 
     def draw(figure):
         axes = figure.add_subplot()
+        at = "\nat " if plot.narrow(figure) else " at "
         axes.grid(False, axis="y")
         if logarithmic:
             axes.set_xscale("log")
@@ -66,10 +67,9 @@ def picture(rows: list[tuple[Ranked, str]], name: str) -> Markup:
                 xytext=(5, 0),
                 textcoords="offset points",
                 va="center",
-                fontsize=8.5,
             )
         axes.axvline(1.0, color=plot.BLACK, linestyle=(0, (4, 2)), linewidth=1.1)
-        axes.set_yticks(range(len(rows)), [plot.label(f"{r.effect} at {r.location}", 44) for r, _ in rows])
+        axes.set_yticks(range(len(rows)), [f"{r.effect}{at}{plot.label(r.location, 20)}" for r, _ in rows])
         axes.set_ylim(len(rows) - 0.4, -0.6)
         axes.tick_params(axis="y", length=0)
         axes.spines["left"].set_visible(False)
@@ -80,6 +80,6 @@ def picture(rows: list[tuple[Ranked, str]], name: str) -> Markup:
             plot.plain_log(axes.xaxis)
         present = [kind for kind in palette if any(k == kind for _, k in rows)]
         handles = [axes.barh([0], [0], color=palette[kind], label=meaning[kind]) for kind in present]
-        figure.legend(handles=handles, loc="outside upper left", ncols=3, fontsize=8.5)
+        plot.legend(figure, handles, 3)
 
-    return plot.svg(name, (9.2, 1.0 + 0.27 * len(rows)), draw)
+    return plot.svg(name, (plot.WIDE, 1.0 + 0.27 * len(rows)), draw, 1.2 + 0.4 * len(rows))

@@ -45,14 +45,15 @@ def picture(trace: Trace, name: str):
 
     def draw(figure):
         above, below = figure.subplots(2, 1, sharex=True, height_ratios=[4, 3])
-        handles = above.plot(*plot.thin(trace.t, measured), color=plot.BLACK, linewidth=1.8, label="measured")
+        points = plot.points(figure)
+        handles = above.plot(*plot.thin(trace.t, measured, points), color=plot.BLACK, linewidth=1.8, label="measured")
         rests = []
         for label, color in zip(labels, colors(labels), strict=True):
             series = plot.series(trace.simulated[label])
-            handles += above.plot(*plot.thin(trace.t, series), color=color, label=plot.label(label))
+            handles += above.plot(*plot.thin(trace.t, series, points), color=color, label=plot.label(label))
             rest = measured - series
             rests.append(rest)
-            below.plot(*plot.thin(trace.t, rest), color=color, linewidth=1.0)
+            below.plot(*plot.thin(trace.t, rest, points), color=color, linewidth=1.0)
         if 0 < trace.noise < plot.LARGEST:
             band = below.axhspan(-2 * trace.noise, 2 * trace.noise, color=plot.GREY, alpha=0.35, linewidth=0)
             band.set_label("noise, ±2 standard deviations")
@@ -72,6 +73,6 @@ def picture(trace: Trace, name: str):
         if len(trace.t) > 1:
             below.set_xlim(float(trace.t[0]), float(trace.t[-1]))
         figure.align_ylabels()
-        figure.legend(handles=handles, loc="outside upper left", ncols=4, fontsize=8.5)
+        plot.legend(figure, handles, 4)
 
-    return plot.svg(name, (9.2, 4.5), draw)
+    return plot.svg(name, (plot.WIDE, 4.5), draw)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Mapping, Sequence
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import jax
 import numpy as np
@@ -97,16 +97,9 @@ def course(name: str, caption: str, runs: Sequence[Searched], ylabel: str, facto
         axes.set(xscale="log", yscale="log", xlabel="evaluations of the loss", ylabel=ylabel)
         plot.plain_log(axes.xaxis)
         plot.plain_log(axes.yaxis)
-        above(figure, [run.label for run in runs])
+        plot.legend(figure, axes.get_legend_handles_labels()[0], 8, "outside upper center")
 
     return Picture(name, caption, (9.2, 3.8), draw)
-
-
-def above(figure: Figure, labels: Sequence[str], handles: Sequence[Any] | None = None) -> None:
-    """A legend above the axes, in as many columns as there is room for."""
-    shown = figure.axes[0].get_legend_handles_labels()[0] if handles is None else handles
-    columns = max(1, min(len(labels), int(100 / (8 + max(map(len, labels))))))
-    figure.legend(shown, labels, loc="outside upper center", ncols=columns)
 
 
 def dispersion(name: str, caption: str, runs: Sequence[Searched], xlabel: str, factor: float = 1.0) -> Picture:
@@ -141,6 +134,6 @@ def lines(
             axes.set(xlabel=xlabel, ylabel=ylabel, **axis)
             if axis.get("yscale") == "log":
                 plot.plain_log(axes.yaxis)
-        above(figure, *grid[0].get_legend_handles_labels()[::-1])
+        plot.legend(figure, grid[0].get_legend_handles_labels()[0], 8, "outside upper center")
 
     return Picture(name, caption, (9.2, 3.4), draw)

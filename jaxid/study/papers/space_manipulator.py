@@ -14,6 +14,7 @@ from jaxid.fitting.fitter import AbstractFitter
 from jaxid.fitting.least_squares import descend
 from jaxid.fitting.population import AbstractPopulation
 from jaxid.fitting.sequential import stretches
+from jaxid.report import plot
 from jaxid.report.compared import COLORS
 from jaxid.study.papers.result import Claim, FAILS, HOLDS, judged, Part, Picture, Table, UNKNOWN
 from jaxid.study.papers.searches import course, lines, numbers_of, race, Searched
@@ -149,7 +150,7 @@ def _recursions(figure: Figure, objective: Mapping[str, np.ndarray], least: floa
     for (label, values), color in zip(objective.items(), COLORS, strict=False):
         axes.plot(range(len(values)), values / least, "o-", color=color, label=label, markersize=4)
     axes.set(xlabel="recursion (0: off-line)", ylabel="objective / its least")
-    figure.legend(loc="outside upper center", ncols=4)
+    plot.legend(figure, axes.get_legend_handles_labels()[0], 4, "outside upper center")
 
 
 def linear_system(count: int, seeds: int) -> Part:
