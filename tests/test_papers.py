@@ -149,7 +149,7 @@ def test_numbers_are_written_to_the_digits_that_scatter_leaves():
 def test_differential_evolution_as_the_paper_has_it():
     """In the linear box, against a loop written apart, with the paper's settings: each within the other's scatter."""
     p = flexible_link.problem()
-    assert not p.log.any() and np.all(p.lower == [b[0] for b in flexible_link.BOUNDS.values()])
+    assert not p.log.any() and np.all(p.lower == [flexible_link.BOUNDS[name][0] for name in p.names])
     own = race(p, {"DE": flexible_link.methods()["DE"]}, range(6))[0].losses
     other = np.array([_evolved(p, seed) for seed in range(6)])
     assert abs(own.mean() - other.mean()) < 3 * np.hypot(own.std(ddof=1), other.std(ddof=1)) / np.sqrt(6) + 2e-3

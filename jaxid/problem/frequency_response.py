@@ -288,7 +288,8 @@ class FrequencyResponseError(Residual):
         measured = [r for r in dataset.responses if r.split == split]
         for one in measured:
             lines = merged(one)
-            inside = (lines.omega >= 2 * np.pi * self.band_hz[0]) & (lines.omega <= 2 * np.pi * self.band_hz[1])
+            low, high = 2 * np.pi * np.asarray(self.band_hz) * [1 - 1e-9, 1 + 1e-9]  # a line at an end is in it, rounded or not
+            inside = (lines.omega >= low) & (lines.omega <= high)
             where = _position(one.output, outputs, "output"), _position(one.input, inputs, "input")
             target, weight = _parts(lines.response[inside], lines.std[inside], self.magnitude)
             rows = slice(row, row + target.size)

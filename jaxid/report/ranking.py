@@ -69,7 +69,7 @@ def picture(rows: list[tuple[Ranked, str]], name: str) -> Markup:
                 va="center",
             )
         axes.axvline(1.0, color=plot.BLACK, linestyle=(0, (4, 2)), linewidth=1.1)
-        axes.set_yticks(range(len(rows)), [f"{r.effect}{at}{plot.label(r.location, 20)}" for r, _ in rows])
+        axes.set_yticks(range(len(rows)), [f"{plot.label(r.effect, 30)}{at}{plot.label(r.location, 20)}" for r, _ in rows])
         axes.set_ylim(len(rows) - 0.4, -0.6)
         axes.tick_params(axis="y", length=0)
         axes.spines["left"].set_visible(False)
