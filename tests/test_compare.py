@@ -150,7 +150,7 @@ def test_plot_and_notebook(small):
     with pytest.raises(jaxid.UsageError, match="seconds"):
         small.plot("hours", Figure().add_subplot())
     html = small._repr_html_()
-    assert html.count("<figure") == 3 and "<html" not in html and len(html) < 250_000
+    assert html.count("<figure") == 3 and "<html" not in html and len(html) < 400_000
 
 
 def test_a_comparison_shows_itself_short_and_escaped():
