@@ -11,7 +11,7 @@ import numpy as np
 from jaxid.diagnosis.how_far import closed
 from jaxid.diagnosis.next_experiment import advice
 from jaxid.diagnosis.result import Diagnosis, Which
-from jaxid.diagnosis.torque.algebra import BLOCKS, gram, Whitening
+from jaxid.diagnosis.torque.algebra import BLOCKS, gram, Weights
 from jaxid.diagnosis.torque.answer import Answer, estimates, how_far, of_model, places, ranking, scores, traces
 from jaxid.diagnosis.torque.ceiling import ceiling
 from jaxid.diagnosis.torque.choose import Chooser, Model
@@ -43,7 +43,7 @@ class Found:
 
     chooser: Chooser
     rows: Rows
-    white: Whitening
+    weights: Weights
     chosen: Model
     nominal: Answer
     final: Answer
@@ -75,13 +75,13 @@ def _searched(study: Study, most: int) -> Found:
     fit, choose, judge = study.of("fit"), study.of("validation"), study.of("report")
     theta, found = study.theta, None
     for again in range(PASSES):
-        rows, white = study.rows_with_effects(theta, again > 0)
-        chooser = study.chooser(rows, white, fit, choose, most)
+        rows, weights = study.rows_with_effects(theta, again > 0)
+        chooser = study.chooser(rows, weights, fit, choose, most)
         chosen = chooser.nominal if _at_floor(study, rows, chooser, fit, choose) else chooser.run()
         found = Found(
             chooser,
             rows,
-            white,
+            weights,
             chosen,
             of_model(study, rows, chooser.nominal),
             of_model(study, rows, chosen),
@@ -132,7 +132,7 @@ def _difference(study: Study, found: Found, most: int) -> Found | None:
         return None
     nominal = Answer(study, own, np.arange(len(base.at)), base.numbers, base.units)
     final = of_model(study, own, chosen)
-    return Found(chooser, own, found.white, chosen, nominal, final, found.fit, found.choose, found.judge, True)
+    return Found(chooser, own, found.weights, chosen, nominal, final, found.fit, found.choose, found.judge, True)
 
 
 def _second(study: Study, rows: Rows, found: Found, most: int) -> Chooser:
@@ -144,7 +144,7 @@ def _second(study: Study, rows: Rows, found: Found, most: int) -> Chooser:
     low = np.concatenate([study.lower, -free, *(u.least for u in both)])
     high = np.concatenate([study.upper, free, *(u.most for u in both)])
     known = study.known(len(start), rows.theta, both)
-    g = lambda which: gram([study.runs[k] for k in which], [rows.rows[k] for k in which], found.white, BLOCKS)
+    g = lambda which: gram([study.runs[k] for k in which], [rows.rows[k] for k in which], found.weights, BLOCKS)
     return Chooser(rows.units, len(base.numbers), g([*found.fit, *found.choose]), g(found.judge), known, start, low, high, most)
 
 
@@ -204,7 +204,7 @@ def _answered(study: Study, found: Found, most: int, seed: int, began: float) ->
         bound = ceiling(
             study,
             found.rows,
-            found.white,
+            found.weights,
             at,
             [*found.fit, *(found.choose if found.different else [])],
             found.choose or found.fit,
@@ -265,7 +265,7 @@ def _notes(study: Study, found: Found) -> list[str]:
     run = study.runs[0]
     notes = [
         f"torque and every column low-passed without phase at {run.cutoff_hz:.3g} Hz, positions at "
-        f"{MOTION * run.cutoff_hz:.3g} Hz before they are differentiated; residuals whitened joint by joint; sets of effects "
+        f"{MOTION * run.cutoff_hz:.3g} Hz before they are differentiated; each joint weighted by what is left of it; sets of effects "
         "compared on runs that were not fitted"
     ]
     joints = study.binding.chain.signature.joints

@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from jaxid.data.signals import zero_phase
-from jaxid.diagnosis.torque.algebra import BLOCKS, gram, Known, Solution, solve, Whitening, whitening
+from jaxid.diagnosis.torque.algebra import BLOCKS, gram, Known, Solution, solve, weighted, Weights
 from jaxid.diagnosis.torque.choose import Chooser
 from jaxid.diagnosis.torque.forces import force, with_numbers
 from jaxid.diagnosis.torque.library import DRIVES, Unit, units
@@ -61,7 +61,7 @@ class Study:
         self.plant: Plant = plant_of(binding, turning_speeds(self.runs))
         self.given, self.payloads = known, payloads
         self.turns = [self._turns(r) for r in self.runs]
-        self._plain: tuple[Rows, Whitening, Solution] | None = None
+        self._plain: tuple[Rows, Weights, Solution] | None = None
         self.noise = np.ones(binding.chain.nq)
         self.theta = self._nominal()
         self.measured = self._noise()
@@ -120,23 +120,23 @@ class Study:
 
     def _nominal(self) -> np.ndarray:
         """The nominal model fitted to the fit runs, each joint weighted by what is left of it."""
-        theta, white = self.binding.theta.copy(), None
+        theta, weights = self.binding.theta.copy(), None
         if not self.plant.exact():
             theta = start_values(Bench(self.binding), self.plant.free, 0)[0]
         best, end = np.inf, theta
         for step in range(1 if self.plant.exact() else STEPS):
             rows = self.made(theta, [])
-            if white is None:
-                white = self._weights(rows, np.zeros(0, int), np.zeros(0))
-                white = self._weights(rows, *self._solved(rows, white))
-            loss = gram(*self._some(rows, self.of("fit")), white, 1).losses(np.arange(self.plant.size), theta[self.plant.free])[0]
+            if weights is None:
+                weights = self._weights(rows, np.zeros(0, int), np.zeros(0))
+                weights = self._weights(rows, *self._solved(rows, weights))
+            loss = gram(*self._some(rows, self.of("fit")), weights, 1).losses(np.arange(self.plant.size), theta[self.plant.free])[0]
             if not loss < best * (1 - SETTLED) and step:
                 if loss <= best or np.allclose(theta, end, rtol=1e-9):
                     break
                 theta = (theta + end) / 2  # too far
                 continue
             best, end = min(best, loss), theta
-            theta = self._moved(theta, *self._solved(rows, white))
+            theta = self._moved(theta, *self._solved(rows, weights))
         return theta if self.plant.exact() else end
 
     def _moved(self, theta: np.ndarray, at: np.ndarray, numbers: np.ndarray) -> np.ndarray:
@@ -147,14 +147,14 @@ class Study:
     def _some(self, rows: Rows, which: Sequence[int]) -> tuple[list[Run], list[np.ndarray]]:
         return [self.runs[k] for k in which], [rows.rows[k] for k in which]
 
-    def _solved(self, rows: Rows, white: Whitening, which: Sequence[int] | None = None) -> tuple[np.ndarray, np.ndarray]:
+    def _solved(self, rows: Rows, weights: Weights, which: Sequence[int] | None = None) -> tuple[np.ndarray, np.ndarray]:
         at = np.arange(rows.rows[0].shape[2] - 1)
-        s = self._solution(rows, white, at, self.of("fit") if which is None else which)
+        s = self._solution(rows, weights, at, self.of("fit") if which is None else which)
         return s.at, s.theta
 
-    def _solution(self, rows: Rows, white: Whitening, at: np.ndarray, which: Sequence[int]) -> Solution:
+    def _solution(self, rows: Rows, weights: Weights, at: np.ndarray, which: Sequence[int]) -> Solution:
         size = rows.rows[0].shape[2] - 1
-        g = gram(*self._some(rows, which), white, 1).total
+        g = gram(*self._some(rows, which), weights, 1).total
         start, low, high = self.bounds(rows)
         return solve(g, at, self.known(size, rows.theta, rows.units), start, low, high)
 
@@ -166,19 +166,19 @@ class Study:
         start = np.concatenate([rows.theta[self.plant.free], 0 * np.isinf(free), np.zeros(len(low))])
         return start, np.concatenate([self.lower, -free, low]), np.concatenate([self.upper, free, high])
 
-    def _weights(self, rows: Rows, at: np.ndarray, numbers: np.ndarray) -> Whitening:
+    def _weights(self, rows: Rows, at: np.ndarray, numbers: np.ndarray) -> Weights:
         which = self.of("fit")
         left = [rows.residual(k, at, numbers) for k in which]
-        return whitening(left, [self.runs[k].moves for k in which], 0 * self.noise)
+        return weighted(left, [self.runs[k].moves for k in which])
 
     # ---- effects
 
-    def rows_with_effects(self, theta: np.ndarray, chosen: bool = False) -> tuple[Rows, Whitening]:
+    def rows_with_effects(self, theta: np.ndarray, chosen: bool = False) -> tuple[Rows, Weights]:
         """Rows with every unit, and the weights that the richest model of the fit runs leaves. Its numbers also tell the torques
         that effects depend on; `chosen`: theta is that of a model with effects and tells them better."""
         if self._plain is None or not self.plant.exact():
             self._plain = self._without_torque(theta)
-        rows, white, s = self._plain
+        rows, weights, s = self._plain
         if loaded := [k for k in self.kinds if k.name in BY_TORQUE]:
             at = theta if chosen else self._moved(theta, s.at, s.theta)
             more = units(self.plant, loaded, self.runs, at, self.payloads)
@@ -186,18 +186,18 @@ class Study:
                 np.concatenate([x[:, :, :-1], *(u.columns[k] for u in more), x[:, :, -1:]], 2) for k, x in enumerate(rows.rows)
             ]
             rows = Rows(theta, [*rows.units, *more], every)
-        return rows, white
+        return rows, weights
 
-    def _without_torque(self, theta: np.ndarray) -> tuple[Rows, Whitening, Solution]:
+    def _without_torque(self, theta: np.ndarray) -> tuple[Rows, Weights, Solution]:
         """Rows with the units that depend on the motion alone, weights, and the richest model."""
         plain = [k for k in self.kinds if k.name not in BY_TORQUE]
         rows = self.made(theta, units(self.plant, plain, self.runs, theta, self.payloads))
         rich = self._rich(rows)
-        white = self._weights(rows, rich, np.zeros(len(rich)))
+        weights = self._weights(rows, rich, np.zeros(len(rich)))
         for _ in range(2):
-            s = self._solution(rows, white, rich, self.of("fit"))
-            white = self._weights(rows, s.at, s.theta)
-        return rows, white, self._solution(rows, white, rich, self.of("fit"))
+            s = self._solution(rows, weights, rich, self.of("fit"))
+            weights = self._weights(rows, s.at, s.theta)
+        return rows, weights, self._solution(rows, weights, rich, self.of("fit"))
 
     def _rich(self, rows: Rows) -> np.ndarray:
         """Columns of the nominal model and of every law at every joint at one of its shapes."""
@@ -208,7 +208,7 @@ class Study:
                 shapes.setdefault(u.place, []).append(np.arange(a, b))
         return np.concatenate([np.arange(rows.size), *(s[len(s) // 2] for s in shapes.values())])
 
-    def chooser(self, rows: Rows, white: Whitening, fit: Sequence[int], held: Sequence[int], most: int) -> Chooser:
+    def chooser(self, rows: Rows, weights: Weights, fit: Sequence[int], held: Sequence[int], most: int) -> Chooser:
         """The search on some runs, judged on others."""
         start, low, high = self.bounds(rows)
         told = self.known(rows.rows[0].shape[2] - 1, rows.theta, rows.units)
@@ -216,7 +216,7 @@ class Study:
             p = self.plant.size
             told.information[:p, :p] += self.given.information
             told.mean[:p] = np.where(np.diag(self.given.information) > 0, self.given.mean, told.mean[:p])
-        g = lambda which: gram(*self._some(rows, which), white, BLOCKS)
+        g = lambda which: gram(*self._some(rows, which), weights, BLOCKS)
         return Chooser(rows.units, rows.size, g(fit), g(held), told, start, low, high, most)
 
     # ---- noise
