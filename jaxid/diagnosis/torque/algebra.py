@@ -18,6 +18,8 @@ from jaxid.diagnosis.torque.rows import Run
 
 #: Rows that are correlated by less than this share no noise.
 LOST = 0.05
+#: Rounds in which the size of what is left and the weight of rows of which less is known settle.
+ROUNDS = 5
 #: A direction of the scaled columns in which the data say less than this share of what they say elsewhere stays where it was.
 WEAK = 1e-9
 #: Held-out rows are compared in so many blocks.
@@ -31,27 +33,34 @@ class Weights:
     size: np.ndarray
     memory: np.ndarray
 
-    def __call__(self, x: np.ndarray, moves: np.ndarray) -> np.ndarray:
+    def share(self, unsure: np.ndarray) -> np.ndarray:
+        """What a row counts for [samples n] whose torque is known to within `unsure` only, N m."""
+        return 1 / np.sqrt(1 + (unsure / self.size) ** 2)
+
+    def __call__(self, x: np.ndarray, moves: np.ndarray, unsure: np.ndarray) -> np.ndarray:
         """Rows [samples n k] in units of what is left, so that sums of squares count what is independent; those of joints that
         stand still count for nothing."""
-        return x * (moves / self.size / np.sqrt(self.memory))[:, None]
+        return x * (self.share(unsure) * moves / self.size / np.sqrt(self.memory))[:, :, None]
 
-    def count(self, x: np.ndarray, moves: np.ndarray) -> float:
-        """How many independent ones the rows x are worth."""
-        return float(len(x) * np.sum(moves / self.memory))
+    def count(self, moves: np.ndarray, unsure: np.ndarray) -> float:
+        """How many independent rows those of a run are worth."""
+        return float(np.sum(self.share(unsure) ** 2 * moves / self.memory))
 
 
-def weighted(residuals: Sequence[np.ndarray], moves: Sequence[np.ndarray]) -> Weights:
-    """Of residuals [samples n] of several runs and which joints move in them [n]."""
+def weighted(residuals: Sequence[np.ndarray], moves: Sequence[np.ndarray], unsure: Sequence[np.ndarray]) -> Weights:
+    """Of residuals [samples n] of several runs, which joints move in them [n], and to within what they are known [samples n]."""
     n = residuals[0].shape[1]
     size, memory = np.ones(n), np.ones(n)
     for j in range(n):
-        own = [r[:, j] for r, m in zip(residuals, moves, strict=True) if m[j]]
+        own = [(r[:, j], u[:, j]) for r, m, u in zip(residuals, moves, unsure, strict=True) if m[j]]
         if not own:
             continue
-        power = sum(float(r @ r) for r in own)
-        size[j] = max(np.sqrt(power / sum(map(len, own))), 1e-12)
-        memory[j] = _memory([r / size[j] for r in own])
+        r, u = (np.concatenate(x) for x in zip(*own, strict=True))
+        size[j] = max(np.sqrt(np.mean(r**2)), 1e-12)
+        for _ in range(ROUNDS):
+            share = 1 / (1 + (u / size[j]) ** 2)
+            size[j] = max(np.sqrt(np.sum(share * r**2) / np.sum(share)), 1e-12)
+        memory[j] = _memory([r / np.hypot(size[j], u) for r, u in own])
     return Weights(size, memory)
 
 
@@ -68,7 +77,8 @@ def _memory(series: Sequence[np.ndarray]) -> float:
 
 @dataclass(frozen=True)
 class Gram:
-    """Sums of products of weighted columns and, last, the target: of blocks [blocks p + 1 p + 1], their runs, independent rows."""
+    """Sums of products of weighted columns and, last, the target: of blocks [blocks p + 1 p + 1], their runs; rows that are
+    independent."""
 
     blocks: np.ndarray
     owner: np.ndarray
@@ -89,9 +99,12 @@ class Gram:
         return self.blocks[:, at, -1] - self.blocks[:, at[:, None], at] @ theta
 
 
-def gram(runs: Sequence[Run], rows: Sequence[np.ndarray], weights: Weights, blocks: int) -> Gram:
-    """Of rows [samples n p + 1] of some runs, cut into about so many blocks of equal length."""
-    made = [weights(x, r.moves) for x, r in zip(rows, runs, strict=True)]
+def gram(
+    runs: Sequence[Run], rows: Sequence[np.ndarray], unsure: Sequence[np.ndarray], weights: Weights, blocks: int
+) -> Gram:  # fmt: skip
+    """Of rows [samples n p + 1] of some runs, known to within `unsure` [samples n], cut into about so many blocks of equal
+    length."""
+    made = [weights(x, r.moves, u) for x, r, u in zip(rows, runs, unsure, strict=True)]
     length = max(1, sum(map(len, made)) // blocks)
     parts, owner = [], []
     for k, x in enumerate(made):
@@ -99,7 +112,7 @@ def gram(runs: Sequence[Run], rows: Sequence[np.ndarray], weights: Weights, bloc
             flat = piece.reshape(-1, piece.shape[2])
             parts.append(flat.T @ flat)
             owner.append(k)
-    return Gram(np.array(parts), np.array(owner), sum(weights.count(x, r.moves) for x, r in zip(made, runs, strict=True)))
+    return Gram(np.array(parts), np.array(owner), sum(weights.count(r.moves, u) for r, u in zip(runs, unsure, strict=True)))
 
 
 @dataclass(frozen=True)

@@ -41,12 +41,13 @@ def ceiling(
             wide[:, j, p + j * each : p + (j + 1) * each] = x[:, j]
         blocks[k] = wide
     size = p + n * each
-    g = gram([study.runs[k] for k in fit], [blocks[k] for k in fit], weights, 1).total
+    g = gram([study.runs[k] for k in fit], [blocks[k] for k in fit], [study.unsure[k] for k in fit], weights, 1).total
     at, bounds = np.arange(size), np.full(size, np.inf)
     start = np.concatenate([base.numbers, np.zeros(n * each)])
 
     def gap(numbers: np.ndarray, which: Sequence[int]) -> float:
-        left = [((blocks[k][:, :, -1] - blocks[k][:, :, :-1] @ numbers) / study.noise)[:, study.runs[k].moves] for k in which]
+        rest = {k: (blocks[k][:, :, -1] - blocks[k][:, :, :-1] @ numbers) / study.noise_of(k) for k in which}
+        left = [x[:, study.runs[k].moves] for k, x in rest.items()]
         return float(np.sqrt(np.mean(np.concatenate([x.ravel() for x in left]) ** 2)))
 
     found = []

@@ -59,6 +59,15 @@ class Run:
         t = self.experiment.t
         return float(t[-1] - t[0]) / (len(t) - 1)
 
+    def still(self, turn: np.ndarray) -> np.ndarray:
+        """1 where a joint stands still or turns about [time n], to within what the filter of the motion resolves, else 0."""
+        from scipy.ndimage import maximum_filter1d
+
+        slow = np.abs(self.qd) < turn
+        slow[1:] |= np.diff(np.sign(self.qd), axis=0) != 0
+        width = max(1, round(0.5 / (MOTION * self.cutoff_hz * self.step)))
+        return maximum_filter1d(slow.astype(float), width, axis=0)
+
     def rows(self, x: np.ndarray) -> np.ndarray:
         """A series [time ...] through the low-pass, at the rows."""
         flat = x.reshape(len(x), -1)

@@ -139,12 +139,12 @@ def _second(study: Study, rows: Rows, found: Found, most: int) -> Chooser:
     """The search for what acts in the runs that were not fitted."""
     base, p = found.final, study.plant.size
     both = [*base.units, *rows.units]
-    free = np.full(study.size - p, np.inf)
+    below, above = study.free_bounds()
     start = np.concatenate([study.theta[study.plant.free], base.numbers[p:], np.zeros(sum(len(u.fields) for u in rows.units))])
-    low = np.concatenate([study.lower, -free, *(u.least for u in both)])
-    high = np.concatenate([study.upper, free, *(u.most for u in both)])
+    low = np.concatenate([study.lower, below, *(u.least for u in both)])
+    high = np.concatenate([study.upper, above, *(u.most for u in both)])
     known = study.known(len(start), rows.theta, both)
-    g = lambda which: gram([study.runs[k] for k in which], [rows.rows[k] for k in which], found.weights, BLOCKS)
+    g = lambda which: gram(*study.some(rows, which), found.weights, BLOCKS)
     return Chooser(rows.units, len(base.numbers), g([*found.fit, *found.choose]), g(found.judge), known, start, low, high, most)
 
 
@@ -265,8 +265,8 @@ def _notes(study: Study, found: Found) -> list[str]:
     run = study.runs[0]
     notes = [
         f"torque and every column low-passed without phase at {run.cutoff_hz:.3g} Hz, positions at "
-        f"{MOTION * run.cutoff_hz:.3g} Hz before they are differentiated; each joint weighted by what is left of it; sets of effects "
-        "compared on runs that were not fitted"
+        f"{MOTION * run.cutoff_hz:.3g} Hz before they are differentiated; each joint weighted by what is left of it; sets "
+        "of effects compared on runs that were not fitted"
     ]
     joints = study.binding.chain.signature.joints
     for j, joint in enumerate(joints):

@@ -26,6 +26,8 @@ from jaxid.simulation.sample_buffers import columns
 STEPS, SETTLED = 12, 1e-6
 #: Dry friction may turn about within so much less speed than it is taken to.
 SHARPER = 4.0
+#: By so much of a step a torque that is held from one sample to the next comes later than one that is not.
+HELD = 0.5
 #: Samples of which the noise of the rows is made.
 SAMPLES = 4000
 #: Effects whose columns depend on the torque that the model itself needs.
@@ -60,25 +62,33 @@ class Study:
         self.runs: list[Run] = read_runs(binding, cutoff_hz)
         self.plant: Plant = plant_of(binding, turning_speeds(self.runs))
         self.given, self.payloads = known, payloads
-        self.turns = [self._turns(r) for r in self.runs]
+        self.unasked = [self._unasked(r) for r in self.runs]
         self._plain: tuple[Rows, Weights, Solution] | None = None
         self.noise = np.ones(binding.chain.nq)
+        self.unsure = [np.zeros((len(r.t), binding.chain.nq)) for r in self.runs]
         self.theta = self._nominal()
         self.measured = self._noise()
         self.settle(self.theta)
 
-    def _turns(self, run: Run) -> np.ndarray:
-        """How else dry friction may turn about with each joint's motion, as columns of which nothing is asked [samples n k]: what
-        would pass for them says nothing."""
+    def _unasked(self, run: Run) -> np.ndarray:
+        """Columns of which nothing is asked [samples n 3n]: how else dry friction may turn about with a joint's motion, and that
+        a torque may be held from one sample to the next or not, in steps of it. What would pass for them says nothing."""
         n, turn = run.q.shape[1], self.plant.turn
         apart = [np.tanh(run.qd / (turn * wide)) - np.tanh(run.qd / turn) for wide in (1 / SHARPER, SHARPER)]
-        rows = [run.rows(x) for x in apart]
+        late = np.gradient(self.plant.drive(run, self.binding.theta), axis=0)
+        rows = [run.rows(x) for x in (*apart, late)]
         return np.concatenate([x[:, :, None] * np.eye(n) for x in rows], 2)
 
     @property
     def size(self) -> int:
         """Columns that come before those of effects."""
-        return self.plant.size + 2 * self.binding.chain.nq
+        return self.plant.size + 3 * self.binding.chain.nq
+
+    def free_bounds(self) -> tuple[np.ndarray, np.ndarray]:
+        """Bounds of the columns of which nothing is asked: a held torque is half a step late."""
+        n = self.binding.chain.nq
+        free = np.full(2 * n, np.inf)
+        return np.concatenate([-free, np.zeros(n)]), np.concatenate([free, np.full(n, HELD)])
 
     # ---- the nominal model
 
@@ -115,7 +125,7 @@ class Study:
         for k, run in enumerate(self.runs):
             target, own = self.plant.linearised(run, theta)
             both = run.rows(np.concatenate([own, target[:, :, None]], 2))
-            rows.append(np.concatenate([both[:, :, :-1], self.turns[k], *(u.columns[k] for u in found), both[:, :, -1:]], 2))
+            rows.append(np.concatenate([both[:, :, :-1], self.unasked[k], *(u.columns[k] for u in found), both[:, :, -1:]], 2))
         return Rows(theta, found, rows)
 
     def _nominal(self) -> np.ndarray:
@@ -129,7 +139,8 @@ class Study:
             if weights is None:
                 weights = self._weights(rows, np.zeros(0, int), np.zeros(0))
                 weights = self._weights(rows, *self._solved(rows, weights))
-            loss = gram(*self._some(rows, self.of("fit")), weights, 1).losses(np.arange(self.plant.size), theta[self.plant.free])[0]
+            own = np.arange(self.plant.size)
+            loss = gram(*self.some(rows, self.of("fit")), weights, 1).losses(own, theta[self.plant.free])[0]
             if not loss < best * (1 - SETTLED) and step:
                 if loss <= best or np.allclose(theta, end, rtol=1e-9):
                     break
@@ -144,8 +155,9 @@ class Study:
         out[self.plant.free] = np.clip(numbers[: self.plant.size], self.lower, self.upper)
         return out
 
-    def _some(self, rows: Rows, which: Sequence[int]) -> tuple[list[Run], list[np.ndarray]]:
-        return [self.runs[k] for k in which], [rows.rows[k] for k in which]
+    def some(self, rows: Rows, which: Sequence[int]) -> tuple[list[Run], list[np.ndarray], list[np.ndarray]]:
+        """Some runs, their rows, and to within what these are known."""
+        return [self.runs[k] for k in which], [rows.rows[k] for k in which], [self.unsure[k] for k in which]
 
     def _solved(self, rows: Rows, weights: Weights, which: Sequence[int] | None = None) -> tuple[np.ndarray, np.ndarray]:
         at = np.arange(rows.rows[0].shape[2] - 1)
@@ -154,7 +166,7 @@ class Study:
 
     def _solution(self, rows: Rows, weights: Weights, at: np.ndarray, which: Sequence[int]) -> Solution:
         size = rows.rows[0].shape[2] - 1
-        g = gram(*self._some(rows, which), weights, 1).total
+        g = gram(*self.some(rows, which), weights, 1).total
         start, low, high = self.bounds(rows)
         return solve(g, at, self.known(size, rows.theta, rows.units), start, low, high)
 
@@ -162,14 +174,14 @@ class Study:
         """Start, lower and upper bound of every column."""
         low = [x for u in rows.units for x in u.least]
         high = [x for u in rows.units for x in u.most]
-        free = np.full(self.size - self.plant.size, np.inf)
-        start = np.concatenate([rows.theta[self.plant.free], 0 * np.isinf(free), np.zeros(len(low))])
-        return start, np.concatenate([self.lower, -free, low]), np.concatenate([self.upper, free, high])
+        below, above = self.free_bounds()
+        start = np.concatenate([rows.theta[self.plant.free], np.zeros(len(below) + len(low))])
+        return start, np.concatenate([self.lower, below, low]), np.concatenate([self.upper, above, high])
 
     def _weights(self, rows: Rows, at: np.ndarray, numbers: np.ndarray) -> Weights:
         which = self.of("fit")
         left = [rows.residual(k, at, numbers) for k in which]
-        return weighted(left, [self.runs[k].moves for k in which])
+        return weighted(left, [self.runs[k].moves for k in which], [self.unsure[k] for k in which])
 
     # ---- effects
 
@@ -216,28 +228,35 @@ class Study:
             p = self.plant.size
             told.information[:p, :p] += self.given.information
             told.mean[:p] = np.where(np.diag(self.given.information) > 0, self.given.mean, told.mean[:p])
-        g = lambda which: gram(*self._some(rows, which), weights, BLOCKS)
+        g = lambda which: gram(*self.some(rows, which), weights, BLOCKS)
         return Chooser(rows.units, rows.size, g(fit), g(held), told, start, low, high, most)
 
     # ---- noise
 
     def settle(self, theta: np.ndarray, found: Sequence[tuple[Unit, np.ndarray]] = ()) -> None:
-        """Sets the noise of the rows: that of readings and torques, and what nobody knows of how dry friction turns about with
-        the motion, for the friction of the numbers theta and of units with theirs."""
-        self.noise = np.hypot(self.measured, self._turning(theta, found))
-
-    def _turning(self, theta: np.ndarray, found: Sequence[tuple[Unit, np.ndarray]]) -> np.ndarray:
-        run, n = self._longest(), self.binding.chain.nq
+        """Sets to within what rows are known, and their noise: a joint that stands still, or turns about, holds anything up to
+        its dry friction, that of the numbers theta and of units with theirs."""
+        n = self.binding.chain.nq
         effects = [e for e in self.binding.layout.model(theta).effects if isinstance(e, JointEffect)]
         kinds = {k.name: k for k in self.kinds}
         for u, numbers in found:
             if (kind := kinds.get(u.effect)) is not None and issubclass(kind, JointEffect):
                 own = {f: v * np.eye(n)[u.joints[0]] for f, v in zip(u.fields, numbers, strict=True) if f in specs(kind)}
                 effects.append(with_numbers(neutral(kind), {**u.shape, **own}, n))
-        load = self.plant.rigid(run, theta)
-        turn = self.plant.turn
-        apart = sum((force(e, run, load, turn / SHARPER) - force(e, run, load, turn) for e in effects), np.zeros_like(run.q))
-        return np.std(run.rows(apart), axis=0)
+        self.unsure = [r.rows(self._dry(effects, r, theta) * r.still(self.plant.turn)).clip(0) for r in self.runs]
+        fit = [self.unsure[k] for k in self.of("fit") or range(len(self.runs))]
+        self.noise = np.hypot(self.measured, np.sqrt(np.mean(np.concatenate(fit) ** 2, axis=0)))
+
+    def _dry(self, effects: Sequence[JointEffect], run: Run, theta: np.ndarray) -> np.ndarray:
+        """Dry friction [time n] at the speed nothing along a run."""
+        load, creep = self.plant.rigid(run, theta), 1e-3 * self.plant.turn
+        ways = [replace(run, qd=np.broadcast_to(way * creep, run.qd.shape)) for way in (1.0, -1.0)]
+        both = (force(e, ways[0], load, 1e-3 * creep) - force(e, ways[1], load, 1e-3 * creep) for e in effects)
+        return np.abs(sum(both, np.zeros_like(run.q))) / 2
+
+    def noise_of(self, run: int) -> np.ndarray:
+        """Standard deviation of each row of a run that a perfect model would leave, N m [samples n]."""
+        return np.hypot(self.measured, self.unsure[run])
 
     def _longest(self) -> Run:
         return max((self.runs[k] for k in self.of("fit") or range(len(self.runs))), key=lambda r: len(r.q))
