@@ -50,7 +50,12 @@ class Found:
     fit: list[int]
     choose: list[int]
     judge: list[int]
-    different: bool = False  # whether the effects act in the runs that were not fitted alone
+    #: What was found in all runs, where the effects act in those alone that were not fitted.
+    base: Found | None = None
+
+    @property
+    def different(self) -> bool:
+        return self.base is not None
 
 
 def diagnose_by_torque(
@@ -113,7 +118,8 @@ def _differs(found: Found) -> bool:
 
 def _difference(study: Study, found: Found, most: int) -> Found | None:
     """What is different in the runs that were not fitted: effects that act in those alone, beside numbers that all runs share.
-    Found on the validation runs, judged on the report runs; None where nothing is."""
+    Found on the validation runs, judged on the report runs; None where nothing is, and where what is left of them with laws that
+    were found is not what those leave of the runs that were fitted: then they are no more than another motion."""
     if not found.judge:
         return None
     base = found.final
@@ -130,9 +136,11 @@ def _difference(study: Study, found: Found, most: int) -> Found | None:
     chosen = chooser.run()
     if not chosen.units:
         return None
-    nominal = Answer(study, own, np.arange(len(base.at)), base.numbers, base.units)
     final = of_model(study, own, chosen)
-    return Found(chooser, own, found.weights, chosen, nominal, final, found.fit, found.choose, found.judge, True)
+    if base.units and final.gap(found.judge) > LEFT * max(1.0, base.gap(found.fit)):
+        return None
+    nominal = Answer(study, own, np.arange(len(base.at)), base.numbers, base.units)
+    return Found(chooser, own, found.weights, chosen, nominal, final, found.fit, found.choose, found.judge, found)
 
 
 def _second(study: Study, rows: Rows, found: Found, most: int) -> Chooser:
@@ -145,7 +153,9 @@ def _second(study: Study, rows: Rows, found: Found, most: int) -> Chooser:
     high = np.concatenate([study.upper, above, *(u.most for u in both)])
     known = study.known(len(start), rows.theta, both)
     g = lambda which: gram(*study.some(rows, which), found.weights, BLOCKS)
-    return Chooser(rows.units, len(base.numbers), g([*found.fit, *found.choose]), g(found.judge), known, start, low, high, most)
+    left = study.by_joint(rows, found.weights, found.judge)
+    both = [*found.fit, *found.choose]
+    return Chooser(rows.units, len(base.numbers), g(both), g(found.judge), known, start, low, high, most, left)
 
 
 # ---- the answer
@@ -158,6 +168,8 @@ def _judged(found: Found) -> tuple[str, str]:
     before = [nominal.gap(w) for w in sets]
     after = [final.gap(w) for w in sets]
     names = listed(_said(u) for u in final.units)
+    base = found.base.final.units if found.base else ()
+    lacks = f"The model lacks {listed(_said(u) for u in base)}. " if base else ""
     if not final.units:
         gaps = [nominal.gap(w) for w in (found.fit, *sets) if w]
         if all(not g > SEEN for g in gaps):
@@ -167,7 +179,7 @@ def _judged(found: Found) -> tuple[str, str]:
             "fitted better."
         )
     shares = [closed(b**2, a**2) for b, a in zip(before, after, strict=True)]
-    what = "What is different in the runs that were not fitted is" if found.different else "The model lacks"
+    what = f"{lacks}What is different in the runs that were not fitted is" if found.different else "The model lacks"
     left = f"{times(max(after))} times the noise is left on held-out data"
     # Where the question is what differs, what the model leaves of the runs that it was fitted to is what repeats would differ by.
     least = max(1.0, nominal.gap(found.fit)) if found.different else 1.0
@@ -196,6 +208,8 @@ def _answered(study: Study, found: Found, most: int, seed: int, began: float) ->
     final = found.final if claimed else found.nominal
     which = found.judge or found.choose or found.fit
     own, effects = estimates(study, found.chooser, found.chosen)
+    if found.base is not None:  # beside what all runs have
+        effects = (*estimates(study, found.base.chooser, found.base.chosen)[1], *effects)
     plain, _ = estimates(study, found.chooser, found.chooser.nominal)
     before, note = _before(study, found.nominal)
     bound = None

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -229,7 +229,18 @@ class Study:
             told.information[:p, :p] += self.given.information
             told.mean[:p] = np.where(np.diag(self.given.information) > 0, self.given.mean, told.mean[:p])
         g = lambda which: gram(*self.some(rows, which), weights, BLOCKS)
-        return Chooser(rows.units, rows.size, g(fit), g(held), told, start, low, high, most)
+        return Chooser(rows.units, rows.size, g(fit), g(held), told, start, low, high, most, self.by_joint(rows, weights, held))
+
+    def by_joint(self, rows: Rows, weights: Weights, which: Sequence[int]) -> Callable[[Solution], np.ndarray]:
+        """What a solution leaves of each block and joint of some runs, [blocks n]."""
+        share = {k: weights(np.ones((*self.unsure[k].shape, 1)), self.runs[k].moves, self.unsure[k])[:, :, 0] for k in which}
+        length = max(1, sum(len(x) for x in share.values()) // BLOCKS)
+
+        def left(s: Solution) -> np.ndarray:
+            own = [(rows.residual(k, s.at, s.theta) * x) ** 2 for k, x in share.items()]
+            return np.array([b.sum(0) for x in own for b in np.array_split(x, max(1, round(len(x) / length)))])
+
+        return left
 
     # ---- noise
 
