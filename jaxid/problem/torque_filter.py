@@ -51,27 +51,31 @@ def torque_setting(
     cutoff_hz: float | None,
     decimate: int | None,
 ) -> TorqueSetting:
-    """Filter and decimation of runs at equal steps: the torque of model and drive up to `cutoff_hz` (by itself where the motion
-    lies, `moving_band`), positions up to `MOTION` times that before they are differentiated, and rows as often as the filter
-    leaves something new, but no fewer than `ROWS` for each number of the model. With `decimate` given the torque passes the
-    low-pass that this takes (1: none), positions one at `cutoff_hz` (by itself where their content ends). Noise of the residual:
-    that of the drive's torque at high frequency (1 N m for a free motion)."""
-    from jaxid.data.signals import filter_ends
+    """Filter and decimation of runs at equal steps. With `cutoff_hz`, the torque of model and drive up to there, positions up to
+    `MOTION` times that before they are differentiated, and rows as often as the filter leaves something new; so, too, where the
+    motion lies (`moving_band`), for runs whose clock is uneven, for beyond the motion is what the clock adds. Else positions up
+    to a tenth of the sampling rate (or where the content of noisy ones ends), and 2.5 times fewer rows than that allows: torques
+    up to a sixth of it. At least `ROWS` rows for each number of the model. With `decimate` given torques pass the low-pass that
+    this takes (1: none), positions one at `cutoff_hz`. Noise of the residual: that of the drive's torque at high frequency (1 N m
+    for a free motion)."""
+    from jaxid.data.signals import even_grid, filter_ends
     from jaxid.dynamics.joint_readings import cutoffs, joint_motion, stated_positions
 
     iu, iy = columns(dataset, chain)
     check_motion(chain)
     fit = dataset.split("fit") or experiments  # one rule for all splits
     rate = (len(fit[0].t) - 1) / fit[0].duration
-    band = None
-    if decimate is None:
-        band = cutoff_hz or moving_band(chain, [evenly(e) for e in fit], iy, noise)
+    band, given = None, cutoff_hz
+    if decimate is None and (given or any(even_grid(e.t) is not None for e in fit)):
+        band = given or moving_band(chain, [evenly(e) for e in fit], iy, noise)
         cutoff_hz = min(MOTION * band, rate / 2.5)
-        kept = sum(len(e.t) for e in fit) * chain.nq
-        decimate = max(1, min(round(rate / (ROWS_PER_CUTOFF * band)), kept // (ROWS * own_numbers(chain))))
     elif cutoff_hz is None:
         content = max(cutoffs(chain, fit[0].t, fit[0].motion()[:, iy], noise))
         cutoff_hz = min(rate / 10, max(content, 2.0))
+    if decimate is None:
+        kept = sum(len(e.t) for e in fit) * chain.nq
+        every = rate / (ROWS_PER_CUTOFF * band if band else 0.4 * cutoff_hz)
+        decimate = max(1, min(round(every), kept // (ROWS * own_numbers(chain))))
     band = band or cutoff_hz
     motion, ends = [], []
     statement = ""

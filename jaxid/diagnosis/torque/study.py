@@ -114,7 +114,8 @@ class Study:
             if i in self.plant.free:
                 k = self.plant.free.index(i)
                 information[k, k], mean[k] = std**-2, m
-        spread = np.concatenate([np.full(self.size - p, np.inf), *(u.spread for u in found)])
+        n = self.binding.chain.nq
+        spread = np.concatenate([np.full(2 * n, np.inf), np.full(n, HELD), *(u.spread for u in found)])
         diagonal = np.arange(p, size)
         information[diagonal, diagonal] = np.where(np.isfinite(spread), spread, np.inf) ** -2.0
         return Known(information, mean)
