@@ -98,7 +98,8 @@ def test_what_is_withheld_is_named(law, tmp_path):
     arm, more, truth = LAWS[law]
     d = asked(ARMS[arm], [run(ARMS[arm], s, more=more) for s in (1, 2, 3)])
     assert d.which.verdict in ("named", "partly") and named(d) == truth, d.which.text
-    assert d.how_far.gap_after < 1.6 < d.how_far.gap_retuned
+    # Rotor inertia takes no part in a load, and is not told from the links'.
+    assert d.how_far.gap_after < (0.3 * d.how_far.gap_retuned if law == "load" else 1.6) < d.how_far.gap_retuned
     assert "<html" in d.report(tmp_path / "report.html").read_text().lower()
 
 

@@ -60,8 +60,8 @@ class Chooser:
         self, units: Sequence[Unit], size: int, fit: Gram, held: Gram, known: Known, start: np.ndarray, lower: np.ndarray,
         upper: np.ndarray, most: int, by_joint: Callable[[Solution], np.ndarray] | None = None,
     ):  # fmt: skip
-        """`size` numbers of the nominal model come first among the columns; `most` kinds of effects may be named. `by_joint`: what
-        a solution leaves of each block and joint of the held-out runs."""
+        """`size` numbers of the nominal model come first among the columns; `most` kinds of effects may be named. `by_joint`:
+        what a solution leaves of each block and joint of the held-out runs."""
         self.by_joint = by_joint
         self.units, self.size, self.fit, self.held, self.most = units, size, fit, held, most
         self.known, self.start, self.lower, self.upper = known, start, lower, upper
@@ -198,8 +198,9 @@ class Chooser:
         return chosen
 
     def _short(self, best: Model) -> Model:
-        """The smallest set that predicts the held-out runs as the best one does: at every joint within one standard error of its
-        loss, over blocks (Breiman et al. 1984). Paired with the best one a gain by a hair shows; on a further run it would not."""
+        """The smallest set that predicts the held-out runs as the best one does: at every joint within one standard error of
+        its loss, over blocks (Breiman et al. 1984). Paired with the best one a gain by a hair shows; on a further run it would
+        not."""
         if self.by_joint is None or len(best.units) < 2:
             return best
         losses = self.by_joint(best.solution)

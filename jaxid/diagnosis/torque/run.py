@@ -24,6 +24,7 @@ from jaxid.dynamics.effect import Effect
 from jaxid.fitting.assemble import fitted_chain
 from jaxid.fitting.fitter import Progress
 from jaxid.fitting.result import EffectEstimate, Estimate, Fit
+from jaxid.fitting.scores import lost
 from jaxid.fitting.stated import stated_numbers
 from jaxid.problem.binding import Binding
 from jaxid.wording import listed, percent, times
@@ -161,12 +162,14 @@ def _second(study: Study, rows: Rows, found: Found, most: int) -> Chooser:
 # ---- the answer
 
 
-def _judged(found: Found) -> tuple[str, str]:
+def _judged(study: Study, found: Found) -> tuple[str, str]:
     """Verdict, and its sentence: what is named comes down to the noise on runs that chose and on runs that did not."""
     nominal, final, split = found.nominal, found.final, [found.choose, found.judge]
     sets = [w for w in split if w] or [found.fit]
     before = [nominal.gap(w) for w in sets]
     after = [final.gap(w) for w in sets]
+    if astray := lost(scores(final), {c: s for (c, _), s in zip(study.binding.chain.torque_channels, study.noise, strict=True)}):
+        return "unknown", f"The re-tuned model is {astray[0]}: these data do not determine it, and no effect is named beside it."
     names = listed(_said(u) for u in final.units)
     base = found.base.final.units if found.base else ()
     lacks = f"The model lacks {listed(_said(u) for u in base)}. " if base else ""
@@ -203,7 +206,7 @@ def _said(unit: Unit) -> str:
 
 def _answered(study: Study, found: Found, most: int, seed: int, began: float) -> Diagnosis:
     b = study.binding
-    verdict, text = _judged(found)
+    verdict, text = _judged(study, found)
     claimed = verdict in ("named", "partly")
     final = found.final if claimed else found.nominal
     which = found.judge or found.choose or found.fit
