@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 import jaxid
-from jaxid.data.signals import differentiate, filter_ends, spline, zero_phase
+from jaxid.data.signals import differentiate, filter_ends, speed_content, spline, zero_phase
 
 
 DATA = Path(os.environ.get("JAXID_DATA", Path(__file__).resolve().parents[2] / "shared" / "data"))
@@ -79,3 +79,37 @@ def test_a_public_double_pendulum_is_left_with_what_least_squares_leaves():
         both = np.array([table["report"][c].rmse for c in ("tau1", "tau2")])
         assert np.all(both < 1.1 * np.array([0.177, 0.168]))
         assert np.hypot(*both) < 1.08 * np.hypot(0.177, 0.168)
+
+
+def test_noise_of_a_clock_does_not_widen_the_band_of_a_motion():
+    """Readings that are late by up to half a step, each by its own, make noise where the joint is quick."""
+    rng, t = np.random.default_rng(0), np.arange(0, 20, 1e-3)
+    y = np.sin(2 * np.pi * 0.5 * (t + 5e-4 * rng.uniform(-1, 1, t.size))) + 1e-5 * rng.standard_normal(t.size)
+    assert speed_content(t, y, 1e-5) < 1.0
+
+
+def test_rows_at_standstill_are_known_to_within_dry_friction():
+    """Friction 0.5 N m holds the joint for seconds: what acts on it then is not missing, and does not bend the numbers."""
+    rng, step, inertia, level, viscous = np.random.default_rng(0), 1e-3, 0.1, 0.5, 0.2
+    runs = []
+    for seed in (1, 2, 3):
+        t, (a, b) = np.arange(0, 20, step), np.random.default_rng(seed).uniform(0, 6, 2)
+        u, q, v, kept = 0.7 * np.sin(2 * np.pi * 0.31 * t + a) + 0.5 * np.sin(2 * np.pi * 0.83 * t + b), 0.0, 0.0, []
+        for x in u:
+            kept.append(q)
+            push = x - viscous * v
+            way = np.sign(v) if v else np.sign(push) * (abs(push) > level)
+            new = v + step * (push - way * level) / inertia if way else 0.0
+            v = 0.0 if v and new * v < 0 else new
+            q += step * v
+        pick = slice(None, None, 5)
+        runs.append((t[pick], u[pick] + 1e-3 * rng.standard_normal(t[pick].size), np.array(kept)[pick]))
+    data = jaxid.Dataset.from_arrays(
+        [r[0] for r in runs], {"tau": [r[1] for r in runs]}, {"q": [r[2] + 1e-5 * rng.standard_normal(r[2].size) for r in runs]},
+        units={"tau": "N m", "q": "rad"}, split=["fit", "validation", "report"],
+    )  # fmt: skip
+    d = jaxid.diagnose("joint", data, residual="inverse_dynamics", as_recorded=True)
+    own = d.nominal.parameters
+    for name, true in {"inertia": inertia, "viscous": viscous, "coulomb": level}.items():
+        assert own[name].value == pytest.approx(true, rel=0.07), name
+    assert not d.which.effects, d.which.text

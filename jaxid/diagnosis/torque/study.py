@@ -281,7 +281,7 @@ class Study:
         part = slice(0, min(len(e.t), SAMPLES))
         cut = replace(e, t=e.t[part], u=e.u[part], y=e.y[part], auxiliary={}, past=None, scatter=None, left_out=None)
         _, iy = columns(b.dataset, b.chain)
-        noisy = cut.y[:, iy] + b.sigma * rng.standard_normal((len(cut.t), len(iy)))
+        noisy = cut.y[:, iy] + b.readings * rng.standard_normal((len(cut.t), len(iy)))
         hz = [min(2 * run.cutoff_hz, 0.4 / run.step)] * b.chain.nq
         motion = [joint_motion(b.chain, cut.t, y, hz, stated_positions(e, b.chain.signature))[:3] for y in (cut.y[:, iy], noisy)]
         here = [replace(run, experiment=cut, q=q, qd=qd, qdd=qdd, u=run.u[part]) for q, qd, qdd in motion]
