@@ -109,7 +109,7 @@ def _at_floor(study: Study, rows: Rows, chooser: Chooser, fit: Sequence[int], ch
     """Whether the re-tuned model reaches the noise, at every joint, on data that were and that were not fitted."""
     answer = of_model(study, rows, chooser.nominal)
     gaps = [answer.gap(which, j) for which in (fit, choose) for j in range(len(study.noise))]
-    return all(not gap > SEEN for gap in gaps) and answer.gap(fit) ** 2 <= level(chooser.fit.rows) + 0.1
+    return all(not gap > SEEN for gap in gaps) and answer.gap(fit) ** 2 <= level(round(chooser.fit.rows)) + 0.1
 
 
 def _differs(found: Found) -> bool:
