@@ -1,7 +1,7 @@
 """Diagnosis of recorded arms by torque: a UR10e whose model has no friction, and a Panda whose model has it.
 
-Relative torque error |measured - predicted| / |measured| over all joints, both filtered without phase: at 5 Hz as published for
-the UR10e, at 15 Hz for the Panda (its rows of torque come at 39 Hz). Validation recordings choose between laws; no number is
+Relative torque error |measured - predicted| / |measured| over all joints, both filtered without phase at 5 Hz, as published for
+the UR10e. Validation recordings choose between laws; no number is
 fitted to them. What the Panda lacks at joints 1 and 3 is not known; viscous and dry friction leave it as it is.
 """
 
@@ -21,7 +21,7 @@ LAWS = ["coulomb_friction", "viscous_friction", "power_law_friction", "asymmetri
         "stribeck_friction", "quadratic_drag"]  # fmt: skip
 MODELS = {"ur10e": "ur10e", "panda_exciting": "panda"}
 #: Recording -> the terms its model is robbed of, and the filter's frequency (Hz).
-RECORDINGS = {"ur10e": (["coulomb_friction", "power_law_friction"], 5.0), "panda_exciting": ([], 15.0)}
+RECORDINGS = {"ur10e": (["coulomb_friction", "power_law_friction"], 5.0), "panda_exciting": ([], 5.0)}
 
 
 def relative_errors(traces: Any, cutoff: float, joint: str | None = None) -> dict[str, dict[str, float]]:

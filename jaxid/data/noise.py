@@ -32,10 +32,11 @@ class Noise:
     text: str
 
 
-def noise_floor(dataset: Dataset) -> dict[str, Noise]:
-    """Output channel -> its noise. Report runs are not looked at unless there is no other run."""
+def noise_floor(dataset: Dataset, readings: bool = False) -> dict[str, Noise]:
+    """Output channel -> its noise. Report runs are not looked at unless there is no other run. `readings`: without what the
+    machine does differently from run to run, which is motion, too."""
     runs = [e for e in dataset.experiments if e.split != "report"] or list(dataset.experiments)
-    groups = repeats(runs)
+    groups = [] if readings else repeats(runs)
     return {channel.name: _floor(channel, i, runs, groups) for i, channel in enumerate(dataset.outputs)}
 
 

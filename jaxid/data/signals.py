@@ -246,11 +246,14 @@ SPEED_SHARE = 0.95
 
 
 def speed_content(t: np.ndarray, y: np.ndarray, noise: float) -> float:
-    """Frequency (Hz) below which nearly all power of the speed of a position y at equal steps lies, white noise taken off."""
+    """Frequency (Hz) below which nearly all power of the speed of a position y at equal steps lies, white noise taken off: no
+    less of it than the upper half of the spectrum shows (a clock that jitters adds to that of the sensor)."""
     from scipy.signal import welch
 
     step = float(t[-1] - t[0]) / (len(t) - 1)
     f, power = welch(np.diff(y) / step, 1 / step, nperseg=min(len(y) - 1, max(256, len(y) // 4)))
-    floor = 2 * step * noise**2 / step**2 * (2 - 2 * np.cos(2 * np.pi * f * step))
+    shape = 2 / step * (2 - 2 * np.cos(2 * np.pi * f * step))
+    upper = f > 0.25 / step
+    floor = max(noise**2, float(np.median(power[upper] / shape[upper]))) * shape
     excess = np.cumsum(np.maximum(power - 2 * floor, 0.0))
     return float(f[np.searchsorted(excess, SPEED_SHARE * excess[-1])]) if excess[-1] > 0 else 0.0

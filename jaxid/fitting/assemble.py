@@ -139,10 +139,12 @@ def assemble(
     else:
         stated = stated_numbers(binding, found)
     noise = dict(zip((name for name, _ in problem.runs.channels), map(float, problem.runs.noise), strict=False))
-    notes[:0] = lost(table, noise)
+    notes[:0] = (astray := lost(table, noise))
     reweighted = None if problem.weights is problem.runs.weights else result.loss
     loss = result.loss if reweighted is None else weighed_by(problem, np.ones(len(problem.runs.noise))).loss(result.z)
     end = ending(problem, result, cov, [] if windowed else [t for t in traces if t.split == "fit"])
+    if astray and end.state == "converged":  # a minimum of these data, and no model of the machine
+        end = end._replace(state="stalled", because=astray[0])
     return Fit(
         binding.chain.mechanism.name, added, fitter, residual.name, problem.loss_name, seed, end.state == "converged",
         end.state == "failed", end.because, loss, own, table, windowed, result.evaluations, wall_time, compile_time,

@@ -65,7 +65,7 @@ class Bench:
                 b.dataset,
                 experiments,
                 b.layout,
-                b.sigma,
+                b.readings if isinstance(residual, InverseDynamics) else b.sigma,
                 b.motions_of(experiments),
                 self.step,
                 self._shape_of(residual),

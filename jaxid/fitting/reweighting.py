@@ -19,7 +19,8 @@ from jaxid.fitting.fitter import AbstractFitter, Minimum, Progress
 from jaxid.problem.problem import Problem
 
 
-#: Channels whose errors, in their own noise, differ by less than this weigh alike.
+#: Channels whose errors, in their own noise, differ by less than this weigh alike; torques, of whose noise that of the motion is
+#: no part, where their errors are that small.
 UNEVEN = 3.0
 #: Rounds at most; they end where no channel's weight moves by more than this share.
 ROUNDS, SETTLED = 6, 0.03
@@ -48,7 +49,7 @@ def reweighed(
     if found.failed or noise.size < 2 or problem.loss_name != "sum_of_squares":
         return None
     first, counts = _errors(problem, found.z)
-    if first.max() < UNEVEN * first.min():
+    if first.max() < UNEVEN * (first.min() if problem.runs.setting is None else 1.0):
         return None
     level, spent = np.maximum(1.0, _sizes(problem)), found.evaluations  # at first all channels by the size of their signals
     begin, end = [found.z, *starts], found

@@ -15,7 +15,7 @@ from jaxid.fitting.assemble import assemble
 from jaxid.fitting.effect_starts import probe_starts
 from jaxid.fitting.ending import looked_again
 from jaxid.fitting.fitter import AbstractFitter, Minimum, Progress
-from jaxid.fitting.lost_runs import believed
+from jaxid.fitting.lost_runs import believed, growth, SENSITIVE
 from jaxid.fitting.problem_builder import Bench, default_residual, start_values
 from jaxid.fitting.result import Fit
 from jaxid.fitting.reweighting import reweighed
@@ -115,7 +115,9 @@ def fit_seeds(
             if benches.of(step / 2) is bench:
                 continue  # samples are closer than either step
             moved = step_error(problem, result.z, benches.of(step / 2).runs(residual, "fit"))
-            if moved > STEP_SHARE:
+            if moved > STEP_SHARE and isinstance(residual, OutputError) and growth(bench, problem.theta(result.z)) > SENSITIVE:
+                notes[seed].append("runs that forget how they began are not refined: every step shows another one")
+            elif moved > STEP_SHARE:
                 finer[seed] = problem.theta(result.z)
                 if known:
                     spent, note = time.perf_counter() - began, f"stopped before it was refined with steps of {step / 2:.3g} s"

@@ -46,6 +46,7 @@ class Binding:
     layout: Layout
     noise: dict[str, Noise]
     sigma: np.ndarray  # [ny]
+    readings: np.ndarray  # the sensors' own part of it [ny]: what noise is in the motion, however runs differ
     motions: dict[str, Motion]  # experiment name -> smoothed motion; empty where the model does not measure its joints
     references: list[Reference]  # of each joint
     inputs: list[Reference]  # of each input channel, its own magnitude in place of the torque
@@ -212,6 +213,8 @@ def bind(
         noise = noise_floor(dataset)
     names = [n for n, _ in chain.signature.outputs]
     sigma = np.array([noise[n].std for n in names])
+    alone = noise_floor(dataset, readings=True) if any(n.source == "repeatability" for n in noise.values()) else noise
+    readings = np.array([alone[n].std for n in names])
 
     theta, stated = layout.values.copy(), set()
     fixed = {i for i, e in enumerate(layout.entries) if e.spec.fixed}
@@ -241,7 +244,7 @@ def bind(
 
     motions: dict[str, Motion] = {}
     if all_read(chain):
-        motions = {e.name: measured_motion.motion(dataset, e, chain, sigma) for e in dataset.experiments}
+        motions = {e.name: measured_motion.motion(dataset, e, chain, readings) for e in dataset.experiments}
     references, inputs = _references(dataset, layout, theta, motions)
     lower, upper, scale = layout.boxes(references, inputs)
     for name, prior in priors.items():
@@ -257,8 +260,8 @@ def bind(
         said = (*robots.notes_of(model, dataset), *said)
     theta[free] = np.clip(theta[free], lower[free], upper[free])
     return Binding(
-        dataset, chain, layout, noise, sigma, motions, references, inputs, theta, lower, upper, scale, free, stated, own,
-        priors=known, said=said,
+        dataset, chain, layout, noise, sigma, readings, motions, references, inputs, theta, lower, upper, scale, free, stated,
+        own, priors=known, said=said,
     ).with_stamps(stamps)  # fmt: skip
 
 

@@ -175,8 +175,9 @@ class MultipleShooting(Residual):
 class InverseDynamics(Residual):
     """Torque residual of the measured motion.
 
-    Positions are filtered without phase at `cutoff_hz` and differentiated; the residual is low-passed and taken at every
-    `decimate`-th sample (both sides of the equation pass the same filter, which keeps the estimate unbiased by it).
+    With `cutoff_hz` the residual is low-passed there and taken at a few samples of that period (both sides of the equation pass
+    the same filter, which keeps the estimate unbiased by it); positions are filtered without phase at twice that and
+    differentiated. With `decimate` it is taken at every so many-th sample, and `cutoff_hz` is that of the positions.
     """
 
     name: ClassVar[str] = "inverse_dynamics"

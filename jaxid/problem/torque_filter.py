@@ -24,6 +24,8 @@ from jaxid.simulation.sample_buffers import bucket, columns
 
 #: Fewest rows of the torque equation for each number of a model that decimation may leave.
 ROWS = 30
+#: Positions are smoothed at so many times the cutoff of the torque before they are differentiated, and rows come at so many.
+MOTION, ROWS_PER_CUTOFF = 2.0, 2.5
 #: Torques say something up to so many times the frequencies of the motion, and up to this at least (Hz).
 HARMONICS, LOWEST = 4.0, 5.0
 
@@ -49,31 +51,39 @@ def torque_setting(
     cutoff_hz: float | None,
     decimate: int | None,
 ) -> TorqueSetting:
-    """Filter and decimation of runs at equal steps: the cutoff a tenth of the sampling rate (or where the content of noisy
-    positions ends), decimation to 2.5 times less than the cutoff allows, but not below `ROWS` rows of the fit for each number of
-    the model. Noise of the residual: that of the drive's torque at high frequency (1 N m for a free motion)."""
+    """Filter and decimation of runs at equal steps. With `cutoff_hz`, the torque of model and drive up to there, positions up to
+    `MOTION` times that before they are differentiated, and rows as often as the filter leaves something new; so, too, where the
+    motion lies (`moving_band`), for runs whose clock is uneven, for beyond the motion is what the clock adds. Else positions up
+    to a tenth of the sampling rate (or where the content of noisy ones ends), and 2.5 times fewer rows than that allows: torques
+    up to a sixth of it. At least `ROWS` rows for each number of the model. With `decimate` given torques pass the low-pass that
+    this takes (1: none), positions one at `cutoff_hz`. Noise of the residual: that of the drive's torque at high frequency (1 N m
+    for a free motion)."""
     from jaxid.data.signals import even_grid, filter_ends
     from jaxid.dynamics.joint_readings import cutoffs, joint_motion, stated_positions
 
     iu, iy = columns(dataset, chain)
     check_motion(chain)
-    first = (dataset.split("fit") or experiments)[0]  # one rule for all splits
-    rate = (len(first.t) - 1) / first.duration
-    if cutoff_hz is None:
-        content = max(cutoffs(chain, first.t, first.motion()[:, iy], noise))
+    fit = dataset.split("fit") or experiments  # one rule for all splits
+    rate = (len(fit[0].t) - 1) / fit[0].duration
+    band, given = None, cutoff_hz
+    if decimate is None and (given or any(even_grid(e.t) is not None for e in fit)):
+        band = given or moving_band(chain, [evenly(e) for e in fit], iy, noise)
+        cutoff_hz = min(MOTION * band, rate / 2.5)
+    elif cutoff_hz is None:
+        content = max(cutoffs(chain, fit[0].t, fit[0].motion()[:, iy], noise))
         cutoff_hz = min(rate / 10, max(content, 2.0))
-        if any(even_grid(e.t) is not None for e in dataset.split("fit")):  # beyond the motion lies what the clock adds
-            cutoff_hz = min(cutoff_hz, moving_band(chain, experiments, iy, noise))
     if decimate is None:
-        kept = sum(len(e.t) for e in dataset.split("fit") or experiments) * chain.nq
-        decimate = max(1, min(round(rate / (0.4 * cutoff_hz)), kept // (ROWS * own_numbers(chain))))
+        kept = sum(len(e.t) for e in fit) * chain.nq
+        every = rate / (ROWS_PER_CUTOFF * band if band else 0.4 * cutoff_hz)
+        decimate = max(1, min(round(every), kept // (ROWS * own_numbers(chain))))
+    band = band or cutoff_hz
     motion, ends = [], []
     statement = ""
     for e in experiments:
         start = stated_positions(e, chain.signature)
         q, qd, qdd, statement = joint_motion(chain, e.t, e.motion()[:, iy], [cutoff_hz] * chain.nq, start)
         motion.append(np.concatenate([q, qd, qdd], 1))
-        ends.append(filter_ends(e.t, cutoff_hz))
+        ends.append(filter_ends(e.t, band))
     taps = np.ones(1)
     if decimate > 1:
         from scipy.signal import firwin

@@ -1,4 +1,9 @@
-"""Whitened normal equations: each joint's residual through its own autoregression, then sums of products, block by block."""
+"""Weighted normal equations, block by block: sums of products of columns and target.
+
+Every row of a joint has the same weight. The residual's own spectrum (an autoregression) must not weigh: what a model lacks is
+slow and large, so that it would count little, and the frequencies beyond the motion much, in which columns are the noise of
+readings; numbers would be drawn to nothing, which makes what is left slower still.
+"""
 
 from __future__ import annotations
 
@@ -11,8 +16,10 @@ import numpy as np
 from jaxid.diagnosis.torque.rows import Run
 
 
-#: Order of the autoregression of a joint's residual.
-ORDER = 3
+#: Rows that are correlated by less than this share no noise.
+LOST = 0.05
+#: Rounds in which the size of what is left and the weight of rows of which less is known settle.
+ROUNDS = 5
 #: A direction of the scaled columns in which the data say less than this share of what they say elsewhere stays where it was.
 WEAK = 1e-9
 #: Held-out rows are compared in so many blocks.
@@ -20,47 +27,62 @@ BLOCKS = 24
 
 
 @dataclass(frozen=True)
-class Whitening:
-    """Autoregression [n ORDER] and innovation [n] of each joint's residual."""
+class Weights:
+    """What is left of each joint's torque [n], N m, and how many rows share one piece of it [n]."""
 
-    coefficients: np.ndarray
-    scale: np.ndarray
+    size: np.ndarray
+    memory: np.ndarray
 
-    def __call__(self, x: np.ndarray, moves: np.ndarray) -> np.ndarray:
-        """Rows [samples n k] whitened, [samples - ORDER n k]; those of joints that stand still count for nothing."""
-        out = x[ORDER:].copy()
-        for lag in range(1, ORDER + 1):
-            out -= self.coefficients[:, lag - 1, None] * x[ORDER - lag : len(x) - lag]
-        return out * (moves / self.scale)[:, None]
+    def share(self, unsure: np.ndarray) -> np.ndarray:
+        """What a row counts for [samples n] whose torque is known to within `unsure` only, N m."""
+        return 1 / np.sqrt(1 + (unsure / self.size) ** 2)
+
+    def __call__(self, x: np.ndarray, moves: np.ndarray, unsure: np.ndarray) -> np.ndarray:
+        """Rows [samples n k] in units of what is left, so that sums of squares count what is independent; those of joints that
+        stand still count for nothing."""
+        return x * (self.share(unsure) * moves / self.size / np.sqrt(self.memory))[:, :, None]
+
+    def count(self, moves: np.ndarray, unsure: np.ndarray) -> float:
+        """How many independent rows those of a run are worth."""
+        return float(np.sum(self.share(unsure) ** 2 * moves / self.memory))
 
 
-def whitening(residuals: Sequence[np.ndarray], moves: Sequence[np.ndarray], floor: np.ndarray) -> Whitening:
-    """Of residuals [samples n] of several runs, by Yule and Walker; innovations are no less than `floor` [n]."""
+def weighted(residuals: Sequence[np.ndarray], moves: Sequence[np.ndarray], unsure: Sequence[np.ndarray]) -> Weights:
+    """Of residuals [samples n] of several runs, which joints move in them [n], and to within what they are known [samples n]."""
     n = residuals[0].shape[1]
-    a, scale = np.zeros((n, ORDER)), np.ones(n)
+    size, memory = np.ones(n), np.ones(n)
     for j in range(n):
-        own = [r[:, j] for r, m in zip(residuals, moves, strict=True) if m[j]]
+        own = [(r[:, j], u[:, j]) for r, m, u in zip(residuals, moves, unsure, strict=True) if m[j]]
         if not own:
             continue
-        power = np.array([sum(float(r[k:] @ r[: len(r) - k]) for r in own) for k in range(ORDER + 1)])
-        power /= sum(map(len, own))
-        if power[0] <= 0:
-            scale[j] = floor[j]
-            continue
-        R = power[np.abs(np.subtract.outer(range(ORDER), range(ORDER)))] + 1e-9 * power[0] * np.eye(ORDER)
-        a[j] = np.linalg.solve(R, power[1:])
-        variance = max(power[0] - float(a[j] @ power[1:]), 0.0)
-        scale[j] = max(np.sqrt(variance), 1e-6 * np.sqrt(power[0]), floor[j] * np.sqrt(max(variance / power[0], 1e-6)), 1e-12)
-    return Whitening(a, scale)
+        r, u = (np.concatenate(x) for x in zip(*own, strict=True))
+        size[j] = max(np.sqrt(np.mean(r**2)), 1e-12)
+        for _ in range(ROUNDS):
+            share = 1 / (1 + (u / size[j]) ** 2)
+            size[j] = max(np.sqrt(np.sum(share * r**2) / np.sum(share)), 1e-12)
+        memory[j] = _memory([r / np.hypot(size[j], u) for r, u in own])
+    return Weights(size, memory)
+
+
+def _memory(series: Sequence[np.ndarray]) -> float:
+    """1 + 2 sum of the autocorrelation of some series up to the first lag where it is lost."""
+    power, found = sum(float(r @ r) for r in series), 1.0
+    for lag in range(1, max(map(len, series)) // 3 + 1):
+        share = sum(float(r[lag:] @ r[:-lag]) for r in series) / max(power, 1e-300)
+        if share < LOST:
+            break
+        found += 2 * share
+    return found
 
 
 @dataclass(frozen=True)
 class Gram:
-    """Sums of products of whitened columns and, last, the target: of blocks [blocks p + 1 p + 1], their runs, rows in all."""
+    """Sums of products of weighted columns and, last, the target: of blocks [blocks p + 1 p + 1], their runs; rows that are
+    independent."""
 
     blocks: np.ndarray
     owner: np.ndarray
-    rows: int
+    rows: float
     total: np.ndarray = field(init=False)
 
     def __post_init__(self):
@@ -77,9 +99,12 @@ class Gram:
         return self.blocks[:, at, -1] - self.blocks[:, at[:, None], at] @ theta
 
 
-def gram(runs: Sequence[Run], rows: Sequence[np.ndarray], white: Whitening, blocks: int) -> Gram:
-    """Of rows [samples n p + 1] of some runs, cut into about so many blocks of equal length."""
-    made = [white(x, r.moves) for x, r in zip(rows, runs, strict=True)]
+def gram(
+    runs: Sequence[Run], rows: Sequence[np.ndarray], unsure: Sequence[np.ndarray], weights: Weights, blocks: int
+) -> Gram:  # fmt: skip
+    """Of rows [samples n p + 1] of some runs, known to within `unsure` [samples n], cut into about so many blocks of equal
+    length."""
+    made = [weights(x, r.moves, u) for x, r, u in zip(rows, runs, unsure, strict=True)]
     length = max(1, sum(map(len, made)) // blocks)
     parts, owner = [], []
     for k, x in enumerate(made):
@@ -87,7 +112,7 @@ def gram(runs: Sequence[Run], rows: Sequence[np.ndarray], white: Whitening, bloc
             flat = piece.reshape(-1, piece.shape[2])
             parts.append(flat.T @ flat)
             owner.append(k)
-    return Gram(np.array(parts), np.array(owner), sum(x.shape[0] * int(r.moves.sum()) for x, r in zip(made, runs, strict=True)))
+    return Gram(np.array(parts), np.array(owner), sum(weights.count(r.moves, u) for r, u in zip(runs, unsure, strict=True)))
 
 
 @dataclass(frozen=True)

@@ -49,7 +49,7 @@ class Answer:
         for k in which:
             inside = self.study.runs[k].moves.copy()
             inside &= True if joint is None else np.arange(len(inside)) == joint
-            r = (self.residual(k) / self.study.noise)[:, inside]
+            r = (self.residual(k) / self.study.noise_of(k))[:, inside]
             total, count = total + float(np.sum(r**2)), count + r.size
         return float(np.sqrt(total / count)) if count else float("nan")
 
@@ -176,8 +176,9 @@ def how_far(
     gaps = [m.gap(which) for m in models]
     channels: dict[str, ChannelGap] = {}
     for j, (name, unit) in enumerate(study.binding.chain.torque_channels):
-        rmse = [float(m.gap(which, j) * study.noise[j]) for m in models]
-        if np.isfinite(rmse).all():
+        moving = [k for k in which if study.runs[k].moves[j]]
+        rmse = [float(np.sqrt(np.mean(np.concatenate([m.residual(k)[:, j] for k in moving]) ** 2))) for m in models if moving]
+        if rmse:
             channels[name] = ChannelGap(
                 unit, rmse[0], rmse[1], rmse[2], float(study.noise[j]), "noise of torque and motion, low-passed alike"
             )
@@ -216,8 +217,8 @@ def _by_regime(study: Study, models: Sequence[Answer], which: Sequence[int]) -> 
             count = sum(int(x.sum()) for x in inside)
             if count < 20 or not any(study.runs[k].moves[j] for k in which):
                 continue
-            rms = [np.concatenate([m.residual(k)[x, j] for k, x in zip(which, inside, strict=True)]) for m in models]
-            out.append(Share(name, joint, count, *(float(np.sqrt(np.mean(r**2)) / study.noise[j]) for r in rms)))
+            own = [[(m.residual(k) / study.noise_of(k))[x, j] for k, x in zip(which, inside, strict=True)] for m in models]
+            out.append(Share(name, joint, count, *(float(np.sqrt(np.mean(np.concatenate(r) ** 2))) for r in own)))
     return tuple(out)
 
 
@@ -229,7 +230,7 @@ def missing(answer: Answer, k: int, seed: int, draws: int = DRAWS) -> Missing:
     run = answer.study.runs[k]
     force, keep = answer.residual(k), np.zeros(len(run.experiment.t), bool)
     keep[run.kept] = True
-    null = answer.study.noise * np.random.default_rng([seed, k]).standard_normal((draws, *force.shape))
+    null = answer.study.noise_of(k) * np.random.default_rng([seed, k]).standard_normal((draws, *force.shape))
     still = run.moves.astype(float)
     return Missing(run.experiment, keep, run.q[keep], run.qd[keep], run.qdd[keep], answer.measured(k), force * still, null)
 

@@ -7,7 +7,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from jaxid.diagnosis.how_far import closed
-from jaxid.diagnosis.torque.algebra import gram, Known, solve, Whitening
+from jaxid.diagnosis.torque.algebra import gram, Known, solve, Weights
 from jaxid.diagnosis.torque.answer import Answer
 from jaxid.diagnosis.torque.rows import Run
 from jaxid.diagnosis.torque.study import Rows, Study
@@ -20,7 +20,7 @@ FIRM = (1e-4, 1e-3, 1e-2, 1e-1, 1.0)
 
 
 def ceiling(
-    study: Study, rows: Rows, white: Whitening, base: Answer, fit: Sequence[int], choose: Sequence[int], judge: Sequence[int]
+    study: Study, rows: Rows, weights: Weights, base: Answer, fit: Sequence[int], choose: Sequence[int], judge: Sequence[int]
 ) -> float:
     """Share of the gap of `base` on the runs `judge` that free laws close, fitted to `fit`, as firm as suits `choose`."""
     edges = _edges(study)
@@ -41,12 +41,13 @@ def ceiling(
             wide[:, j, p + j * each : p + (j + 1) * each] = x[:, j]
         blocks[k] = wide
     size = p + n * each
-    g = gram([study.runs[k] for k in fit], [blocks[k] for k in fit], white, 1).total
+    g = gram([study.runs[k] for k in fit], [blocks[k] for k in fit], [study.unsure[k] for k in fit], weights, 1).total
     at, bounds = np.arange(size), np.full(size, np.inf)
     start = np.concatenate([base.numbers, np.zeros(n * each)])
 
     def gap(numbers: np.ndarray, which: Sequence[int]) -> float:
-        left = [((blocks[k][:, :, -1] - blocks[k][:, :, :-1] @ numbers) / study.noise)[:, study.runs[k].moves] for k in which]
+        rest = {k: (blocks[k][:, :, -1] - blocks[k][:, :, :-1] @ numbers) / study.noise_of(k) for k in which}
+        left = [x[:, study.runs[k].moves] for k, x in rest.items()]
         return float(np.sqrt(np.mean(np.concatenate([x.ravel() for x in left]) ** 2)))
 
     found = []

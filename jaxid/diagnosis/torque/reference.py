@@ -127,7 +127,8 @@ def _fitted(content: Mapping[str, Any]) -> Reference:
         raise UsageError(f"the reference holds no number with a standard deviation; {WANTED}")
     values = np.array([v["value"] for v in told.values()], float)
     std = np.array([v["std"] for v in told.values()], float)
-    covariance = np.array(content.get("covariance", np.diag(std**2)), float)
+    given = content.get("covariance", {})
+    covariance = np.array(given.get("matrix", []) if isinstance(given, Mapping) else given, float)
     if covariance.shape != (len(std), len(std)):
         covariance = np.diag(std**2)
     return Reference(tuple(told), values, covariance, f"{content['kind']} of {content.get('dataset', 'another recording')}")

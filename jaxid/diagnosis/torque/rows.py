@@ -59,6 +59,15 @@ class Run:
         t = self.experiment.t
         return float(t[-1] - t[0]) / (len(t) - 1)
 
+    def still(self, turn: np.ndarray) -> np.ndarray:
+        """1 where a joint stands still or turns about [time n], to within what the filter of the motion resolves, else 0."""
+        from scipy.ndimage import maximum_filter1d
+
+        slow = np.abs(self.qd) < turn
+        slow[1:] |= np.diff(np.sign(self.qd), axis=0) != 0
+        width = max(1, round(0.5 / (MOTION * self.cutoff_hz * self.step)))
+        return maximum_filter1d(slow.astype(float), width, axis=0)
+
     def rows(self, x: np.ndarray) -> np.ndarray:
         """A series [time ...] through the low-pass, at the rows."""
         flat = x.reshape(len(x), -1)
@@ -72,7 +81,7 @@ def read_runs(binding: Binding, cutoff_hz: float | None) -> list[Run]:
     _, iy = columns(b.dataset, b.chain)
     ordered = [e for split in ("fit", "validation", "report") for e in b.experiments(split)]
     even = [evenly(e) for e in ordered]
-    cutoff = cutoff_hz or moving_band(b.chain, [e for e in even if e.split == "fit"] or even, iy, b.sigma)
+    cutoff = cutoff_hz or moving_band(b.chain, [e for e in even if e.split == "fit"] or even, iy, b.readings)
     room = bucket(max(len(e.t) for e in even))
     return [_read(b, e, iy, cutoff, room) for e in even]
 
@@ -95,7 +104,7 @@ def _read(binding: Binding, e: Experiment, iy: Sequence[int], cutoff_hz: float, 
 
 
 def _moving(binding: Binding, q: np.ndarray) -> np.ndarray:
-    noise = np.array([binding.sigma[r.q] if r.q is not None else 0.0 for r in joint_readings(binding.chain)])
+    noise = np.array([binding.readings[r.q] if r.q is not None else 0.0 for r in joint_readings(binding.chain)])
     return np.ptp(q, axis=0) > STILL * np.maximum(noise, 1e-9)
 
 

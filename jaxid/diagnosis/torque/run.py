@@ -11,7 +11,7 @@ import numpy as np
 from jaxid.diagnosis.how_far import closed
 from jaxid.diagnosis.next_experiment import advice
 from jaxid.diagnosis.result import Diagnosis, Which
-from jaxid.diagnosis.torque.algebra import BLOCKS, gram, Whitening
+from jaxid.diagnosis.torque.algebra import BLOCKS, gram, Weights
 from jaxid.diagnosis.torque.answer import Answer, estimates, how_far, of_model, places, ranking, scores, traces
 from jaxid.diagnosis.torque.ceiling import ceiling
 from jaxid.diagnosis.torque.choose import Chooser, Model
@@ -24,6 +24,7 @@ from jaxid.dynamics.effect import Effect
 from jaxid.fitting.assemble import fitted_chain
 from jaxid.fitting.fitter import Progress
 from jaxid.fitting.result import EffectEstimate, Estimate, Fit
+from jaxid.fitting.scores import lost
 from jaxid.fitting.stated import stated_numbers
 from jaxid.problem.binding import Binding
 from jaxid.wording import listed, percent, times
@@ -43,14 +44,19 @@ class Found:
 
     chooser: Chooser
     rows: Rows
-    white: Whitening
+    weights: Weights
     chosen: Model
     nominal: Answer
     final: Answer
     fit: list[int]
     choose: list[int]
     judge: list[int]
-    different: bool = False  # whether the effects act in the runs that were not fitted alone
+    #: What was found in all runs, where the effects act in those alone that were not fitted.
+    base: Found | None = None
+
+    @property
+    def different(self) -> bool:
+        return self.base is not None
 
 
 def diagnose_by_torque(
@@ -75,13 +81,13 @@ def _searched(study: Study, most: int) -> Found:
     fit, choose, judge = study.of("fit"), study.of("validation"), study.of("report")
     theta, found = study.theta, None
     for again in range(PASSES):
-        rows, white = study.rows_with_effects(theta, again > 0)
-        chooser = study.chooser(rows, white, fit, choose, most)
+        rows, weights = study.rows_with_effects(theta, again > 0)
+        chooser = study.chooser(rows, weights, fit, choose, most)
         chosen = chooser.nominal if _at_floor(study, rows, chooser, fit, choose) else chooser.run()
         found = Found(
             chooser,
             rows,
-            white,
+            weights,
             chosen,
             of_model(study, rows, chooser.nominal),
             of_model(study, rows, chosen),
@@ -103,7 +109,7 @@ def _at_floor(study: Study, rows: Rows, chooser: Chooser, fit: Sequence[int], ch
     """Whether the re-tuned model reaches the noise, at every joint, on data that were and that were not fitted."""
     answer = of_model(study, rows, chooser.nominal)
     gaps = [answer.gap(which, j) for which in (fit, choose) for j in range(len(study.noise))]
-    return all(not gap > SEEN for gap in gaps) and answer.gap(fit) ** 2 <= level(chooser.fit.rows) + 0.1
+    return all(not gap > SEEN for gap in gaps) and answer.gap(fit) ** 2 <= level(round(chooser.fit.rows)) + 0.1
 
 
 def _differs(found: Found) -> bool:
@@ -113,7 +119,8 @@ def _differs(found: Found) -> bool:
 
 def _difference(study: Study, found: Found, most: int) -> Found | None:
     """What is different in the runs that were not fitted: effects that act in those alone, beside numbers that all runs share.
-    Found on the validation runs, judged on the report runs; None where nothing is."""
+    Found on the validation runs, judged on the report runs; None where nothing is, and where what is left of them with laws that
+    were found is not what those leave of the runs that were fitted: then they are no more than another motion."""
     if not found.judge:
         return None
     base = found.final
@@ -130,34 +137,42 @@ def _difference(study: Study, found: Found, most: int) -> Found | None:
     chosen = chooser.run()
     if not chosen.units:
         return None
-    nominal = Answer(study, own, np.arange(len(base.at)), base.numbers, base.units)
     final = of_model(study, own, chosen)
-    return Found(chooser, own, found.white, chosen, nominal, final, found.fit, found.choose, found.judge, True)
+    if base.units and final.gap(found.judge) > LEFT * max(1.0, base.gap(found.fit)):
+        return None
+    nominal = Answer(study, own, np.arange(len(base.at)), base.numbers, base.units)
+    return Found(chooser, own, found.weights, chosen, nominal, final, found.fit, found.choose, found.judge, found)
 
 
 def _second(study: Study, rows: Rows, found: Found, most: int) -> Chooser:
     """The search for what acts in the runs that were not fitted."""
     base, p = found.final, study.plant.size
     both = [*base.units, *rows.units]
-    free = np.full(study.size - p, np.inf)
+    below, above = study.free_bounds()
     start = np.concatenate([study.theta[study.plant.free], base.numbers[p:], np.zeros(sum(len(u.fields) for u in rows.units))])
-    low = np.concatenate([study.lower, -free, *(u.least for u in both)])
-    high = np.concatenate([study.upper, free, *(u.most for u in both)])
+    low = np.concatenate([study.lower, below, *(u.least for u in both)])
+    high = np.concatenate([study.upper, above, *(u.most for u in both)])
     known = study.known(len(start), rows.theta, both)
-    g = lambda which: gram([study.runs[k] for k in which], [rows.rows[k] for k in which], found.white, BLOCKS)
-    return Chooser(rows.units, len(base.numbers), g([*found.fit, *found.choose]), g(found.judge), known, start, low, high, most)
+    g = lambda which: gram(*study.some(rows, which), found.weights, BLOCKS)
+    left = study.by_joint(rows, found.weights, found.judge)
+    both = [*found.fit, *found.choose]
+    return Chooser(rows.units, len(base.numbers), g(both), g(found.judge), known, start, low, high, most, left)
 
 
 # ---- the answer
 
 
-def _judged(found: Found) -> tuple[str, str]:
+def _judged(study: Study, found: Found) -> tuple[str, str]:
     """Verdict, and its sentence: what is named comes down to the noise on runs that chose and on runs that did not."""
     nominal, final, split = found.nominal, found.final, [found.choose, found.judge]
     sets = [w for w in split if w] or [found.fit]
     before = [nominal.gap(w) for w in sets]
     after = [final.gap(w) for w in sets]
+    if astray := lost(scores(final), {c: s for (c, _), s in zip(study.binding.chain.torque_channels, study.noise, strict=True)}):
+        return "unknown", f"The re-tuned model is {astray[0]}: these data do not determine it, and no effect is named beside it."
     names = listed(_said(u) for u in final.units)
+    base = found.base.final.units if found.base else ()
+    lacks = f"The model lacks {listed(_said(u) for u in base)}. " if base else ""
     if not final.units:
         gaps = [nominal.gap(w) for w in (found.fit, *sets) if w]
         if all(not g > SEEN for g in gaps):
@@ -167,7 +182,7 @@ def _judged(found: Found) -> tuple[str, str]:
             "fitted better."
         )
     shares = [closed(b**2, a**2) for b, a in zip(before, after, strict=True)]
-    what = "What is different in the runs that were not fitted is" if found.different else "The model lacks"
+    what = f"{lacks}What is different in the runs that were not fitted is" if found.different else "The model lacks"
     left = f"{times(max(after))} times the noise is left on held-out data"
     # Where the question is what differs, what the model leaves of the runs that it was fitted to is what repeats would differ by.
     least = max(1.0, nominal.gap(found.fit)) if found.different else 1.0
@@ -191,11 +206,13 @@ def _said(unit: Unit) -> str:
 
 def _answered(study: Study, found: Found, most: int, seed: int, began: float) -> Diagnosis:
     b = study.binding
-    verdict, text = _judged(found)
+    verdict, text = _judged(study, found)
     claimed = verdict in ("named", "partly")
     final = found.final if claimed else found.nominal
     which = found.judge or found.choose or found.fit
     own, effects = estimates(study, found.chooser, found.chosen)
+    if found.base is not None:  # beside what all runs have
+        effects = (*estimates(study, found.base.chooser, found.base.chosen)[1], *effects)
     plain, _ = estimates(study, found.chooser, found.chooser.nominal)
     before, note = _before(study, found.nominal)
     bound = None
@@ -204,7 +221,7 @@ def _answered(study: Study, found: Found, most: int, seed: int, began: float) ->
         bound = ceiling(
             study,
             found.rows,
-            found.white,
+            found.weights,
             at,
             [*found.fit, *(found.choose if found.different else [])],
             found.choose or found.fit,
@@ -265,8 +282,8 @@ def _notes(study: Study, found: Found) -> list[str]:
     run = study.runs[0]
     notes = [
         f"torque and every column low-passed without phase at {run.cutoff_hz:.3g} Hz, positions at "
-        f"{MOTION * run.cutoff_hz:.3g} Hz before they are differentiated; residuals whitened joint by joint; sets of effects "
-        "compared on runs that were not fitted"
+        f"{MOTION * run.cutoff_hz:.3g} Hz before they are differentiated; each joint weighted by what is left of it; sets "
+        "of effects compared on runs that were not fitted"
     ]
     joints = study.binding.chain.signature.joints
     for j, joint in enumerate(joints):

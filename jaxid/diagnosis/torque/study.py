@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
 
 from jaxid.data.signals import zero_phase
-from jaxid.diagnosis.torque.algebra import BLOCKS, gram, Known, Solution, solve, Whitening, whitening
+from jaxid.diagnosis.torque.algebra import BLOCKS, gram, Known, Solution, solve, weighted, Weights
 from jaxid.diagnosis.torque.choose import Chooser
 from jaxid.diagnosis.torque.forces import force, with_numbers
 from jaxid.diagnosis.torque.library import DRIVES, Unit, units
@@ -26,6 +26,8 @@ from jaxid.simulation.sample_buffers import columns
 STEPS, SETTLED = 12, 1e-6
 #: Dry friction may turn about within so much less speed than it is taken to.
 SHARPER = 4.0
+#: By so much of a step a torque that is held from one sample to the next comes later than one that is not.
+HELD = 0.5
 #: Samples of which the noise of the rows is made.
 SAMPLES = 4000
 #: Effects whose columns depend on the torque that the model itself needs.
@@ -60,25 +62,33 @@ class Study:
         self.runs: list[Run] = read_runs(binding, cutoff_hz)
         self.plant: Plant = plant_of(binding, turning_speeds(self.runs))
         self.given, self.payloads = known, payloads
-        self.turns = [self._turns(r) for r in self.runs]
-        self._plain: tuple[Rows, Whitening, Solution] | None = None
+        self.unasked = [self._unasked(r) for r in self.runs]
+        self._plain: tuple[Rows, Weights, Solution] | None = None
         self.noise = np.ones(binding.chain.nq)
+        self.unsure = [np.zeros((len(r.t), binding.chain.nq)) for r in self.runs]
         self.theta = self._nominal()
         self.measured = self._noise()
         self.settle(self.theta)
 
-    def _turns(self, run: Run) -> np.ndarray:
-        """How else dry friction may turn about with each joint's motion, as columns of which nothing is asked [samples n k]: what
-        would pass for them says nothing."""
+    def _unasked(self, run: Run) -> np.ndarray:
+        """Columns of which nothing is asked [samples n 3n]: how else dry friction may turn about with a joint's motion, and that
+        a torque may be held from one sample to the next or not, in steps of it. What would pass for them says nothing."""
         n, turn = run.q.shape[1], self.plant.turn
         apart = [np.tanh(run.qd / (turn * wide)) - np.tanh(run.qd / turn) for wide in (1 / SHARPER, SHARPER)]
-        rows = [run.rows(x) for x in apart]
+        late = np.gradient(self.plant.drive(run, self.binding.theta), axis=0)
+        rows = [run.rows(x) for x in (*apart, late)]
         return np.concatenate([x[:, :, None] * np.eye(n) for x in rows], 2)
 
     @property
     def size(self) -> int:
         """Columns that come before those of effects."""
-        return self.plant.size + 2 * self.binding.chain.nq
+        return self.plant.size + 3 * self.binding.chain.nq
+
+    def free_bounds(self) -> tuple[np.ndarray, np.ndarray]:
+        """Bounds of the columns of which nothing is asked: a held torque is half a step late."""
+        n = self.binding.chain.nq
+        free = np.full(2 * n, np.inf)
+        return np.concatenate([-free, np.zeros(n)]), np.concatenate([free, np.full(n, HELD)])
 
     # ---- the nominal model
 
@@ -104,7 +114,8 @@ class Study:
             if i in self.plant.free:
                 k = self.plant.free.index(i)
                 information[k, k], mean[k] = std**-2, m
-        spread = np.concatenate([np.full(self.size - p, np.inf), *(u.spread for u in found)])
+        n = self.binding.chain.nq
+        spread = np.concatenate([np.full(2 * n, np.inf), np.full(n, HELD), *(u.spread for u in found)])
         diagonal = np.arange(p, size)
         information[diagonal, diagonal] = np.where(np.isfinite(spread), spread, np.inf) ** -2.0
         return Known(information, mean)
@@ -115,28 +126,29 @@ class Study:
         for k, run in enumerate(self.runs):
             target, own = self.plant.linearised(run, theta)
             both = run.rows(np.concatenate([own, target[:, :, None]], 2))
-            rows.append(np.concatenate([both[:, :, :-1], self.turns[k], *(u.columns[k] for u in found), both[:, :, -1:]], 2))
+            rows.append(np.concatenate([both[:, :, :-1], self.unasked[k], *(u.columns[k] for u in found), both[:, :, -1:]], 2))
         return Rows(theta, found, rows)
 
     def _nominal(self) -> np.ndarray:
         """The nominal model fitted to the fit runs, each joint weighted by what is left of it."""
-        theta, white = self.binding.theta.copy(), None
+        theta, weights = self.binding.theta.copy(), None
         if not self.plant.exact():
             theta = start_values(Bench(self.binding), self.plant.free, 0)[0]
         best, end = np.inf, theta
         for step in range(1 if self.plant.exact() else STEPS):
             rows = self.made(theta, [])
-            if white is None:
-                white = self._weights(rows, np.zeros(0, int), np.zeros(0))
-                white = self._weights(rows, *self._solved(rows, white))
-            loss = gram(*self._some(rows, self.of("fit")), white, 1).losses(np.arange(self.plant.size), theta[self.plant.free])[0]
+            if weights is None:
+                weights = self._weights(rows, np.zeros(0, int), np.zeros(0))
+                weights = self._weights(rows, *self._solved(rows, weights))
+            own = np.arange(self.plant.size)
+            loss = gram(*self.some(rows, self.of("fit")), weights, 1).losses(own, theta[self.plant.free])[0]
             if not loss < best * (1 - SETTLED) and step:
                 if loss <= best or np.allclose(theta, end, rtol=1e-9):
                     break
                 theta = (theta + end) / 2  # too far
                 continue
             best, end = min(best, loss), theta
-            theta = self._moved(theta, *self._solved(rows, white))
+            theta = self._moved(theta, *self._solved(rows, weights))
         return theta if self.plant.exact() else end
 
     def _moved(self, theta: np.ndarray, at: np.ndarray, numbers: np.ndarray) -> np.ndarray:
@@ -144,17 +156,18 @@ class Study:
         out[self.plant.free] = np.clip(numbers[: self.plant.size], self.lower, self.upper)
         return out
 
-    def _some(self, rows: Rows, which: Sequence[int]) -> tuple[list[Run], list[np.ndarray]]:
-        return [self.runs[k] for k in which], [rows.rows[k] for k in which]
+    def some(self, rows: Rows, which: Sequence[int]) -> tuple[list[Run], list[np.ndarray], list[np.ndarray]]:
+        """Some runs, their rows, and to within what these are known."""
+        return [self.runs[k] for k in which], [rows.rows[k] for k in which], [self.unsure[k] for k in which]
 
-    def _solved(self, rows: Rows, white: Whitening, which: Sequence[int] | None = None) -> tuple[np.ndarray, np.ndarray]:
+    def _solved(self, rows: Rows, weights: Weights, which: Sequence[int] | None = None) -> tuple[np.ndarray, np.ndarray]:
         at = np.arange(rows.rows[0].shape[2] - 1)
-        s = self._solution(rows, white, at, self.of("fit") if which is None else which)
+        s = self._solution(rows, weights, at, self.of("fit") if which is None else which)
         return s.at, s.theta
 
-    def _solution(self, rows: Rows, white: Whitening, at: np.ndarray, which: Sequence[int]) -> Solution:
+    def _solution(self, rows: Rows, weights: Weights, at: np.ndarray, which: Sequence[int]) -> Solution:
         size = rows.rows[0].shape[2] - 1
-        g = gram(*self._some(rows, which), white, 1).total
+        g = gram(*self.some(rows, which), weights, 1).total
         start, low, high = self.bounds(rows)
         return solve(g, at, self.known(size, rows.theta, rows.units), start, low, high)
 
@@ -162,23 +175,23 @@ class Study:
         """Start, lower and upper bound of every column."""
         low = [x for u in rows.units for x in u.least]
         high = [x for u in rows.units for x in u.most]
-        free = np.full(self.size - self.plant.size, np.inf)
-        start = np.concatenate([rows.theta[self.plant.free], 0 * np.isinf(free), np.zeros(len(low))])
-        return start, np.concatenate([self.lower, -free, low]), np.concatenate([self.upper, free, high])
+        below, above = self.free_bounds()
+        start = np.concatenate([rows.theta[self.plant.free], np.zeros(len(below) + len(low))])
+        return start, np.concatenate([self.lower, below, low]), np.concatenate([self.upper, above, high])
 
-    def _weights(self, rows: Rows, at: np.ndarray, numbers: np.ndarray) -> Whitening:
+    def _weights(self, rows: Rows, at: np.ndarray, numbers: np.ndarray) -> Weights:
         which = self.of("fit")
         left = [rows.residual(k, at, numbers) for k in which]
-        return whitening(left, [self.runs[k].moves for k in which], 0 * self.noise)
+        return weighted(left, [self.runs[k].moves for k in which], [self.unsure[k] for k in which])
 
     # ---- effects
 
-    def rows_with_effects(self, theta: np.ndarray, chosen: bool = False) -> tuple[Rows, Whitening]:
+    def rows_with_effects(self, theta: np.ndarray, chosen: bool = False) -> tuple[Rows, Weights]:
         """Rows with every unit, and the weights that the richest model of the fit runs leaves. Its numbers also tell the torques
         that effects depend on; `chosen`: theta is that of a model with effects and tells them better."""
         if self._plain is None or not self.plant.exact():
             self._plain = self._without_torque(theta)
-        rows, white, s = self._plain
+        rows, weights, s = self._plain
         if loaded := [k for k in self.kinds if k.name in BY_TORQUE]:
             at = theta if chosen else self._moved(theta, s.at, s.theta)
             more = units(self.plant, loaded, self.runs, at, self.payloads)
@@ -186,18 +199,18 @@ class Study:
                 np.concatenate([x[:, :, :-1], *(u.columns[k] for u in more), x[:, :, -1:]], 2) for k, x in enumerate(rows.rows)
             ]
             rows = Rows(theta, [*rows.units, *more], every)
-        return rows, white
+        return rows, weights
 
-    def _without_torque(self, theta: np.ndarray) -> tuple[Rows, Whitening, Solution]:
+    def _without_torque(self, theta: np.ndarray) -> tuple[Rows, Weights, Solution]:
         """Rows with the units that depend on the motion alone, weights, and the richest model."""
         plain = [k for k in self.kinds if k.name not in BY_TORQUE]
         rows = self.made(theta, units(self.plant, plain, self.runs, theta, self.payloads))
         rich = self._rich(rows)
-        white = self._weights(rows, rich, np.zeros(len(rich)))
+        weights = self._weights(rows, rich, np.zeros(len(rich)))
         for _ in range(2):
-            s = self._solution(rows, white, rich, self.of("fit"))
-            white = self._weights(rows, s.at, s.theta)
-        return rows, white, self._solution(rows, white, rich, self.of("fit"))
+            s = self._solution(rows, weights, rich, self.of("fit"))
+            weights = self._weights(rows, s.at, s.theta)
+        return rows, weights, self._solution(rows, weights, rich, self.of("fit"))
 
     def _rich(self, rows: Rows) -> np.ndarray:
         """Columns of the nominal model and of every law at every joint at one of its shapes."""
@@ -208,7 +221,7 @@ class Study:
                 shapes.setdefault(u.place, []).append(np.arange(a, b))
         return np.concatenate([np.arange(rows.size), *(s[len(s) // 2] for s in shapes.values())])
 
-    def chooser(self, rows: Rows, white: Whitening, fit: Sequence[int], held: Sequence[int], most: int) -> Chooser:
+    def chooser(self, rows: Rows, weights: Weights, fit: Sequence[int], held: Sequence[int], most: int) -> Chooser:
         """The search on some runs, judged on others."""
         start, low, high = self.bounds(rows)
         told = self.known(rows.rows[0].shape[2] - 1, rows.theta, rows.units)
@@ -216,28 +229,46 @@ class Study:
             p = self.plant.size
             told.information[:p, :p] += self.given.information
             told.mean[:p] = np.where(np.diag(self.given.information) > 0, self.given.mean, told.mean[:p])
-        g = lambda which: gram(*self._some(rows, which), white, BLOCKS)
-        return Chooser(rows.units, rows.size, g(fit), g(held), told, start, low, high, most)
+        g = lambda which: gram(*self.some(rows, which), weights, BLOCKS)
+        return Chooser(rows.units, rows.size, g(fit), g(held), told, start, low, high, most, self.by_joint(rows, weights, held))
+
+    def by_joint(self, rows: Rows, weights: Weights, which: Sequence[int]) -> Callable[[Solution], np.ndarray]:
+        """What a solution leaves of each block and joint of some runs, [blocks n]."""
+        share = {k: weights(np.ones((*self.unsure[k].shape, 1)), self.runs[k].moves, self.unsure[k])[:, :, 0] for k in which}
+        length = max(1, sum(len(x) for x in share.values()) // BLOCKS)
+
+        def left(s: Solution) -> np.ndarray:
+            own = [(rows.residual(k, s.at, s.theta) * x) ** 2 for k, x in share.items()]
+            return np.array([b.sum(0) for x in own for b in np.array_split(x, max(1, round(len(x) / length)))])
+
+        return left
 
     # ---- noise
 
     def settle(self, theta: np.ndarray, found: Sequence[tuple[Unit, np.ndarray]] = ()) -> None:
-        """Sets the noise of the rows: that of readings and torques, and what nobody knows of how dry friction turns about with
-        the motion, for the friction of the numbers theta and of units with theirs."""
-        self.noise = np.hypot(self.measured, self._turning(theta, found))
-
-    def _turning(self, theta: np.ndarray, found: Sequence[tuple[Unit, np.ndarray]]) -> np.ndarray:
-        run, n = self._longest(), self.binding.chain.nq
+        """Sets to within what rows are known, and their noise: a joint that stands still, or turns about, holds anything up to
+        its dry friction, that of the numbers theta and of units with theirs."""
+        n = self.binding.chain.nq
         effects = [e for e in self.binding.layout.model(theta).effects if isinstance(e, JointEffect)]
         kinds = {k.name: k for k in self.kinds}
         for u, numbers in found:
             if (kind := kinds.get(u.effect)) is not None and issubclass(kind, JointEffect):
                 own = {f: v * np.eye(n)[u.joints[0]] for f, v in zip(u.fields, numbers, strict=True) if f in specs(kind)}
                 effects.append(with_numbers(neutral(kind), {**u.shape, **own}, n))
-        load = self.plant.rigid(run, theta)
-        turn = self.plant.turn
-        apart = sum((force(e, run, load, turn / SHARPER) - force(e, run, load, turn) for e in effects), np.zeros_like(run.q))
-        return np.std(run.rows(apart), axis=0)
+        self.unsure = [r.rows(self._dry(effects, r, theta) * r.still(self.plant.turn)).clip(0) for r in self.runs]
+        fit = [self.unsure[k] for k in self.of("fit") or range(len(self.runs))]
+        self.noise = np.hypot(self.measured, np.sqrt(np.mean(np.concatenate(fit) ** 2, axis=0)))
+
+    def _dry(self, effects: Sequence[JointEffect], run: Run, theta: np.ndarray) -> np.ndarray:
+        """Dry friction [time n] at the speed nothing along a run."""
+        load, creep = self.plant.rigid(run, theta), 1e-3 * self.plant.turn
+        ways = [replace(run, qd=np.broadcast_to(way * creep, run.qd.shape)) for way in (1.0, -1.0)]
+        both = (force(e, ways[0], load, 1e-3 * creep) - force(e, ways[1], load, 1e-3 * creep) for e in effects)
+        return np.abs(sum(both, np.zeros_like(run.q))) / 2
+
+    def noise_of(self, run: int) -> np.ndarray:
+        """Standard deviation of each row of a run that a perfect model would leave, N m [samples n]."""
+        return np.hypot(self.measured, self.unsure[run])
 
     def _longest(self) -> Run:
         return max((self.runs[k] for k in self.of("fit") or range(len(self.runs))), key=lambda r: len(r.q))
@@ -250,7 +281,7 @@ class Study:
         part = slice(0, min(len(e.t), SAMPLES))
         cut = replace(e, t=e.t[part], u=e.u[part], y=e.y[part], auxiliary={}, past=None, scatter=None, left_out=None)
         _, iy = columns(b.dataset, b.chain)
-        noisy = cut.y[:, iy] + b.sigma * rng.standard_normal((len(cut.t), len(iy)))
+        noisy = cut.y[:, iy] + b.readings * rng.standard_normal((len(cut.t), len(iy)))
         hz = [min(2 * run.cutoff_hz, 0.4 / run.step)] * b.chain.nq
         motion = [joint_motion(b.chain, cut.t, y, hz, stated_positions(e, b.chain.signature))[:3] for y in (cut.y[:, iy], noisy)]
         here = [replace(run, experiment=cut, q=q, qd=qd, qdd=qdd, u=run.u[part]) for q, qd, qdd in motion]
