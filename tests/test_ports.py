@@ -8,6 +8,7 @@ import json
 import os
 import shutil
 import signal
+import socket
 import stat
 import subprocess
 import sys
@@ -329,3 +330,55 @@ def test_no_command_listens_beyond_loopback(home, tmp_path):
     assert seen and bound and not beyond_loopback(seen | bound), (seen, bound)
     refused = {"export": "2", "replay": "2"}  # they want a robot, and have no need of a network
     assert ended == [(w[0], refused.get(w[0], "0")) for w in words[:-1]], (ended, process.stderr and process.stderr.read())
+
+
+@pytest.mark.slow
+@pytest.mark.skipif(shutil.which("openssl") is None, reason="the recipe makes its certificate with openssl")
+def test_the_recipe_without_slurm(home, tmp_path):
+    """The commands of docs/batch.md as they stand there, with loopback for the network between the nodes: who has no certificate
+    is refused, and nothing listens elsewhere."""
+    page = (Path(__file__).resolve().parents[1] / "docs" / "batch.md").read_text()
+    blocks = [b.partition("```")[0] for b in page.split("```sh\n")[1:]]
+    (certificate,) = [b for b in blocks if "openssl req" in b]
+    (parts,) = [b for b in blocks if "dask scheduler" in b]
+    parts = parts.replace("ib0", "lo").replace("10.0.0.1:8786", f"127.0.0.1:{(port := free_port())}").replace("\\\n", " ")
+    lines = [line.partition("  #")[0].strip() for line in parts.splitlines() if line.strip()]
+    settings = "\n".join(line for line in lines if not line.startswith(("dask ", "jaxid ")))
+    scheduler, worker, batch = (line for line in lines if line.startswith(("dask ", "jaxid ")))
+    scheduler, worker = f"{scheduler} --port {port}", worker.replace("--nworkers 16", "--nworkers 1")
+    for name, module in (("dask", "dask"), ("jaxid", "jaxid.cli")):  # of this Python, whatever PATH has
+        command = tmp_path / "bin" / name
+        command.parent.mkdir(exist_ok=True)
+        command.write_text(f'#!/bin/sh\nexec {sys.executable} -m {module} "$@"\n')
+        command.chmod(0o700)
+    path = {"PATH": f"{tmp_path / 'bin'}{os.pathsep}{os.environ['PATH']}", "PYTHONPATH": str(Path(__file__).resolve().parents[1])}
+    environment = os.environ | {"HOME": str(tmp_path)} | path
+    both = {"stdout": subprocess.PIPE, "stderr": subprocess.STDOUT, "text": True}
+    shell = lambda text: subprocess.Popen(["bash", "-c", f"{settings}\nexec {text}"], cwd=home, env=environment, **both)
+    subprocess.run(["bash", "-ec", certificate], env=environment, check=True, capture_output=True)
+    assert stat.S_IMODE((tmp_path / "dask-tls" / "key.pem").stat().st_mode) == 0o600
+    write_study(home, "seeds = 2")
+    started = [shell(scheduler), shell(worker)]
+    try:
+        until = time.monotonic() + 100
+        nodes = [psutil.Process(p.pid) for p in started]
+        while len(seen := listening(*nodes)) < 4 and all(p.poll() is None for p in started) and time.monotonic() < until:
+            time.sleep(0.2)
+        assert len(seen) >= 4 and not beyond_loopback(seen), seen
+        for address in (f"tls://127.0.0.1:{port}", f"tcp://127.0.0.1:{port}"):
+            with pytest.raises(jaxid.UsageError, match="no scheduler answers there"):
+                run_study(home / "study.toml", scheduler=address, solver=SOLVE, check=False)
+        told, _ = (ours := shell(batch)).communicate(timeout=200)
+        assert ours.returncode == 0, told
+        assert not beyond_loopback(listening(*nodes))
+    finally:
+        for process in started:
+            for part in psutil.Process(process.pid).children(recursive=True) if process.poll() is None else []:
+                part.kill()
+            process.kill()
+            process.communicate()
+
+
+def free_port() -> int:
+    with socket.create_server(("127.0.0.1", 0)) as server:
+        return server.getsockname()[1]
