@@ -362,9 +362,9 @@ def test_the_recipe_without_slurm(home, tmp_path):
     try:
         until = time.monotonic() + 100
         nodes = [psutil.Process(p.pid) for p in started]
-        while len(seen := listening(*nodes)) < 4 and all(p.poll() is None for p in started) and time.monotonic() < until:
+        while len(seen := listening(*nodes)) < 3 and all(p.poll() is None for p in started) and time.monotonic() < until:
             time.sleep(0.2)
-        assert len(seen) >= 4 and not beyond_loopback(seen), seen
+        assert len(seen) >= 3 and not beyond_loopback(seen), seen  # messages of both, pages of the scheduler
         for address in (f"tls://127.0.0.1:{port}", f"tcp://127.0.0.1:{port}"):
             with pytest.raises(jaxid.UsageError, match="no scheduler answers there"):
                 run_study(home / "study.toml", scheduler=address, solver=SOLVE, check=False)

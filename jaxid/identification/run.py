@@ -474,7 +474,10 @@ def _notes(found: Estimate, names: Sequence[str], method: str, law: Law) -> list
     notes = [f"residuals are {how}: standard deviations from the sandwich covariance of the estimator"]
     lost = [n for n, seen in zip(names, found.identifiable, strict=False) if not seen]
     if lost:
-        notes.append(f"not determined by these data, left at the model's own values: {', '.join(lost)}")
+        notes.append(
+            f"not determined one by one by these data: {', '.join(lost)}; whatever combination of them the data leave open is as "
+            "the model has it"
+        )
     if law.nonlinear:
         notes.append("exponents by variable projection")
     if method == "constrained":
