@@ -6,11 +6,12 @@ of 120 s and one of 600 s for the arm (500 rows and 500 samples a second, six jo
 that wants to run every 5 ms says for how long it was not let: it tells a computer that stands still from a fault of ours, though
 not one that is only short of processors, for it needs next to none; that is the load.
 
-    python benchmarks/long_paths.py [NAME ...]     # of arm-120-1 … arm-120-5, arm-600, servo-400, two-recorders
+    python benchmarks/long_paths.py [NAME ...]     # of arm-120-1 … arm-120-5, arm-600, servo-400, two-recorders; others are kept
 """
 
 from __future__ import annotations
 
+import datetime
 import json
 import subprocess
 import sys
@@ -29,6 +30,7 @@ from emulators import Emulator  # noqa: E402
 from jaxid.hardware import Trajectory  # noqa: E402
 
 
+KEPT = Path(__file__).with_name("results") / "long_paths.json"
 RATE = {"arm": 500.0, "servo": 200.0}
 
 
@@ -151,11 +153,17 @@ RUNS: dict[str, Callable[[], dict[str, object]]] = {
 
 
 def main(names: tuple[str, ...] = ()) -> dict:
-    """Everything, one after the other (26 minutes of real time, little of it at work)."""
-    return {"title": "Long paths on emulated hardware", "text": (__doc__ or "").split("\n    python")[0].strip(),
-            "rows": [RUNS[name]() for name in names or RUNS]}  # fmt: skip
+    """Everything, one after the other (26 minutes of real time, little of it at work), or those runs anew."""
+    kept = json.loads(KEPT.read_text()).get("runs", {}) if KEPT.is_file() else {}
+    for name in names or RUNS:
+        kept[name] = RUNS[name]()
+        print(json.dumps(kept[name], indent=1), flush=True)
+    text = (__doc__ or "").split("\n    python")[0].strip()
+    return {"title": "Long paths on emulated hardware", "text": text, "rows": [kept[n] for n in RUNS if n in kept], "runs": kept}
 
 
 if __name__ == "__main__":
-    for one in sys.argv[1:] or RUNS:
-        print(json.dumps(main((one,))["rows"][0], indent=1), flush=True)
+    import run_all
+
+    result = main(tuple(sys.argv[1:])) | {"date": datetime.date.today().isoformat(), "machine": run_all.machine()}
+    KEPT.write_text(json.dumps(result, indent=1) + "\n")

@@ -11,10 +11,11 @@ import datetime
 import json
 import math
 import os
+import resource
+import signal
 import subprocess
 import sys
 import tempfile
-import threading
 import time
 from pathlib import Path
 from typing import Any
@@ -30,8 +31,8 @@ ROWS = (10_000, 100_000, 1_000_000, 3_600_000)
 #: Effects that the diagnosis chooses among: with all of them the largest recordings take hours.
 FEW = "dead_zone,input_delay"
 COMMANDS = {"fit": (), "identify": (), "diagnose": ("--effects", FEW)}
-#: What does not end within so many seconds is ended, and said.
-LONGEST = 1800.0
+#: What does not end within so many seconds of processor time is ended, and said.
+LONGEST = 1800
 
 
 def pendulum(rows: int) -> dict[str, np.ndarray]:
@@ -96,15 +97,13 @@ def measured(command: str, folder: Path, code: Path) -> dict[str, Any]:
     with tempfile.TemporaryDirectory() as out, open(f"{out}/said", "w+") as said:
         words = [command, str(folder), "--out", f"{out}/o", "--quiet", *COMMANDS[command]]
         began = time.perf_counter()
-        child = subprocess.Popen([sys.executable, "-c", program, *words], stderr=said)
-        late = threading.Timer(LONGEST, child.kill)
-        late.start()
+        limited = lambda: resource.setrlimit(resource.RLIMIT_CPU, (LONGEST, LONGEST))
+        child = subprocess.Popen([sys.executable, "-c", program, *words], stderr=said, preexec_fn=limited)
         _, status, used = os.wait4(child.pid, 0)
-        late.cancel()
         child.returncode, wall = os.waitstatus_to_exitcode(status), time.perf_counter() - began
         said.seek(0)
         words = said.read().strip().splitlines()
-    ended = "well" if child.returncode == 0 else f"not within {LONGEST:.0f} s" if child.returncode == -9 else ""
+    ended = "well" if child.returncode == 0 else f"not within {LONGEST} s" if child.returncode == -signal.SIGKILL else ""
     ended = ended or f"exit {child.returncode}: {words[-1][:80] if words else ''}"
     scale = 1 if sys.platform == "darwin" else 1024
     return {"GB": used.ru_maxrss * scale / 1e9, "wall s": wall, "CPU s": used.ru_utime + used.ru_stime, "ended": ended}

@@ -2,23 +2,22 @@
 
     python benchmarks/run_all.py reliability_cache
 
-A share of the flips is followed by a whole `jaxid fit`, in a process of its own. The others are followed by four small programs
-in a process that first forgets all it has compiled, so that it reads each of them from the cache again, the way a fit does.
+After each flip a fit is made in a process of its own, which reads every program from the cache: forked from one that has imported
+what a fit imports and computed nothing. One flip in 25 is followed by the command `jaxid fit` in a fresh process instead.
 `JAXID_RELIABILITY=0.1` runs a tenth of the counts.
 """
 
 from __future__ import annotations
 
+import contextlib
+import importlib
 import json
 import os
 import random
 import subprocess
 import sys
 import tempfile
-import time
 from collections import Counter
-from collections.abc import Callable
-from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
 import numpy as np
@@ -26,152 +25,116 @@ import numpy as np
 
 HERE = Path(__file__).resolve().parent
 SHARE = float(os.environ.get("JAXID_RELIABILITY", "1"))
-COMMANDS, CALLS, CALLS_A_PROCESS = 60, 940, 94
-TOLERANCE = 1e-9
+FLIPS, COMMAND_EVERY, PROCESSES = 1000, 25, 2
+TOLERANCE, BUDGET = 1e-9, 40
+ENDS = ("right", "wrong", "errors", "crashes")
 TEXT = (
-    "One bit is flipped at a random place of the whole cache (traced and compiled programs, each bit as likely as any other), "
-    "then the programs are used. Right is an answer within 1e-9, relatively, of that with an untouched cache. Each damaged "
-    "program was removed and made anew; the others are files that this answer does not need."
+    "One bit is flipped at a random place of the cache of a fit (traced and compiled programs, each bit as likely as any other), "
+    "then the fit is made again in a process of its own: after one flip in 25 by the command, else by `jaxid.fit` in a process "
+    "forked from one that has computed nothing. Right is an answer whose parameters are all within 1e-9, relatively, of those "
+    "with an untouched cache; an error is any other exit code than 0, a crash an end by a signal. Each row says what the flips "
+    "hit; what was not made anew is a program that this fit does not read where the others are there."
 )
+Answer = list[float]
 
 
 def main() -> dict:
-    with ThreadPoolExecutor() as pool:
-        rows = list(pool.map(measured, ("`jaxid fit`, whole commands", "programs in one process"), (commands, calls)))
+    """Two processes, each with a cache of its own and every other flip."""
+    with tempfile.TemporaryDirectory() as folder:
+        started = []
+        for seed in range(PROCESSES):
+            home = Path(folder, str(seed))
+            home.mkdir()
+            own = {"JAXID_CACHE_DIR": f"{home}/cache", "PYTHONPATH": f"{HERE.parent}{os.pathsep}{HERE.parent / 'tests'}"}
+            given = {k: v for k, v in os.environ.items() if k != "JAX_COMPILATION_CACHE_DIR"} | own
+            count = max(1, round(SHARE * FLIPS / PROCESSES))
+            started.append((home, subprocess.Popen([sys.executable, __file__, str(home), str(count), str(seed)], env=given)))
+        assert all(process.wait() == 0 for _, process in started)
+        found = [json.loads((home / "counts.json").read_text()) for home, _ in started]
+    counts: dict[str, Counter] = {}
+    for part in found:
+        for key, count in part["counts"].items():
+            counts.setdefault(key, Counter()).update(count)
+    counts = {f"all, over {found[0]['cache']}|": sum(counts.values(), Counter()), **dict(sorted(counts.items()))}
+    columns = ("flips", *ENDS, "made anew")
+    rows = [dict(zip(("hit", "asked by"), key.split("|"), strict=True)) | {c: n[c] for c in columns} for key, n in counts.items()]
     return {"title": "Flipped bits in the cache of programs", "text": TEXT, "rows": rows}
 
 
-def measured(what: str, check: Callable[[Path], dict]) -> dict:
-    began = time.perf_counter()
-    with tempfile.TemporaryDirectory() as folder:
-        row = {"what": what, **check(Path(folder)), "seconds": round(time.perf_counter() - began)}
-    print(row, flush=True)
-    return row
+def flip(cache: Path, rng: random.Random) -> tuple[Path, bytes, str]:
+    """Flips one bit, each of the cache as likely as any other; the file, its content now and what was hit."""
+    from jaxid.numerics.program_cache import HASH_BYTES, MARK
 
-
-def flip(cache: Path, rng: random.Random) -> tuple[Path, bytes]:
-    """Flips one bit, each of the cache as likely as any other; the file and its content now."""
     files = sorted(p for p in cache.rglob("*") if p.is_file())
     file = rng.choices(files, [p.stat().st_size for p in files])[0]
     content = bytearray(file.read_bytes())
-    content[rng.randrange(len(content))] ^= 1 << rng.randrange(8)
+    at = rng.randrange(len(content))
+    content[at] ^= 1 << rng.randrange(8)
     file.write_bytes(content)
-    return file, bytes(content)
+    return file, bytes(content), f"{file.parent.name} program{', its hash' if at < len(MARK) + HASH_BYTES else ''}"
 
 
-def mended(file: Path, flipped: bytes) -> bool:
-    return file.exists() and file.read_bytes() != flipped
+def by_fork(data: Path, out: Path) -> int:
+    """Exit code of a fit in a process of its own; its parameters are in `out`."""
+    sys.stdout.flush()
+    if pid := os.fork():
+        return os.waitstatus_to_exitcode(os.waitpid(pid, 0)[1])
+    code = 99
+    with contextlib.suppress(BaseException):
+        import jaxid
+
+        os.dup2(os.open(out / "said", os.O_WRONLY | os.O_CREAT | os.O_APPEND), 2)
+        found = jaxid.fit(None, jaxid.load_dataset(data), budget=BUDGET)
+        (out / "answer.json").write_text(json.dumps([p.value for p in found.parameters.values()]))
+        (out / "modules.json").write_text(json.dumps([m for m in sys.modules if m.split(".")[0] != "__main__"]))
+        code = 0
+    os._exit(code)
 
 
-def row(count: Counter, cache: Path) -> dict:
-    files = [p.stat().st_size for p in cache.rglob("*") if p.is_file()]
-    keys = ("right", "wrong", "errors", "crashes", "made anew")
-    return {"flips": count["flips"]} | {k: count[k] for k in keys} | {"files": len(files), "size": f"{sum(files) / 1e6:.2f} MB"}
+def by_command(data: Path, out: Path) -> int:
+    """The same by the command."""
+    command = [sys.executable, "-m", "jaxid.cli", "fit", str(data), "--out", str(out), "--quiet", "--budget", str(BUDGET)]
+    done = subprocess.run(command, capture_output=True, text=True, cwd=HERE.parent, check=False)
+    if done.returncode == 0:
+        values = [p["value"] for p in json.loads((out / "fit.json").read_text())["parameters"].values()]
+        (out / "answer.json").write_text(json.dumps(values))
+    return done.returncode
 
 
-def environment(cache: Path) -> dict[str, str]:
-    left = {k: v for k, v in os.environ.items() if k != "JAX_COMPILATION_CACHE_DIR"}
-    return left | {"JAXID_CACHE_DIR": str(cache)}
+def kind_of(code: int, out: Path, right: Answer) -> str:
+    if code:
+        return "crashes" if code < 0 else "errors"
+    found = json.loads((out / "answer.json").read_text())
+    return "right" if np.allclose(found, right, rtol=TOLERANCE, atol=0) else "wrong"
 
 
-def commands(home: Path) -> dict:
-    """One `jaxid fit` after each flip."""
+def counted(home: Path, flips: int, seed: int) -> dict:
+    """What came of so many flips, by what they hit and how the fit was asked for."""
+    from jaxid import runtime
     from tests.test_batch import write_dataset
 
+    runtime.prepare()
     cache, out, data = home / "cache", home / "out", write_dataset(home / "small")
-    command = [sys.executable, "-m", "jaxid.cli", "fit", str(data), "--out", str(out), "--quiet", "--budget", "40"]
-    fit = lambda: subprocess.run(command, env=environment(cache), capture_output=True, text=True, cwd=HERE.parent, check=False)
-    answer = lambda: [p["value"] for p in json.loads((out / "fit.json").read_text())["parameters"].values()]
-    assert fit().returncode == 0
-    expected, rng, count = answer(), random.Random(31), Counter()
-    for _ in range(max(2, round(SHARE * COMMANDS))):
-        file, flipped = flip(cache, rng)
-        (out / "fit.json").unlink(missing_ok=True)
-        done = fit()
-        right = done.returncode == 0 and np.allclose(answer(), expected, rtol=TOLERANCE, atol=0)
-        kind = "right" if right else "crashes" if done.returncode < 0 else "errors" if done.returncode else "wrong"
-        count.update({"flips": 1, kind: 1, "made anew": int(mended(file, flipped))})
-        print(dict(count), flush=True)
-    return row(count, cache)
-
-
-def calls(home: Path) -> dict:
-    """Many flips a process; one that dies is counted and its remaining flips are made by another."""
-    cache, count = home / "cache", Counter()
-    wanted = max(2, round(SHARE * CALLS))
-    worker = lambda *more: subprocess.Popen(
-        [sys.executable, __file__, "worker", str(cache), *map(str, more)],
-        env=environment(cache) | {"PYTHONPATH": str(HERE.parent)},
-        stdout=subprocess.PIPE,
-        stderr=subprocess.DEVNULL,
-        text=True,
-    )
-    expected = home / "expected.npy"
-    assert worker(expected, 0, 0).wait() == 0
-    while count["flips"] < wanted:
-        process = worker(expected, count["flips"], min(CALLS_A_PROCESS, wanted - count["flips"]))
-        assert process.stdout is not None
-        begun = ended = 0
-        for line in process.stdout:
-            told = json.loads(line)
-            begun, ended = begun + ("begin" in told), ended + ("begin" not in told)
-            count.update({k: v for k, v in told.items() if k != "begin"})
-        process.wait()
-        print(dict(count), flush=True)
-        if begun > ended:
-            count.update({"flips": 1, "crashes": 1})
-    return row(count, cache)
-
-
-def worker(cache: Path, expected: Path, seed: int, flips: int) -> None:
-    """Writes the expected answer, or tells of each flip what came of it."""
-    from jaxid.runtime import prepare
-
-    prepare()
-    import jax
-
-    from jaxid.numerics.export_cache import Traced
-    from jaxid.numerics.precision import float64
-
-    def answer() -> np.ndarray:
-        """What four programs say that were just read from the cache, as the programs of a fit are."""
-        jax.clear_caches()
-        with float64():
-            told = [Traced(f, f"{f.__name__} of this benchmark")(X) for f in (squares, spread, bent, mixed)]
-        return np.concatenate([np.ravel(t) for t in told])
-
-    if not flips:
-        np.save(expected, answer())
-        return
-    right, rng = np.load(expected), random.Random(seed)
-    for _ in range(flips):
-        file, flipped = flip(cache, rng)
-        print(json.dumps({"begin": file.name}), flush=True)
-        try:
-            kind = "right" if np.allclose(answer(), right, rtol=TOLERANCE, atol=1e-14) else "wrong"
-        except Exception:
-            kind = "errors"
-        print(json.dumps({"flips": 1, kind: 1, "made anew": int(mended(file, flipped))}), flush=True)
-
-
-X = np.linspace(0.1, 1.3, 40)
-
-
-def squares(x):
-    return (x**2).sum() * x
-
-
-def spread(x):
-    return x[:, None] * x - x.mean()
-
-
-def bent(x):
-    return (x**3 - 0.3 * x) @ x
-
-
-def mixed(x):
-    return x.reshape(8, 5) @ x.reshape(5, 8)
+    out.mkdir()
+    assert by_command(data, out) == 0 and by_fork(data, out) == 0
+    for name in json.loads((out / "modules.json").read_text()):
+        with contextlib.suppress(Exception):  # a part of another module that is imported with it
+            importlib.import_module(name)
+    right: Answer = json.loads((out / "answer.json").read_text())
+    files = [p.stat().st_size for p in cache.rglob("*") if p.is_file()]
+    rng, counts = random.Random(31 + seed), {}
+    for k in range(flips):
+        way, asked = (by_command, "`jaxid fit`") if k % COMMAND_EVERY == COMMAND_EVERY - 1 else (by_fork, "`jaxid.fit`")
+        file, flipped, hit = flip(cache, rng)
+        (out / "answer.json").unlink(missing_ok=True)
+        kind = kind_of(way(data, out), out, right)
+        mended = file.exists() and file.read_bytes() != flipped
+        counts.setdefault(f"{hit}|{asked}", Counter()).update({"flips": 1, kind: 1, "made anew": int(mended)})
+        if k % 50 == 49 or kind != "right":
+            print(k + 1, kind, {key: dict(n) for key, n in counts.items()}, flush=True)
+    return {"cache": f"{len(files)} files of {sum(files) / 1e6:.2f} MB", "counts": counts}
 
 
 if __name__ == "__main__":
-    worker(Path(sys.argv[2]), Path(sys.argv[3]), int(sys.argv[4]), int(sys.argv[5]))
+    place = Path(sys.argv[1])
+    (place / "counts.json").write_text(json.dumps(counted(place, int(sys.argv[2]), int(sys.argv[3]))))

@@ -7,10 +7,12 @@ import os
 import signal
 import subprocess
 import sys
+import threading
 import time
 from pathlib import Path
 
 import numpy as np
+import psutil
 import pyarrow.parquet as pq
 import pytest
 from hypothesis import example, given, HealthCheck, settings, strategies as st
@@ -406,6 +408,26 @@ def test_a_path_of_any_length_begins(servo, tmp_path):
     about = report(tmp_path / "out")
     assert about["end_reason"] == "interrupted" and any(e.get("name") == "play_start" for e in about["events"])
     assert writes(servo.log(since=since), 64)[-1]["data"] == [0]
+
+
+def test_a_silence_that_is_allowed_ends_nothing(servo, tmp_path):
+    """The driver's process stands still for less than `data_age`, as on a computer that has too much to do."""
+    since = time.monotonic()
+
+    def pause() -> None:
+        servo.wait_for(lambda log: len([e for e in writes(log, x.GOAL_CURRENT.address) if e["at"] >= since]) > 20)
+        (driver,) = [p for p in psutil.Process().children() if any("dynamixel.driver" in word for word in p.cmdline())]
+        driver.suspend()
+        time.sleep(1.0)
+        driver.resume()
+
+    pausing = threading.Thread(target=pause)
+    pausing.start()
+    limits = Limits(data_age=2.0)
+    result = record(Dynamixel(servo.address, mode="current", rate=RATE), tmp_path / "out", play=path(), live=True, limits=limits)
+    pausing.join()
+    assert result.complete and report(tmp_path / "out")["complete"]
+    assert np.diff(stored(tmp_path / "out")["t_host"]).max() > 0.9
 
 
 # ---- before recording

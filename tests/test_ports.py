@@ -4,20 +4,27 @@ from __future__ import annotations
 
 import asyncio
 import ipaddress
+import json
 import os
 import shutil
 import signal
+import socket
 import stat
 import subprocess
 import sys
+import threading
 import time
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import psutil
 import pytest
 
 import jaxid
+from benchmarks import memory
+from emulators import Emulator
+from jaxid.cli import app
 from jaxid.study import cluster, run_study, slurm
 from test_batch import FLEET, running_scheduler as running_scheduler, SOLVE, write_dataset, write_study
 
@@ -241,3 +248,137 @@ def test_commands_listen_on_loopback_alone(home, command):
     finally:
         process.kill()
         process.communicate()
+
+
+# Runs commands one after the other in one process and tells every address that Python binds, be it for a moment.
+IN_ONE_PROCESS = """
+import json, socket, sys
+def heard(event, about):
+    if event == "socket.bind" and isinstance(about[1], tuple):
+        print("bound", *about[1][:2], flush=True)
+sys.addaudithook(heard)
+own = socket.create_server(("127.0.0.1", 0))  # so that it is known that both ways of looking see
+from jaxid.cli import app
+for words in json.loads(sys.argv[1]):
+    print("began", words[0], flush=True)
+    try:
+        code = app.main(words)
+    except SystemExit as end:
+        code = end.code
+    print("ended", words[0], code, flush=True)
+"""
+QUICK = ["--quiet", "--out"]
+#: Each command of `jaxid --help`, most with what it takes; `emulate` has a test of its own above.
+WORDS: dict[str, list[str]] = {
+    "models": [],
+    "effects": [],
+    "fitters": [],
+    "check": ["small", "--quiet"],
+    "fit": ["small", *QUICK, "fit"],
+    "simulate": ["small", "--parameters", "fit/fit.json", *QUICK, "simulated"],
+    "compare": ["small", "--fitters", "lm,de", "--seeds", "2", "--budget", "200", *QUICK, "compared"],
+    "diagnose": ["small", "--effects", "dead_zone", "--max-effects", "1", *QUICK, "diagnosis"],
+    "batch": ["study.toml", "--workers", "1", "--quiet"],
+    "identify": ["arm", "--friction", "linear", *QUICK, "identified"],
+    "excite": ["--model", "joint", "--duration", "2", "--starts", "1", "--amplitude", "1", *QUICK, "excited"],
+    "import": ["csv", "small/run.csv", "--channel", "t=t:s", "--channel", "q=q:rad:output", "--out", "imported"],
+    "export": ["small", "--to", "mjcf", "--robot", "none.xml", "--out", "exported"],
+    "replay": ["small", "--robot", "none.xml", "--out", "replayed"],
+    "record": ["dynamixel", "--id", "1", "--seconds", "1", "--out", "recorded", "--port"],
+    "reproduce": ["001", *QUICK, "paper"],
+    "emulate": [],
+}
+
+
+@pytest.mark.slow
+def test_no_command_listens_beyond_loopback(home, tmp_path):
+    """All of them in one process: what Python binds, and what the kernel says of the process and its children meanwhile."""
+    assert set(WORDS) == set(app.cli.commands) | set(app.MODULES)
+    memory.write(home / "arm", "identify", 4000)
+    write_study(home)
+    path = np.column_stack([np.arange(500) / 500, np.zeros((500, 6))])
+    np.savetxt(home / "path.csv", path, delimiter=",", header="t," + ",".join(f"q{j}" for j in range(1, 7)), comments="")
+    robot, servo = Emulator.ur(tmp_path), Emulator.servo(tmp_path)
+    play = ["record", "ur10", "--host", robot.address, "--play", "path.csv", "--live", "--out", "played"]
+    words = [[name, *more] for name, more in WORDS.items() if name not in ("emulate", "reproduce")]
+    words = [[*w, servo.address] if w[0] == "record" else w for w in words] + [play, ["reproduce", *WORDS["reproduce"]]]
+    process = subprocess.Popen(
+        [sys.executable, "-c", IN_ONE_PROCESS, json.dumps(words)], cwd=home, stdout=subprocess.PIPE, stderr=subprocess.PIPE,
+        text=True, env=os.environ | {"PYTHONPATH": str(Path(__file__).resolve().parents[1])},
+    )  # fmt: skip
+    seen, said = set(), []
+
+    def read() -> None:
+        assert process.stdout is not None
+        said.extend(iter(process.stdout.readline, ""))
+
+    reader = threading.Thread(target=read)
+    reader.start()
+    paper = 0.0
+    try:
+        while process.poll() is None and not (paper and time.monotonic() > paper + 20):
+            seen |= listening(psutil.Process(process.pid))
+            paper = paper or ("began reproduce\n" in said) * time.monotonic()  # takes minutes: its first 20 s
+            time.sleep(0.02)
+    finally:
+        process.kill()
+        reader.join()
+        robot.close()
+        servo.close()
+    ended = [tuple(line.split()[1:]) for line in said if line.startswith("ended")]
+    bound = {(line.split()[1], int(line.split()[2])) for line in said if line.startswith("bound")}
+    assert seen and bound and not beyond_loopback(seen | bound), (seen, bound)
+    refused = {"export": "2", "replay": "2"}  # they want a robot, and have no need of a network
+    assert ended == [(w[0], refused.get(w[0], "0")) for w in words[:-1]], (ended, process.stderr and process.stderr.read())
+
+
+@pytest.mark.slow
+@pytest.mark.skipif(shutil.which("openssl") is None, reason="the recipe makes its certificate with openssl")
+def test_the_recipe_without_slurm(home, tmp_path):
+    """The commands of docs/batch.md as they stand there, with loopback for the network between the nodes: who has no certificate
+    is refused, and nothing listens elsewhere."""
+    page = (Path(__file__).resolve().parents[1] / "docs" / "batch.md").read_text()
+    blocks = [b.partition("```")[0] for b in page.split("```sh\n")[1:]]
+    (certificate,) = [b for b in blocks if "openssl req" in b]
+    (parts,) = [b for b in blocks if "dask scheduler" in b]
+    parts = parts.replace("ib0", "lo").replace("10.0.0.1:8786", f"127.0.0.1:{(port := free_port())}").replace("\\\n", " ")
+    lines = [line.partition("  #")[0].strip() for line in parts.splitlines() if line.strip()]
+    settings = "\n".join(line for line in lines if not line.startswith(("dask ", "jaxid ")))
+    scheduler, worker, batch = (line for line in lines if line.startswith(("dask ", "jaxid ")))
+    scheduler, worker = f"{scheduler} --port {port}", worker.replace("--nworkers 16", "--nworkers 1")
+    for name, module in (("dask", "dask"), ("jaxid", "jaxid.cli")):  # of this Python, whatever PATH has
+        command = tmp_path / "bin" / name
+        command.parent.mkdir(exist_ok=True)
+        command.write_text(f'#!/bin/sh\nexec {sys.executable} -m {module} "$@"\n')
+        command.chmod(0o700)
+    path = {"PATH": f"{tmp_path / 'bin'}{os.pathsep}{os.environ['PATH']}", "PYTHONPATH": str(Path(__file__).resolve().parents[1])}
+    environment = os.environ | {"HOME": str(tmp_path)} | path
+    both = {"stdout": subprocess.PIPE, "stderr": subprocess.STDOUT, "text": True}
+    shell = lambda text: subprocess.Popen(["bash", "-c", f"{settings}\nexec {text}"], cwd=home, env=environment, **both)
+    subprocess.run(["bash", "-ec", certificate], env=environment, check=True, capture_output=True)
+    assert stat.S_IMODE((tmp_path / "dask-tls" / "key.pem").stat().st_mode) == 0o600
+    write_study(home, "seeds = 2")
+    started = [shell(scheduler), shell(worker)]
+    try:
+        until = time.monotonic() + 100
+        nodes = [psutil.Process(p.pid) for p in started]
+        while len(seen := listening(*nodes)) < 3 and all(p.poll() is None for p in started) and time.monotonic() < until:
+            time.sleep(0.2)
+        assert len(seen) >= 3 and not beyond_loopback(seen), seen  # messages of both, pages of the scheduler
+        for address in (f"tls://127.0.0.1:{port}", f"tcp://127.0.0.1:{port}"):
+            with pytest.raises(jaxid.UsageError, match="no scheduler answers there"):
+                run_study(home / "study.toml", scheduler=address, solver=SOLVE, check=False)
+        told, _ = (ours := shell(batch)).communicate(timeout=200)
+        assert ours.returncode == 0, told
+        assert not beyond_loopback(listening(*nodes))
+    finally:
+        for process in started:
+            for part in psutil.Process(process.pid).children(recursive=True) if process.poll() is None else []:
+                part.kill()
+            process.kill()
+            process.communicate()
+
+
+def free_port() -> int:
+    with socket.create_server(("127.0.0.1", 0)) as server:
+        return server.getsockname()[1]

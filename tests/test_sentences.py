@@ -16,9 +16,10 @@ from jaxid.diagnosis.breakdown import Share
 from jaxid.diagnosis.hypothesis import Search
 from jaxid.diagnosis.next_experiment import advice
 from jaxid.diagnosis.result import ChannelGap, Finding, HowFar, Ranked, Which
-from jaxid.diagnosis.verdict import astray, judge, level, NAMED, PARTLY, SEEN, upheld
+from jaxid.diagnosis.verdict import astray, judge, level, NAMED, not_reached, PARTLY, SEEN, upheld
 from jaxid.fitting.result import EffectEstimate, Estimate
-from jaxid.report import answer, text, write_diagnosis
+from jaxid.fitting.stated import sentence_of, Stated
+from jaxid.report import answer, identified, text, write_diagnosis
 from jaxid.serialise import finite
 from report_sample import sample_diagnosis, sample_fit
 
@@ -163,6 +164,55 @@ def test_sentences_of_a_diagnosis_agree_with_its_numbers(drawn):
     assert max(change(g) for g in far.per_channel.values()) == max(change(far.per_channel[n]) for n in shown)
     assert not (repeated and "repeat one run" in found.next_experiment.lower())
     assert ("never fitted nor chosen on" in everything) <= (far.split == "report")
+
+
+errors = st.floats(-4, 300).map(lambda x: 10.0**x)
+
+
+@many
+@given(st.lists(st.tuples(st.sampled_from(["fit", "validation", "report"]), errors), min_size=1, max_size=4))
+def test_the_headline_of_an_identification_is_about_its_worst_held_out_run(runs):
+    experiments = [SimpleNamespace(split=split, relative_error=e) for split, e in runs]
+    words = identified.headline(SimpleNamespace(payload=None, experiments=experiments))
+    held_out = [e for split, e in runs if split != "fit"]
+    worst = max(held_out or [e for _, e in runs])
+    assert ("held-out" in words) == bool(held_out) and ("worse than no model" in words) == (worst >= 1)
+    told = float(re.findall(r"([\d.]+(?:e[+-]?\d+)?) %", words)[0])
+    assert abs(told - 100 * worst) <= 0.0051 + 0.01 * 100 * worst and not re.search(r"\d{8,}", words)
+
+
+@many
+@given(st.lists(st.tuples(st.floats(0.1, 10), st.floats(-50, 50), st.booleans()), max_size=9))
+def test_stated_numbers_are_refuted_as_their_deviations_say(numbers):
+    stated = []
+    for k, (value, deviation, determined) in enumerate(numbers):
+        estimate = Estimate(value + 0.01 * deviation, 0.01 if determined else None, "N m", -100.0, 100.0)
+        own = deviation if determined else None
+        said = sentence_of(f"number_{k}", value, estimate, own)
+        stated.append(Stated("q", "", f"number_{k}", value, estimate.value, estimate.std, own, said, "N m"))
+    stated.sort(key=lambda s: -abs(s.deviation or 0.0))
+    refuted = [s for s in stated if s.deviation is not None and abs(s.deviation) > 3]
+    words = text.stated_sentences(stated)
+    for s in stated:
+        agrees, unknown = "agrees with the data" in s.text, "neither confirmed nor refuted" in s.text
+        assert (agrees, unknown) == (s.deviation is not None and s not in refuted, s.deviation is None)
+    if len(refuted) > 2:
+        assert words[0].startswith(f"{len(refuted)} of {len(stated)} numbers") and len(words) == 1
+        least = float(re.findall(r"\(([\d.]+) standard deviations off or more\)", words[0])[0])
+        assert abs(least - min(abs(s.deviation) for s in refuted)) <= 0.06 * least
+        assert words[0].count("→") == min(len(refuted), text.STATED)
+    else:
+        assert len(words) == len(refuted)
+
+
+@many
+@given(st.lists(st.tuples(st.sampled_from(["run_1", "run_2"]), gaps), max_size=4), gaps)
+def test_what_is_left_on_report_data_is_said_with_its_figures(places, gap):
+    words = not_reached(places, gap)
+    check_numbers(words)
+    for name, left in places[:3]:
+        assert f"{wording.times(left)} times the noise in {name}" in words
+    assert f"{wording.times(gap)} times the noise away there" in words
 
 
 def _flat(card: tuple[str, list[str]]) -> list[str]:

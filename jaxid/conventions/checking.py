@@ -20,6 +20,7 @@ from jaxid.conventions.finding import Checked, DataFinding
 from jaxid.conventions.mending import mended, Mending
 from jaxid.conventions.missing_force import ForceFit, measured
 from jaxid.conventions.samples import Shown
+from jaxid.data.capacity import give_back
 from jaxid.data.dataset import Dataset
 from jaxid.data.noise import noise_floor
 from jaxid.errors import DatasetError, DatasetWarning, UsageError
@@ -52,6 +53,7 @@ def run_check(
                 found += more
             except (ValueError, np.linalg.LinAlgError) as error:  # a check is never the end of what it comes before
                 notes.append(f"the model's readings of the recording could not be compared: {error}")
+            give_back()
     return Checked(
         dataset.name, dataset.sha256, tuple(found), data, name, _usable(found, dataset), tuple(notes),
         time.perf_counter() - began,

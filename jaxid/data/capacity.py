@@ -6,6 +6,7 @@ done on less where the answer does not need all of it (a diagnosis), and is othe
 
 from __future__ import annotations
 
+import contextlib
 import os
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -154,6 +155,15 @@ def _room(folder: Path, limit: str, usage: str) -> float | None:
         return float(int(most) - int((folder / usage).read_text()) + cached)
     except (OSError, ValueError):
         return None
+
+
+def give_back() -> None:
+    """Has the C library give memory that was freed back to the system, where it would keep it (glibc): compiling a program takes
+    a few hundred megabytes in many small pieces."""
+    import ctypes
+
+    with contextlib.suppress(OSError, AttributeError):
+        ctypes.CDLL("libc.so.6").malloc_trim(0)
 
 
 # ---- files, before they are read

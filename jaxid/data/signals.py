@@ -206,8 +206,10 @@ def _filtered(grid: np.ndarray, x: np.ndarray, cutoff_hz: float, order: int) -> 
     """A series on the steps of a grid through the low-pass."""
     from scipy.signal import sosfiltfilt
 
-    sections = _sections(grid, cutoff_hz, order)
-    return np.asarray(sosfiltfilt(sections, x, axis=0, padlen=min(len(x) - 1, _padding(grid, cutoff_hz, order))))
+    sections, pad = _sections(grid, cutoff_hz, order), min(len(x) - 1, _padding(grid, cutoff_hz, order))
+    if x.ndim == 1 or len(x) <= STRETCH:
+        return np.asarray(sosfiltfilt(sections, x, axis=0, padlen=pad))
+    return np.stack([sosfiltfilt(sections, column, padlen=pad) for column in x.T], 1)  # one after the other, for memory's sake
 
 
 def _statement(t: np.ndarray, cutoff_hz: float, order: int, uniform: bool) -> str:

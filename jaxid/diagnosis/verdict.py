@@ -138,8 +138,8 @@ def astray(runs: Sequence[Share], regimes: Sequence[Share], whole: float) -> lis
 
 def not_reached(places: Sequence[tuple[str, float]], gap: float) -> str:
     """Why a model that follows fit and validation data down to the noise is not said to lack nothing."""
-    where = listed(f"{name} ({times(left)})" for name, left in places[:3])
-    worst = f", least of all in {where}" if where else ""
+    where = listed(f"{times(left)} times the noise in {name}" for name, left in places[:3])
+    worst = f": beyond that it leaves {where}" if where else ""
     return (
         "The model follows fit and validation data down to the noise, but not the report data: re-tuned it is "
         f"{times(gap)} times the noise away there, and what the fit leaves open of its numbers does not account for it{worst}. "

@@ -53,12 +53,15 @@ def stated_numbers(binding: Binding, found: Mapping[int, Estimate]) -> tuple[Sta
         std = estimate.std if estimate.identifiable and not estimate.at_bound else None
         deviation = (estimate.value - prior.value) / std if std else None
         out.append(
-            Stated(joint, "", name, prior.value, estimate.value, std, deviation, _said(name, prior.value, estimate, deviation))
+            Stated(
+                joint, "", name, prior.value, estimate.value, std, deviation, sentence_of(name, prior.value, estimate, deviation)
+            )
         )
     return tuple(sorted(out, key=lambda s: -abs(s.deviation or 0.0)))
 
 
-def _said(name: str, value: float, estimate: Estimate, deviation: float | None) -> str:
+def sentence_of(name: str, value: float, estimate: Estimate, deviation: float | None) -> str:
+    """What the data say of one number as it is stated."""
     own = f"your stated {name} {number(value)}{'' if estimate.unit in ('', '1') else ' ' + estimate.unit}"
     if deviation is None:
         return f"{own} can be neither confirmed nor refuted: the data do not determine it"

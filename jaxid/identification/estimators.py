@@ -41,11 +41,18 @@ class Estimate:
 Blocks = Sequence[tuple[np.ndarray, np.ndarray]]  # per run W [samples n p], tau [samples n]
 
 
-def stacked(blocks: Blocks, weights: Sequence[np.ndarray]) -> tuple[np.ndarray, np.ndarray]:
-    """All rows, each joint of each run times its weight [n]."""
-    W = np.concatenate([(W * w[:, None]).reshape(-1, W.shape[2]) for (W, _), w in zip(blocks, weights, strict=True)])
+def stacked(
+    blocks: Blocks, weights: Sequence[np.ndarray], columns: slice | np.ndarray = slice(None)
+) -> tuple[np.ndarray, np.ndarray]:
+    """All rows, each joint of each run times its weight [n]; of W some columns."""
     b = np.concatenate([(tau * w).ravel() for (_, tau), w in zip(blocks, weights, strict=True)])
-    return W, b
+    out, at = np.empty((len(b), blocks[0][0][0, 0, columns].size)), 0
+    for (W, tau), w in zip(blocks, weights, strict=True):
+        part = out[at : at + tau.size].reshape(*tau.shape, -1)
+        for j in range(tau.shape[1]):  # one after the other, for memory's sake
+            part[:, j] = W[:, j, columns] * w[j]
+        at += tau.size
+    return out, b
 
 
 def least_squares(W: np.ndarray, b: np.ndarray, prior: np.ndarray) -> np.ndarray:
@@ -55,20 +62,41 @@ def least_squares(W: np.ndarray, b: np.ndarray, prior: np.ndarray) -> np.ndarray
     return prior + np.linalg.lstsq(W / size, b - W @ prior, rcond=WEAK)[0] / size
 
 
-def joint_weights(blocks: Blocks, theta: np.ndarray) -> list[np.ndarray]:
-    """1 / rms residual of each joint of each run."""
-    return [1 / np.maximum(np.sqrt(np.mean((tau - W @ theta) ** 2, 0)), 1e-9) for W, tau in blocks]
+@dataclass(frozen=True)
+class Triangles:
+    """The rows of all runs, each joint's brought down to a triangle: as good as all of them for whatever takes only sums of
+    their products, at any weights of the joints."""
+
+    of: tuple[np.ndarray, ...]  # per run [n k p + 1]: Q' [W tau] of each joint
+    counts: tuple[int, ...]  # rows of a joint, per run
+
+    @classmethod
+    def made(cls, blocks: Blocks) -> Triangles:
+        one = lambda W, tau, j: np.linalg.qr(np.column_stack([W[:, j], tau[:, j]]), mode="r")
+        found = [np.stack([one(W, tau, j) for j in range(W.shape[1])]) for W, tau in blocks]
+        return cls(tuple(found), tuple(len(W) for W, _ in blocks))
+
+    def stacked(self, weights: Sequence[np.ndarray]) -> tuple[np.ndarray, np.ndarray]:
+        """Few rows in the place of `stacked` ones."""
+        R = np.concatenate([(R * w[:, None, None]).reshape(-1, R.shape[2]) for R, w in zip(self.of, weights, strict=True)])
+        return R[:, :-1], R[:, -1]
+
+    def joint_weights(self, theta: np.ndarray) -> list[np.ndarray]:
+        """1 / rms residual of each joint of each run."""
+        left = [np.sum((R @ np.append(theta, -1.0)) ** 2, 1) / n for R, n in zip(self.of, self.counts, strict=True)]
+        return [1 / np.maximum(np.sqrt(square), 1e-9) for square in left]
 
 
 def weighted(blocks: Blocks, prior: np.ndarray, rounds: int = 8) -> tuple[np.ndarray, list[np.ndarray]]:
     """Weighted least squares and its weights, repeated until the weights stand still."""
+    rows = Triangles.made(blocks)
     weights = [np.ones(W.shape[1]) for W, _ in blocks]
-    theta = least_squares(*stacked(blocks, weights), prior)
+    theta = least_squares(*rows.stacked(weights), prior)
     for _ in range(rounds):
-        new = joint_weights(blocks, theta)
+        new = rows.joint_weights(theta)
         still = all(np.allclose(a, b, rtol=1e-3) for a, b in zip(new, weights, strict=True))
         weights = new
-        theta = least_squares(*stacked(blocks, weights), prior)
+        theta = least_squares(*rows.stacked(weights), prior)
         if still:
             break
     return theta, weights
@@ -125,21 +153,23 @@ def estimate(
         blocks = [(wider(W, D), tau) for (W, tau), D in zip(blocks, slopes, strict=True)]
         by = None if by is None else [(wider(W, D), tau) for (W, tau), D in zip(by, slopes, strict=True)]
         theta = np.concatenate([theta, np.zeros(slopes[0].shape[2])])
-    W, _ = stacked(blocks, weights)
-    Z, _ = stacked(by or blocks, weights)
+    W, _ = Triangles.made(blocks).stacked(weights)
     size = np.linalg.norm(W, axis=0)
     seen = size > SEEN * max(float(size.max()), 1e-300)
     scale = np.where(seen, size, 1.0)
     values = np.linalg.svd(W[:, seen] / scale[seen], compute_uv=False)
     plain = np.linalg.svd(W[:, seen], compute_uv=False)
-    G = (Z / scale).T @ (W / scale)
-    identifiable, _ = null_directions((W / scale).T @ (W / scale), seen)
+    G = square = (W / scale).T @ (W / scale)
+    if by is not None:
+        pairs = zip(by, blocks, weights, strict=True)
+        G = sum((C[:, j] * (w[j] / scale)).T @ (A[:, j] * (w[j] / scale)) for (C, _), (A, _), w in pairs for j in range(len(w)))
+    identifiable, _ = null_directions(square, seen)
     series, scores = [], []
     index = list(range(W.shape[1]))
     for (A, tau), (C, _), w in zip(blocks, by or blocks, weights, strict=True):
         r = (tau - A @ theta) * w
         series += list(r.T)
-        scores.append((index, np.einsum("tj,tjk->tk", r, C * w[:, None]) / scale))
+        scores.append((index, np.einsum("tj,tjk->tk", r * w, C) / scale))
     white, memory = whiteness(series)
     count = sum(s.size for s in series)
     n = blocks[0][1].shape[1]
@@ -182,8 +212,10 @@ def project_exponents(
     from scipy.optimize import least_squares as search, nnls
 
     size = np.linalg.norm(fixed, axis=0)
-    Q, s, _ = np.linalg.svd(fixed[:, size > 0] / size[size > 0], full_matrices=False)
-    Q = Q[:, s > WEAK * s[0]]
+    scale = np.where(size > 0, size, np.inf)
+    _, s, V = np.linalg.svd(np.linalg.qr(fixed, mode="r") / scale)
+    strong = s > WEAK * s[0]
+    Q = fixed @ (V[strong].T / s[strong] / scale[:, None])
     rest = b - Q @ (Q.T @ b)
 
     def residual(exponents: np.ndarray) -> np.ndarray:

@@ -86,13 +86,20 @@ class Run:
     moves: np.ndarray = field(default_factory=lambda: np.ones(1))  # [n] 0 for joints that stand still: their torque says nothing
 
     def filtered(self, x: np.ndarray) -> np.ndarray:
-        """Columns [all samples ...] through the low-pass, at the rows that count."""
-        return zero_phase(self.times, x.reshape(len(x), -1), self.cutoff_hz).reshape(x.shape)[self.kept]
+        """Series [all samples n] through the low-pass, at the samples that count."""
+        out = np.empty((len(self.t), x.shape[1]))
+        for at, smooth, _ in self.stretches(x.__getitem__):
+            out[at] = smooth
+        return out
+
+    def solved(self, rows: Callable[[slice], np.ndarray]) -> np.ndarray:
+        """Series [all samples n ...] through the low-pass, at the rows that are solved."""
+        return np.concatenate([smooth for _, smooth, _ in self.stretches(rows, spacing(self))])
 
     def stretches(self, rows: Callable[[slice], np.ndarray], every: int = 1) -> Iterator[tuple[slice, np.ndarray, np.ndarray]]:
         """Rows [samples ...] stretch by stretch: (which of the samples that count, filtered, unfiltered), `every`-th of them."""
         ends = self.kept.start
-        for samples, smooth, raw in zero_phase_stretches(self.times, rows, self.cutoff_hz):
+        for samples, smooth, raw in zero_phase_stretches(self.times, rows, self.cutoff_hz, STRETCH >> 2):
             first, last = max(samples.start, ends), min(samples.stop, self.kept.stop)
             first += -(first - ends) % every
             if first < last:
@@ -155,19 +162,19 @@ def _with_inertia(run: Run, chain: Chain, base: BaseParameters, q: np.ndarray, q
             out[a - first : some.stop - first] = torque_columns(chain.mechanism, q[some], qd[some], qdd[some])[:, :, index]
         return out
 
-    if len(q) <= STRETCH:
+    if len(q) <= STRETCH >> 2:
         every = made(slice(None))
         run = replace(run, q=q, qd=qd, qdd=qdd, inertia=every.__getitem__)
     else:
         run = replace(run, q=q, qd=qd, qdd=qdd, inertia=made)
-    return replace(run, Y=np.concatenate([smooth for _, smooth, _ in run.stretches(run.inertia, spacing(run))]))
+    return replace(run, Y=run.solved(run.inertia))
 
 
 def full_rows(run: Run, law: Law, exponent: np.ndarray) -> np.ndarray:
     """W [rows n base + k n] of the rows of a run that are solved: inertia, then the law's columns, parameter by parameter over
     the joints."""
     F = lambda at: friction_columns(law, run.qd[at], exponent)
-    return _joined(run.Y, np.concatenate([smooth for _, smooth, _ in run.stretches(F, spacing(run))]))
+    return _joined(run.Y, run.solved(F))
 
 
 def every_row(run: Run, law: Law, exponent: np.ndarray) -> Iterator[tuple[slice, np.ndarray, np.ndarray]]:
@@ -188,7 +195,7 @@ def _joined(Y: np.ndarray, F: np.ndarray) -> np.ndarray:
     return W
 
 
-def torques(run: Run, laws: Sequence[tuple[Law, np.ndarray, np.ndarray]]) -> list[tuple[np.ndarray, np.ndarray]]:
+def torques(run: Run, laws: Sequence[tuple[Law, np.ndarray, np.ndarray]]) -> Iterator[tuple[np.ndarray, np.ndarray]]:
     """Torque of each (law, theta, exponent) at the samples that count, filtered and not, each [samples n].
 
     It is linear in the columns, so it is filtered in their place.
@@ -196,21 +203,23 @@ def torques(run: Run, laws: Sequence[tuple[Law, np.ndarray, np.ndarray]]) -> lis
     count, n = run.q.shape
     p = run.Y.shape[2]
     whole = [np.empty((count, n)) for _ in laws]
-    for a in range(0, count, STRETCH):
-        at = slice(a, min(count, a + STRETCH))
+    for a in range(0, count, MADE):
+        at = slice(a, min(count, a + MADE))
         Y = run.inertia(at)
         for out, (law, theta, exponent) in zip(whole, laws, strict=True):
             F = friction_columns(law, run.qd[at], exponent)
             out[at] = Y @ theta[:p] + np.einsum("skn,kn->sn", F, theta[p:].reshape(-1, n))
-    return [(run.filtered(tau), tau[run.kept]) for tau in whole]
+    while whole:
+        tau = whole.pop(0)
+        yield run.filtered(tau), tau[run.kept]
 
 
 def exponent_slopes(run: Run, law: Law, theta: np.ndarray, exponent: np.ndarray) -> np.ndarray:
     """Derivative of the torque by each joint's exponent at the rows that are solved, [rows n n], filtered."""
     n = run.qd.shape[1]
     p = len(theta) - len(law.parameters) * n
-    slope = theta[p + n : p + 2 * n] * power(run.qd, exponent) * np.log(run.qd**2 + 1e-6) / 2
-    return run.filtered(slope)[:: spacing(run), :, None] * np.eye(n)
+    slope = lambda qd: theta[p + n : p + 2 * n] * power(qd, exponent) * np.log(qd**2 + 1e-6) / 2
+    return run.solved(lambda at: slope(run.qd[at]))[:, :, None] * np.eye(n)
 
 
 def spacing(run: Run) -> int:

@@ -26,12 +26,12 @@ from jaxid.identification.payload import Payload, payload_by_difference, read_re
 from jaxid.identification.regression import (
     every_row,
     exponent_slopes,
-    friction_columns,
     full_rows,
     instruments,
     Law,
     LAWS,
     names_of,
+    power,
     read_run,
     Run,
     spacing,
@@ -323,20 +323,18 @@ def _solve(law: Law, runs: Sequence[Run], by: Sequence[Run] | None, method: str,
                 break
     if method == "ls":
         weights = [np.ones(n) for _ in fit]
-    W, b = solve.stacked(blocks, weights)
+        theta = solve.least_squares(*solve.Triangles.made(blocks).stacked(weights), prior)
     phi, instrument = None, None
-    if method == "ls":
-        theta = solve.least_squares(W, b, prior)
-    elif method == "tls":
-        theta = solve.total(W, b, _column_noise(fit, weights, W.shape[1]), prior)
+    if method == "tls":
+        theta = solve.total(*solve.stacked(blocks, weights), _column_noise(fit, weights, len(prior)), prior)
     elif method == "rls":
         theta = recursive(fit, law, exponent, weights, prior)
     elif method == "iv" and by is not None:
         instrument = blocks_of(by, exponent)
-        theta = solve.instrumental(W, b, solve.stacked(instrument, weights)[0], prior)
+        theta = solve.instrumental(*solve.stacked(blocks, weights), solve.stacked(instrument, weights)[0], prior)
     elif method == "constrained":
         levels = np.array([p in ("F_c", "F_v") for p, _ in law.parameters for _ in range(n)])
-        theta, phi = solve.constrained(W, b, base, phi0.reshape(n, 11), levels, arm.motor_side)
+        theta, phi = solve.constrained(*solve.stacked(blocks, weights), base, phi0.reshape(n, 11), levels, arm.motor_side)
     slopes = None
     if law.nonlinear:
         slopes = [exponent_slopes(r, law, theta, exponent) for r in fit]
@@ -396,19 +394,20 @@ def converged_after(
 
 def _exponents(fit: Sequence[Run], law: Law, blocks, weights, p: int, n: int, start: np.ndarray, positive: bool) -> np.ndarray:
     """Exponents at these weights; `positive` keeps F_c and F_v from being negative."""
-    W, b = solve.stacked(blocks, weights)
     dry, viscous = np.arange(p, p + n), np.arange(p + n, p + 2 * n)
+    D = solve.stacked(blocks, weights, dry)[0] if positive else None
 
     def columns(exponent: np.ndarray) -> np.ndarray:
         parts = []
         for r, w in zip(fit, weights, strict=True):
-            F = r.filtered(friction_columns(law, r.qd, exponent)[:, 1])[:: spacing(r)]
+            F = r.solved(lambda at, qd=r.qd: power(qd[at], exponent))
             parts.append((F[:, :, None] * np.eye(n) * w[:, None]).reshape(-1, n))
         V = np.concatenate(parts)
-        return np.concatenate([W[:, dry], V], 1) if positive else V
+        return V if D is None else np.concatenate([D, V], 1)
 
     moving = np.concatenate([dry, viscous]) if positive else viscous
-    return solve.project_exponents(np.delete(W, moving, 1), b, columns, start, positive)
+    others = np.setdiff1d(np.arange(blocks[0][0].shape[2]), moving)
+    return solve.project_exponents(*solve.stacked(blocks, weights, others), columns, start, positive)
 
 
 def _column_noise(fit: Sequence[Run], weights: Sequence[np.ndarray], size: int) -> np.ndarray:
@@ -429,11 +428,12 @@ def _scored(runs: Sequence[Run], laws: Sequence[tuple[Law, np.ndarray, np.ndarra
     scores: list[list[RunScore]] = [[] for _ in laws]
     predicted = []
     for run in runs:
-        found = torques(run, laws)
-        for own, (smooth, raw) in zip(scores, found, strict=True):
+        drawn = []
+        for own, (smooth, raw) in zip(scores, torques(run, laws), strict=True):
             filtered, unfiltered = _errors(run.tau, smooth), _errors(run.tau_raw, raw)
             own.append(RunScore(run.name, run.split, *filtered, unfiltered[0], unfiltered[2]))
-        predicted.append([smooth for smooth, _ in found])
+            drawn.append(smooth.astype(np.float32))  # for pictures
+        predicted.append(drawn)
     return scores, predicted
 
 
@@ -474,7 +474,10 @@ def _notes(found: Estimate, names: Sequence[str], method: str, law: Law) -> list
     notes = [f"residuals are {how}: standard deviations from the sandwich covariance of the estimator"]
     lost = [n for n, seen in zip(names, found.identifiable, strict=False) if not seen]
     if lost:
-        notes.append(f"not determined by these data, left at the model's own values: {', '.join(lost)}")
+        notes.append(
+            f"not determined one by one by these data: {', '.join(lost)}; whatever combination of them the data leave open is as "
+            "the model has it"
+        )
     if law.nonlinear:
         notes.append("exponents by variable projection")
     if method == "constrained":

@@ -89,7 +89,7 @@ def beside_the_file(arm: Any, base: BaseParameters, law: Law, runs: Sequence[Run
         )  # fmt: skip
     joints = []
     for run in runs:
-        predicted = torques(run, [(law, theta, np.ones(n))])[0][0]
+        predicted = next(torques(run, [(law, theta, np.ones(n))]))[0]
         size = np.maximum(np.linalg.norm(run.tau, axis=0), 1e-300)
         before = np.linalg.norm(run.tau - predicted, axis=0) / size
         after = next(e for e in result.experiments if e.file == run.name).relative_error_per_joint

@@ -21,6 +21,7 @@ def section(result: Identification) -> Section:
         {
             "result": result,
             "headline": headline(result),
+            "error": error,
             "joints": result.labels,
             "friction": friction_rows(result),
             "base": base_rows(result),
@@ -41,7 +42,14 @@ def headline(result: Identification) -> str:
     rest = [e for e in result.experiments if e.split != "fit"] or list(result.experiments)
     worst = max(rest, key=lambda e: e.relative_error)
     kind = "held-out motion" if worst.split != "fit" else "the fitted motion"
-    return f"Torque is predicted to {100 * worst.relative_error:.2f} % on {kind}."
+    if not worst.relative_error < 1:
+        return f"Torque is not predicted: on {kind} the model is off by {error(worst.relative_error)} of it, worse than no model."
+    return f"Torque is predicted to {error(worst.relative_error)} on {kind}."
+
+
+def error(relative: float, decimals: int = 2) -> str:
+    """A relative error in percent."""
+    return wording.percent(relative) if not relative < 10 else f"{100 * relative:.{decimals}f} %"
 
 
 def pair(value: float, std: float | None) -> str:
@@ -56,7 +64,8 @@ def friction_rows(result: Identification) -> list[tuple[str, str, list[str]]]:
     """(parameter, unit of the first joint, values by joint)."""
     joints = result.friction()
     keys = [k for k in joints[0] if k != "joint"]
-    return [(k, joints[0][k]["unit"], [pair(j[k]["value"], j[k]["std"]) for j in joints]) for k in keys]
+    told = lambda value, std: pair(value, std) if std is not None and np.isfinite(std) else "not determined"
+    return [(k, joints[0][k]["unit"], [told(j[k]["value"], j[k]["std"]) for j in joints]) for k in keys]
 
 
 def base_rows(result: Identification) -> list[tuple[str, str, str, str, str]]:

@@ -294,7 +294,7 @@ def simulation_text(simulation: Simulation) -> str:
 def identification_text(result: Identification) -> str:
     """The result as tables for a terminal."""
     from jaxid.conventions.finding import data_lines
-    from jaxid.report.identified import base_rows, friction_rows, headline, payload_rows
+    from jaxid.report.identified import base_rows, error, friction_rows, headline, payload_rows
     from jaxid.wording import table
 
     joints = result.labels
@@ -305,8 +305,8 @@ def identification_text(result: Identification) -> str:
             ("recording", "data", "all joints", *joints, "unfiltered"),
             [
                 (
-                    e.file, e.split, f"{100 * e.relative_error:.2f} %", *(f"{100 * r:.1f} %" for r in e.relative_error_per_joint),
-                    f"{100 * e.unfiltered_relative_error:.2f} %",
+                    e.file, e.split, error(e.relative_error), *(error(r, 1) for r in e.relative_error_per_joint),
+                    error(e.unfiltered_relative_error),
                 )
                 for e in result.experiments
             ],

@@ -71,6 +71,7 @@ class Dynamixel:
         self._path: Sender | None = None
         self._lost: dict[str, int] = {}
         self._heard = self._waited = 0.0
+        self._patience = SILENT_S
 
     def open(self) -> None:
         self._driver = Driver("jaxid.hardware.dynamixel.driver", f"servos on {self.port}")
@@ -175,7 +176,7 @@ class Dynamixel:
         messages = self._driver.messages()
         if messages:
             self._heard, self._waited = now, waited(self._driver.process.pid)
-        elif now - self._heard > SILENT_S + 3 / self.rate:
+        elif now - self._heard > self._patience + 3 / self.rate:
             silence, kept = now - self._heard, waited(self._driver.process.pid) - self._waited
             why = kept_from_running(silence, kept)
             raise HardwareError(f"{self.port}: the driver has been silent for {silence:.2f} s{why}")
@@ -269,6 +270,7 @@ class Dynamixel:
     def arm(self, plan: Plan, data_age: float) -> None:
         assert self._driver is not None
         self._path = None
+        self._patience = max(SILENT_S, 1.5 * data_age)
         self._driver.send("arm", mode=plan.kind, data_age=data_age)
 
     def play(self, plan: Plan) -> None:
