@@ -173,7 +173,8 @@ errors = st.floats(-4, 300).map(lambda x: 10.0**x)
 @given(st.lists(st.tuples(st.sampled_from(["fit", "validation", "report"]), errors), min_size=1, max_size=4))
 def test_the_headline_of_an_identification_is_about_its_worst_held_out_run(runs):
     experiments = [SimpleNamespace(split=split, relative_error=e) for split, e in runs]
-    words = identified.headline(SimpleNamespace(payload=None, experiments=experiments))
+    result: Any = SimpleNamespace(payload=None, experiments=experiments)
+    words = identified.headline(result)
     held_out = [e for split, e in runs if split != "fit"]
     worst = max(held_out or [e for _, e in runs])
     assert ("held-out" in words) == bool(held_out) and ("worse than no model" in words) == (worst >= 1)

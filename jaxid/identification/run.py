@@ -474,10 +474,8 @@ def _notes(found: Estimate, names: Sequence[str], method: str, law: Law) -> list
     notes = [f"residuals are {how}: standard deviations from the sandwich covariance of the estimator"]
     lost = [n for n, seen in zip(names, found.identifiable, strict=False) if not seen]
     if lost:
-        notes.append(
-            f"not determined one by one by these data: {', '.join(lost)}; whatever combination of them the data leave open is as "
-            "the model has it"
-        )
+        rest = "those combinations of them that the data leave open are as the model has them"
+        notes.append(f"not determined one by one by these data: {', '.join(lost)}; {rest}")
     if law.nonlinear:
         notes.append("exponents by variable projection")
     if method == "constrained":
