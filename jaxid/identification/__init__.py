@@ -6,7 +6,8 @@ from jaxid.lazy import attach as _attach
 
 
 if _TYPE_CHECKING:
-    from jaxid.identification.run import Identification as Identification, identify as identify
+    from jaxid.identification.result import Identification as Identification
+    from jaxid.identification.run import identify as identify
 
 
 __getattr__, __dir__, __all__ = _attach(

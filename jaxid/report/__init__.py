@@ -35,7 +35,7 @@ if TYPE_CHECKING:
     from jaxid.diagnosis.result import Diagnosis
     from jaxid.fitting.comparison import Comparison
     from jaxid.fitting.result import Fit
-    from jaxid.identification.run import Identification
+    from jaxid.identification.result import Identification
     from jaxid.study.papers.result import Reproduction
 
 

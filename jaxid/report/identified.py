@@ -12,7 +12,7 @@ from jaxid.report.page import Section
 
 
 if TYPE_CHECKING:
-    from jaxid.identification.run import Identification
+    from jaxid.identification.result import Identification
 
 
 def section(result: Identification) -> Section:

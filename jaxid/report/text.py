@@ -29,7 +29,7 @@ if TYPE_CHECKING:
     from jaxid.fitting.result import EffectEstimate, Estimate, Fit
     from jaxid.fitting.simulation import Simulation
     from jaxid.fitting.stated import Stated
-    from jaxid.identification.run import Identification
+    from jaxid.identification.result import Identification
 
 
 def remark(estimate: Estimate) -> str:
