@@ -21,46 +21,14 @@ from jaxid.dynamics.rigid_body import add, cross, inner, scaled
 from jaxid.numerics.fast_math import sincos
 from jaxid.robots import dynamics
 from jaxid.robots.bodies import BODY, body_of, ten_numbers
+from jaxid.robots.channels import AT_TORQUE, GRAVITY, PLACE, RIDE, signature_of, torque
 from jaxid.robots.tree import roll_pitch_yaw, Stated, Tree, up_to
 
 from .effects import ActuatorLag, CoulombFriction, InputDelay, QuadraticDrag, ViscousFriction
 from .robot_drive import PositionLaw
 
 
-PLACE = ("x", "y", "z", "roll", "pitch", "yaw")
-GRAVITY = ("gravity_x", "gravity_y", "gravity_z")
-#: Effects at the inputs that act on the torque where a goal drives; the others act on the goal.
-AT_TORQUE = ("torque_scale", "saturation", "back_emf", "supply_droop")
-
-
 plan_of = lru_cache(dynamics.plan)
-
-
-def goal(joint: str) -> str:
-    return f"{joint}_cmd"
-
-
-def torque(joint: str) -> str:
-    return f"{joint}_tau"
-
-
-#: How a base that is measured moves: its angles, their rates and accelerations.
-RIDE = tuple((f"base_{k}{end}", unit) for end, unit in (("", "rad"), ("_qd", "rad/s"), ("_qdd", "rad/s^2")) for k in PLACE[3:])
-
-
-def signature_of(tree: Tree, driven: bool, rates: tuple[str, ...] = (), rides: bool = False) -> Signature:
-    """Channels of a robot: goals or torques in, then the goals' rates and the motion of the base, joint positions out, by the
-    joints' names."""
-    joints = tree.leading
-    slides = tuple(tree.slides[tree.joints.index(j)] for j in joints)
-    outputs = tuple((j, "m" if s else "rad") for j, s in zip(joints, slides, strict=True))
-    goals = tuple((goal(j), unit) for j, (_, unit) in zip(joints, outputs, strict=True))
-    torques = tuple((torque(j), "N" if s else "N m") for j, s in zip(joints, slides, strict=True))
-    beside = (*((n, f"{unit}/s") for n, (_, unit) in zip(rates, outputs, strict=bool(rates))), *(RIDE if rides else ()))
-    return Signature(
-        (*(goals if driven else torques), *beside), outputs, joints, prismatic=slides if any(slides) else (),
-        beside=len(beside), rates=len(rates),
-    )  # fmt: skip
 
 
 class Robot(Staged):
