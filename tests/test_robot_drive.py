@@ -11,6 +11,7 @@ import pytest
 
 from jaxid import Dataset, UsageError
 from jaxid.data.dataset import Controller, ModelSpec
+from jaxid.diagnosis.goals.loop import loop_of, mean_input
 from jaxid.diagnosis.limbs import joined
 from jaxid.dynamics.chain import Chain
 from jaxid.dynamics.effect import Command, Signals
@@ -289,3 +290,22 @@ def test_readings_that_count_in_no_loss_keep_their_place():
     cut = without_channels(marked, ["lift", "lift_cmd"])
     kept: Any = cut.experiments[0].left_out
     assert kept.shape == cut.experiments[0].y.shape and kept[7, 0]
+
+
+def test_forces_that_a_model_lacks_become_its_free_run():
+    h, m, d, k = 0.005, 0.05, 0.4, 20.0
+    t = np.arange(600) * h
+    every = lambda x: np.full((len(t), 1, 1), x)
+    force = np.sin(3 * t)[:, None, None] * np.array([1.0, -2.0])
+    x = loop_of(h, every(m), every(d), np.zeros((len(t), 1)), every(k)).free_run(force)
+    settled = (k - 9 * m + 3j * d) ** -1  # of a spring, a mass and a damper
+    exact = (settled * np.exp(3j * t)).imag
+    assert np.abs(x[300:, 0, 0] - exact[300:]).max() < 2e-3 * abs(settled)
+    assert np.allclose(x[..., 1], -2 * x[..., 0])
+    held = loop_of(h, every(m), every(d), np.where(t < 1.5, 0.0, 1e6)[:, None], every(k)).free_run(force)[:, 0, 0]
+    assert np.ptp(held[301:]) < 1e-3 * np.ptp(held[:300])  # dry friction that sticks keeps what there is
+
+
+def test_a_goal_that_is_held_counts_from_both_sides_of_its_jump():
+    u = np.array([[0.0, 0.0], [2.0, 2.0], [2.0, 4.0]])
+    assert np.array_equal(mean_input(u, np.array([False, True])), [[0.0, 0.0], [1.0, 2.0], [2.0, 4.0]])

@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import dataclasses
 import time
-from collections.abc import Iterable, Sequence
+from collections.abc import Callable, Iterable, Sequence
+from typing import Any
 
 import jax
 import numpy as np
@@ -16,6 +17,7 @@ from jaxid.data.time_stamps import scattered_stamps, with_scatter
 from jaxid.diagnosis import how_far as shrinking, jitter as timing, where as location
 from jaxid.diagnosis.believable import doubts
 from jaxid.diagnosis.evidence import held_out, inflation, knowledge, worth
+from jaxid.diagnosis.goals.run import dear, diagnose_led, led, Offer, TOO_DEAR
 from jaxid.diagnosis.hypothesis import Candidate, candidates, check_asked, Hypothesis, possible, Search
 from jaxid.diagnosis.last_resort import asked_last, first_asked
 from jaxid.diagnosis.next_experiment import advice, rivals_of
@@ -41,13 +43,13 @@ from jaxid.problem.binding import bind, Binding, JITTER, resolve_model
 from jaxid.problem.residual import InverseDynamics, MultipleShooting, OutputError, Residual
 from jaxid.robots.yardstick import with_effects
 from jaxid.runtime import Interrupted
+from jaxid.simulation.sample_buffers import STEP
 from jaxid.storage.interim import Interim
 from jaxid.wording import number, percent, times
 
 
 #: Free runs that forget how they began are not trusted where they find no answer, or one that leaves so many times the noise.
 REMAINDER = 10.0
-
 #: Verdict by free runs that are not trusted -> verdicts by windows that take its place.
 PREFERRED = {"unknown": ("none", "partly", "named"), "partly": ("named",), "named": ("unknown", "partly", "named")}
 
@@ -64,6 +66,8 @@ class Question:
     progress: Progress | None
     known: Interim  # is told what is known before the end
     still: tuple[str, ...] = ()  # of "validation" and "report": what stands still, so that nothing can be judged on it
+    search: Callable[[Bench, Offer], tuple[Fit, Search]] | None = None  # another search than the one over all of the library
+    step: float = STEP  # of its simulations, s
 
 
 def run_diagnosis(
@@ -115,6 +119,17 @@ def _run(
     library = possible(nominal, allowed, residual.name if residual else "")
     places = sum(len(nominal.offers(k)) for k in library)
     dataset = shortened(dataset, need("diagnose", dataset, nominal.nq, places)) if dataset.experiments else dataset
+    if residual is None and led(nominal) and dataset.experiments:
+        plain = bind(model, dataset, without=without)
+        answer: Any = lambda wide, names, search, step: _diagnosed(
+            Question(wide, OutputError(), tuple(names), max_effects, seed, progress, known, (), search, step)
+        )[0]
+        if dear(plain):
+            by_torque = possible(nominal, allowed, InverseDynamics.name)
+            found = diagnose_by_torque(plain, by_torque, max_effects, None, seed, reference, progress)
+            return dataclasses.replace(found, notes=(*found.notes, TOO_DEAR))
+        if not standing_still(plain):
+            return diagnose_led(model, dataset, plain, without, library, max_effects, seed, progress, answer)
     binding = bind(model, dataset, without=without, candidates=() if isinstance(residual, InverseDynamics) else library)
     if not binding.dataset.experiments:
         raise UsageError("a diagnosis needs recorded runs; this dataset holds frequency responses alone: fit it")
@@ -172,7 +187,12 @@ def _diagnosed(question: Question, scatter: timing.Scatter | None = None) -> tup
     if progress:
         progress("nominal fit", 0, 1, binding.chain.mechanism.name)
 
-    bench, nominal_fit, search, compile_time = _search(question)
+    if question.search is None:
+        bench, nominal_fit, search, compile_time = _search(question)
+    else:
+        bench = Bench(binding, question.step, differences=1, together=True)
+        keep = lambda fit, now: question.known.offer(lambda: _so_far(question, bench, fit(), now, began))
+        (nominal_fit, search), compile_time = question.search(bench, keep), bench.compile_time()
     chosen = search.chosen
     verdict, text = judge(search)
     stamps = ()

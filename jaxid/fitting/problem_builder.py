@@ -31,13 +31,15 @@ class Bench:
     their Jacobians from (see `Problem`).
 
     `defects` (residual, split) -> what finer steps would add to the simulation, at the samples [samples columns]: taken off the
-    targets of its problems, so that a search on coarse steps ends where one on fine steps would.
+    targets of its problems, so that a search on coarse steps ends where one on fine steps would. `together`: one program of all
+    effects runs every lane.
     """
 
     binding: Binding
     step: float = samples.STEP
     differences: int = 0
     defects: dict[tuple[str, str], np.ndarray] = field(default_factory=dict)
+    together: bool = False
 
     def __post_init__(self):
         self._runs: dict[tuple[str, str], Runs] = {}
@@ -70,6 +72,8 @@ class Bench:
                 self.step,
                 self._shape_of(residual),
             )
+            if self.together:
+                self._runs[key].engine.keep_together()
         return self._runs[key]
 
     def forget_long(self, kept: Residual) -> None:

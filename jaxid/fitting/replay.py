@@ -84,13 +84,13 @@ def run_replay(dataset: Dataset, robot: Path, against: Path | None) -> Replay:
     notes: list[str] = []
     simulated, starts = (None, None) if against is not None else _by_jaxid(data, robot, tree, source, notes)
     starts = starts or [_measured_start(e, data, joints_of(data, tree)) for e in data.experiments]
-    ours = _in_mujoco(data, robot, tree, source, starts, notes)
+    ours = in_mujoco(data, robot, tree, source, starts, notes)
     other = "jaxid" if against is None else "against"
     if against is not None:
         there = read_tree_loosely(against)
         if there.leading != tree.leading:
             raise UsageError(f"{against} has the joints {', '.join(there.leading)}, {robot} has {', '.join(tree.leading)}")
-        simulated = _in_mujoco(data, against, there, None, starts, notes)
+        simulated = in_mujoco(data, against, there, None, starts, notes)
     rows, runs = _compared(data, tree, ours, simulated, other)
     notes += _verdict(rows, source, other)
     return Replay(dataset.name, str(robot), other, tuple(rows), tuple(runs), tuple(dict.fromkeys(notes)))
@@ -174,7 +174,7 @@ def _measured_start(e: Experiment, data: Dataset, joints: tuple[str, ...]) -> np
     return np.array([*begun, *(known.get(f"{j}_qd", v) for j, v in zip(joints, speed, strict=True))], float)
 
 
-def _in_mujoco(
+def in_mujoco(
     data: Dataset, path: Path, tree: Tree, source: _Source | None, starts: list[np.ndarray], notes: list[str]
 ) -> list[np.ndarray]:
     """Positions of the measured joints at the samples of every run."""

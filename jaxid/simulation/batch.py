@@ -161,6 +161,10 @@ class Engine:
         self._memory = np.array(own, int)
         self._always = layout.chain.mechanism.hidden_states or not set(own) <= set(optional)
 
+    def keep_together(self) -> None:
+        """From now on every lane runs in the program of all effects: one compilation, where few effects are asked."""
+        self._families = {}
+
     def theta_of(self, theta: np.ndarray, record: np.ndarray) -> np.ndarray:
         """The numbers in force on each lane's record."""
         stated = self.overrides[record]

@@ -45,6 +45,9 @@ class Model:
         return float(self.held.sum())
 
 
+Enough = Callable[[Model], bool]
+
+
 def explained(H: np.ndarray, b: np.ndarray) -> tuple[float, np.ndarray]:
     """Sum of squares that columns with these products explain, and their strengths."""
     values, vectors = np.linalg.eigh(H)
@@ -59,10 +62,11 @@ class Chooser:
     def __init__(
         self, units: Sequence[Unit], size: int, fit: Gram, held: Gram, known: Known, start: np.ndarray, lower: np.ndarray,
         upper: np.ndarray, most: int, by_joint: Callable[[Solution], np.ndarray] | None = None,
+        enough: Enough = lambda model: False,
     ):  # fmt: skip
         """`size` numbers of the nominal model come first among the columns; `most` kinds of effects may be named. `by_joint`:
-        what a solution leaves of each block and joint of the held-out runs."""
-        self.by_joint = by_joint
+        what a solution leaves of each block and joint of the held-out runs. Nothing is added to a model that is `enough`."""
+        self.by_joint, self.enough = by_joint, enough
         self.units, self.size, self.fit, self.held, self.most = units, size, fit, held, most
         self.known, self.start, self.lower, self.upper = known, start, lower, upper
         ends = size + np.cumsum([0, *(len(u.fields) for u in units)])
@@ -121,7 +125,7 @@ class Chooser:
 
     def run(self) -> Model:
         chosen = self.nominal
-        while len(self._kinds(chosen.units)) < self.most:
+        while len(self._kinds(chosen.units)) < self.most and not self.enough(chosen):
             found = [m for m in self._wider(chosen) if self.accepted(chosen, m)]
             if not found:
                 break

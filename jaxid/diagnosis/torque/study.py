@@ -9,7 +9,7 @@ import numpy as np
 
 from jaxid.data.signals import zero_phase
 from jaxid.diagnosis.torque.algebra import BLOCKS, gram, Known, Solution, solve, weighted, Weights
-from jaxid.diagnosis.torque.choose import Chooser
+from jaxid.diagnosis.torque.choose import Chooser, Enough
 from jaxid.diagnosis.torque.forces import force, with_numbers
 from jaxid.diagnosis.torque.library import DRIVES, Unit, units
 from jaxid.diagnosis.torque.plant import Plant, plant_of
@@ -59,8 +59,8 @@ class Study:
         self, binding: Binding, kinds: Iterable[type[Effect]], cutoff_hz: float | None, known: Known | None, payloads: bool
     ):
         self.binding, self.kinds = binding, list(kinds)
-        self.runs: list[Run] = read_runs(binding, cutoff_hz)
-        self.plant: Plant = plant_of(binding, turning_speeds(self.runs))
+        self.runs: list[Run] = self._read(cutoff_hz)
+        self.plant: Plant = self._plant()
         self.given, self.payloads = known, payloads
         self.unasked = [self._unasked(r) for r in self.runs]
         self._plain: tuple[Rows, Weights, Solution] | None = None
@@ -69,6 +69,20 @@ class Study:
         self.theta = self._nominal()
         self.measured = self._noise()
         self.settle(self.theta)
+
+    def _read(self, cutoff_hz: float | None) -> list[Run]:
+        return read_runs(self.binding, cutoff_hz)
+
+    def _plant(self) -> Plant:
+        return plant_of(self.binding, turning_speeds(self.runs))
+
+    def _begin(self) -> np.ndarray:
+        """Numbers at which a model that is not linear in them is linearised first."""
+        return start_values(Bench(self.binding), self.plant.free, 0)[0]
+
+    def asked(self, kinds: Sequence[type[Effect]], theta: np.ndarray) -> list[Unit]:
+        """All units of these effects, along what the model takes with the numbers theta."""
+        return units(self.plant, kinds, self.runs, theta, self.payloads)
 
     def _unasked(self, run: Run) -> np.ndarray:
         """Columns of which nothing is asked [samples n 3n]: how else dry friction may turn about with a joint's motion, and that
@@ -133,7 +147,7 @@ class Study:
         """The nominal model fitted to the fit runs, each joint weighted by what is left of it."""
         theta, weights = self.binding.theta.copy(), None
         if not self.plant.exact():
-            theta = start_values(Bench(self.binding), self.plant.free, 0)[0]
+            theta = self._begin()
         best, end = np.inf, theta
         for step in range(1 if self.plant.exact() else STEPS):
             rows = self.made(theta, [])
@@ -194,7 +208,7 @@ class Study:
         rows, weights, s = self._plain
         if loaded := [k for k in self.kinds if k.name in BY_TORQUE]:
             at = theta if chosen else self._moved(theta, s.at, s.theta)
-            more = units(self.plant, loaded, self.runs, at, self.payloads)
+            more = self.asked(loaded, at)
             every = [
                 np.concatenate([x[:, :, :-1], *(u.columns[k] for u in more), x[:, :, -1:]], 2) for k, x in enumerate(rows.rows)
             ]
@@ -204,7 +218,7 @@ class Study:
     def _without_torque(self, theta: np.ndarray) -> tuple[Rows, Weights, Solution]:
         """Rows with the units that depend on the motion alone, weights, and the richest model."""
         plain = [k for k in self.kinds if k.name not in BY_TORQUE]
-        rows = self.made(theta, units(self.plant, plain, self.runs, theta, self.payloads))
+        rows = self.made(theta, self.asked(plain, theta))
         rich = self._rich(rows)
         weights = self._weights(rows, rich, np.zeros(len(rich)))
         for _ in range(2):
@@ -221,7 +235,9 @@ class Study:
                 shapes.setdefault(u.place, []).append(np.arange(a, b))
         return np.concatenate([np.arange(rows.size), *(s[len(s) // 2] for s in shapes.values())])
 
-    def chooser(self, rows: Rows, weights: Weights, fit: Sequence[int], held: Sequence[int], most: int) -> Chooser:
+    def chooser(
+        self, rows: Rows, weights: Weights, fit: Sequence[int], held: Sequence[int], most: int, enough: Enough = lambda m: False
+    ) -> Chooser:
         """The search on some runs, judged on others."""
         start, low, high = self.bounds(rows)
         told = self.known(rows.rows[0].shape[2] - 1, rows.theta, rows.units)
@@ -230,7 +246,8 @@ class Study:
             told.information[:p, :p] += self.given.information
             told.mean[:p] = np.where(np.diag(self.given.information) > 0, self.given.mean, told.mean[:p])
         g = lambda which: gram(*self.some(rows, which), weights, BLOCKS)
-        return Chooser(rows.units, rows.size, g(fit), g(held), told, start, low, high, most, self.by_joint(rows, weights, held))
+        left = self.by_joint(rows, weights, held)
+        return Chooser(rows.units, rows.size, g(fit), g(held), told, start, low, high, most, left, enough)
 
     def by_joint(self, rows: Rows, weights: Weights, which: Sequence[int]) -> Callable[[Solution], np.ndarray]:
         """What a solution leaves of each block and joint of some runs, [blocks n]."""

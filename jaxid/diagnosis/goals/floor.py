@@ -1,0 +1,65 @@
+"""How near a simulation can come: what two simulators make of the same file.
+
+A recording of a robot is compared with the file that states it, and what a file means is known only as well as two programs
+that read it agree: MuJoCo's dry friction creeps, its steps are of first order, jaxid's friction sticks. What lies below their
+difference is no gap of the model.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+
+from jaxid.errors import UsageError
+from jaxid.fitting.problem_builder import Bench, estimate_starts
+from jaxid.fitting.replay import in_mujoco
+from jaxid.fitting.scores import free_runs
+from jaxid.problem.binding import Binding
+from jaxid.robots.tree import Tree
+from jaxid.robots.yardstick import as_it_stands
+
+
+def file_of(binding: Binding) -> Path | None:
+    tree: Tree = binding.chain.mechanism.tree.tree  # type: ignore[attr-defined]
+    spec = binding.dataset.model
+    stated = spec.geometry.path if spec is not None and spec.geometry is not None else ""
+    found = [Path(p) for p in (stated, tree.file) if p and Path(p).is_file()]
+    return found[0] if found else None
+
+
+def between_simulators(bench: Bench) -> list[np.ndarray] | None:
+    """What MuJoCo's free runs of the file as it stands differ by from jaxid's, [samples n] of each fit run; None where MuJoCo has
+    no run of it."""
+    b = bench.binding
+    path = file_of(b)
+    if path is None or not b.experiments("fit"):
+        return None
+    theta, _ = as_it_stands(b)
+    starts = estimate_starts(bench, "fit", [theta])
+    ours = free_runs(bench, "fit", [theta], starts)[0]
+    tree: Tree = b.chain.mechanism.tree.tree  # type: ignore[attr-defined]
+    data = replace(b.dataset, experiments=b.experiments("fit"))
+    try:
+        theirs = in_mujoco(data, path, tree, None, [np.asarray(s) for s in starts[0]], [])
+    except UsageError:
+        return None
+    n = b.chain.nq
+    apart = [y - x[:, :n] for x, y in zip(ours, theirs, strict=True)]
+    if not all(np.isfinite(x).all() for x in apart) or b.chain.joint_outputs != list(range(len(b.sigma))):
+        return None
+    return apart
+
+
+def with_floor(binding: Binding, apart: np.ndarray | None) -> Binding:
+    """The binding with noise that counts what two simulators of its file differ by."""
+    if apart is None:
+        return binding
+    sigma, noise = np.hypot(binding.sigma, apart), {}
+    for (name, _), old, new, own in zip(binding.chain.signature.outputs, binding.sigma, sigma, apart, strict=True):
+        told = binding.noise[name]
+        text = f"{told.text}; MuJoCo and jaxid differ by {own:.2g} {told.unit} on the same file: nearer"
+        text += f" than {new:.2g} says nothing"
+        noise[name] = replace(told, std=float(new), text=text) if new > 1.2 * old else told
+    return replace(binding, sigma=sigma, noise={**binding.noise, **noise})

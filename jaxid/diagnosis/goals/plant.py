@@ -1,0 +1,160 @@
+"""A robot under its drive law as columns: the force that its model lacks along a measured motion, and derivatives of that."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from functools import lru_cache
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from jaxid.diagnosis.goals.loop import Loop, loop_of
+from jaxid.diagnosis.torque.plant import AnyPlant
+from jaxid.diagnosis.torque.rows import Run
+from jaxid.dynamics.effect import Command, InputEffect, Signals
+from jaxid.dynamics.parameter_vector import Layout
+from jaxid.numerics.precision import float64
+
+
+#: Differences by which derivatives are taken: of positions (rad, m), as a share of the top speed, of numbers in their scale.
+MOVED, FASTER, CHANGED = 1e-5, 1e-4, 1e-4
+
+
+class LedPlant(AnyPlant):
+    """The missing force of a model that goals drive. Along the measured motion dry friction turns about within `turn`."""
+
+    def missing(self, run: Run, theta: np.ndarray, q: Any = 0.0, qd: Any = 0.0, qdd: Any = 0.0) -> np.ndarray:
+        """Force [time n] that the model lacks along the motion of a run, moved by so much."""
+        series = [run.padded(x) for x in (run.u, run.q + q, run.qd + qd, run.qdd + qdd)]
+        with float64():
+            return np.asarray(_missing(self.layout)(theta, run.step, *series))[: len(run.q)]
+
+    def linearised(self, run, theta):
+        at, out = self.missing(run, theta), self.columns(run, theta)
+        return at + out @ theta[self.free], out
+
+    def columns(self, run: Run, theta: np.ndarray) -> np.ndarray:
+        """Minus the derivatives of the missing force by the numbers that are fitted, [time n size]."""
+        out = np.zeros((*run.q.shape, self.size))
+        for k, i in enumerate(self.free):
+            apart = CHANGED * float(self.binding.scale[i])
+            low, high = max(theta[i] - apart, self.binding.lower[i]), min(theta[i] + apart, self.binding.upper[i])
+            ends = []
+            for value in (low, high):
+                moved = theta.copy()
+                moved[i] = value
+                ends.append(self.missing(run, moved))
+            out[:, :, k] = (ends[0] - ends[1]) / (high - low)
+        return out
+
+    def slopes(self, run: Run, theta: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Minus the derivatives of the missing force by accelerations, speeds and positions, each [time n n]."""
+        n = run.q.shape[1]
+        top = np.maximum(np.percentile(np.abs(run.qd), 99, axis=0), 1e-6)
+        made: list[np.ndarray] = []
+        for field, size in (("qdd", np.ones(n)), ("qd", np.minimum(FASTER * top, self.turn / 4)), ("q", np.full(n, MOVED))):
+            columns = []
+            for j in range(n):
+                step = size[j] * np.eye(n)[j]
+                low, high = (self.missing(run, theta, **{field: s * step}) for s in (-1.0, 1.0))
+                columns.append((low - high) / (2 * size[j]))
+            made.append(np.stack(columns, 2))
+        return made[0], made[1], made[2]
+
+    def loop(self, run: Run, theta: np.ndarray) -> Loop:
+        """The free run to first order about the measured motion. The slope of dry friction is what the damping has of it where a
+        joint turns about."""
+        inertia, damping, stiffness = self.slopes(run, theta)
+        level = self._dry(theta)
+        sticking = level / self.turn / np.cosh(np.clip(run.qd / self.turn, -300, 300)) ** 2
+        smooth = damping - sticking[:, :, None] * np.eye(len(level))
+        pad = lambda x: run.padded(x)
+        return loop_of(run.step, *(pad(x) for x in (inertia, smooth, sticking, stiffness)))
+
+    def _dry(self, theta: np.ndarray) -> np.ndarray:
+        """Level of the model's own dry friction [n]."""
+        chain = self.binding.layout.model(theta)
+        own = [np.asarray(e.level) for e in chain.effects if e.name == "coulomb_friction"]  # pyright: ignore
+        return sum(own, np.zeros(chain.nq))
+
+
+@jax.jit
+def inverse_along(body: Any, q: Any, qd: Any, qdd: Any) -> Any:
+    """Torque [time n] that a mechanism takes along a motion."""
+    return jax.vmap(body.inverse)(q, qd, qdd)
+
+
+def _command(h: Any, u: Any, other: Any, k: Any) -> Command:
+    """What arrives at sample k of inputs u [time nu], which lie on straight lines between the samples."""
+
+    def delayed(delay: Any) -> Any:
+        at = jnp.clip(k - delay / h, 0.0, u.shape[0] - 1.0)
+        low = jnp.minimum(jnp.floor(at).astype(int), u.shape[0] - 2)
+        channel = jnp.arange(u.shape[1])
+        share = at - low
+        return (1 - share) * u[low, channel] + share * u[low + 1, channel]
+
+    return Command(k * h, h, u[k], other[k], delayed)
+
+
+@lru_cache(maxsize=16)
+def _missing(layout: Layout) -> Any:
+    def missing(theta: Any, h: Any, u: Any, q: Any, qd: Any, qdd: Any) -> Any:
+        chain = layout.model(theta)
+
+        def step(z: Any, now: Any) -> Any:
+            k, q, qd, qdd = now
+            out, z = chain.inverse(_command(h, u, u, k), z, q, qd, qdd)
+            return z, out
+
+        z, every = chain.start(q[0], qd[0], u[0]).z, (jnp.arange(u.shape[0]), q, qd, qdd)
+        if jax.tree.leaves(z):
+            return jax.lax.scan(step, z, every)[1]
+        return jax.vmap(lambda *now: step(z, now)[1])(*every)
+
+    return jax.jit(missing)
+
+
+class Drive:
+    """The law with effects on its way, without the mechanism: the joint torque along a measured motion."""
+
+    def __init__(self, plant: LedPlant, kinds: Sequence[Any]):
+        from jaxid.dynamics.effect import neutral
+
+        chain = plant.layout.chain
+        law = [e for e in chain.effects if isinstance(e, InputEffect)]
+        self.plant, self.names = plant, plant.layout.names
+        self.chain = chain._with([*law, *(neutral(k) for k in kinds)])
+        self.layout = Layout(self.chain)
+
+    def theta(self, theta: np.ndarray) -> np.ndarray:
+        """Numbers of the whole model as those of the drive."""
+        own = dict(zip(self.names, theta, strict=True))
+        return np.array([own.get(n, v) for n, v in zip(self.layout.names, self.layout.values, strict=True)])
+
+    def torque(self, run: Run, other: np.ndarray, theta: np.ndarray) -> np.ndarray:
+        """[time n]; `other` [time nu] the inputs under the other hold."""
+        series = [run.padded(x) for x in (run.u, other, run.q, run.qd)]
+        with float64():
+            return np.asarray(_torque(self.layout)(theta, run.step, *series))[: len(run.q)]
+
+
+@lru_cache(maxsize=16)
+def _torque(layout: Layout) -> Any:
+    def torque(theta: Any, h: Any, u: Any, other: Any, q: Any, qd: Any) -> Any:
+        chain = layout.model(theta)
+        body = chain.body()
+
+        def step(z: Any, now: Any) -> Any:
+            k, q, qd = now
+            command = _command(h, u, other, k)
+            s = Signals(command.t, q, qd, jnp.zeros_like(q), h, command, qd)
+            asked, z = chain.commanded(s, z)
+            return z, body.drive(chain.signature, asked, q, qd)
+
+        z = chain.start(q[0], qd[0], u[0]).z
+        return jax.lax.scan(step, z, (jnp.arange(u.shape[0]), q, qd))[1]
+
+    return jax.jit(torque)

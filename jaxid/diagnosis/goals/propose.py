@@ -1,0 +1,128 @@
+"""What a robot under goals may lack, proposed along its measured motion: numbers of the model, sets of effects with theirs."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from jaxid.data.dataset import Dataset
+from jaxid.diagnosis.goals.study import LedStudy
+from jaxid.diagnosis.torque.algebra import better, BLOCKS, gram
+from jaxid.diagnosis.torque.answer import of_model
+from jaxid.diagnosis.torque.choose import Chooser, Model, SURE
+from jaxid.diagnosis.torque.library import Unit
+from jaxid.diagnosis.verdict import SEEN
+from jaxid.dynamics.effect import BodyEffect, Effect, InputEffect, JointEffect
+from jaxid.problem.binding import Binding
+
+
+#: So many sets are simulated: where dry friction turns about at other instants, first order ranks and does not decide.
+FIRST = 3
+
+
+@dataclass(frozen=True, eq=False)
+class Proposal:
+    """A set of units with the numbers of each, and the model's own (of the whole layout of the nominal model)."""
+
+    units: tuple[Unit, ...]
+    numbers: tuple[np.ndarray, ...]
+    theta: np.ndarray
+
+
+def shown(kind: type[Effect]) -> bool:
+    """Whether an effect is a column along a measured motion under goals: it acts on the way from the goal to the joint, at the
+    joint or in the mechanism, and has no motion of its own."""
+    if issubclass(kind, BodyEffect):
+        return kind.name in ("payload", "gravity_offset")
+    if kind.name == "input_hold":  # is settled before
+        return False
+    return issubclass(kind, JointEffect | InputEffect) or kind.name == "sensor_bias"
+
+
+def proposals(study: LedStudy, most: int) -> tuple[Proposal, list[Proposal]]:
+    """The nominal model, and sets of effects, the chosen one first; none where nothing predicts the held-out runs better."""
+    fit, held = study.of("fit"), study.of("validation") or study.of("fit")
+    rows, white = study.rows_with_effects(study.theta)
+    joints = range(len(study.noise))
+
+    def at_noise(m: Model) -> bool:
+        answer = of_model(study, rows, m)
+        return all(not answer.gap(which, j) > SEEN for which in (fit, held) for j in joints)
+
+    chooser = study.chooser(rows, white, fit, held, most, at_noise)
+    bare = _proposal(study, chooser, chooser.nominal)
+    if at_noise(chooser.nominal):
+        return bare, []
+    chosen = chooser.run()
+    first = [chosen] if chosen.units else []
+    return bare, [_proposal(study, chooser, m) for m in [*first, *_next(chooser, chosen)][:FIRST]]
+
+
+def _next(chooser: Chooser, chosen: Model) -> list[Model]:
+    """Of each effect alone the set that is worth most on the fit runs and no worse on the held-out ones, best first."""
+    worth = lambda m: chooser.nominal.cost - m.cost - chooser.price(m.units)
+    found: dict[str, Model] = {}
+    for m in sorted(chooser.tried, key=worth, reverse=True):
+        kinds = {chooser.units[u].effect for u in m.units}
+        if len(kinds) == 1 and m is not chosen and worth(m) > 0 and m.loss <= chooser.nominal.loss:
+            found.setdefault(kinds.pop(), m)
+    return list(found.values())
+
+
+def _proposal(study: LedStudy, chooser: Chooser, m: Model) -> Proposal:
+    theta, p = study.theta.copy(), study.plant.size
+    theta[study.plant.free] = np.clip(m.solution.theta[:p], study.lower, study.upper)
+    own = tuple(chooser.units[u] for u in m.units)
+    ends = np.cumsum([len(u.fields) for u in own])[:-1]
+    return Proposal(own, tuple(np.split(m.solution.theta[chooser.size :], ends)) if own else (), theta)
+
+
+def with_other_hold(dataset: Dataset) -> Dataset:
+    """The dataset with goals that go the other way from sample to sample: held, or along a line."""
+    other = {"zero": "linear", "linear": "zero"}
+    return replace(
+        dataset, channels=tuple(replace(c, hold=other.get(c.hold, c.hold)) if c.role == "input" else c for c in dataset.channels)
+    )
+
+
+def goes_the_other_way(stated: LedStudy, other: LedStudy) -> bool:
+    """Whether the re-tuned model follows goals better, in the fit and in the held-out runs, that go from sample to sample in the
+    other way than is stated: a log of a goal says when it was asked, not what the drive made of it in between."""
+    if not stated.of("validation"):
+        return False
+    held: list[np.ndarray] = []
+    owner = np.zeros(0)
+    white = None
+    for study in (stated, other):
+        rows = study.made(study.theta, [])
+        white = white or study.weights(rows)
+        both = [gram(*study.some(rows, which), white, BLOCKS) for which in (study.of("fit"), study.of("validation"))]
+        at, numbers = study.solved(rows, white)  # without clocks, which would stand in for half of a sample
+        held += [g.losses(at, numbers) for g in both]
+        owner = both[1].owner
+    fitted, kept = (held[0], held[2]), (held[1], held[3])
+    total, worst = better(*kept, owner)
+    return bool(total > SURE and worst > 0 and fitted[1].sum() < fitted[0].sum())
+
+
+def kinds_of(sets: Sequence[Proposal]) -> list[str]:
+    return list(dict.fromkeys(u.effect for s in sets for u in s.units))
+
+
+def as_vector(binding: Binding, nominal: Sequence[str], s: Proposal) -> tuple[np.ndarray, list[tuple[str, str]]]:
+    """The numbers of a proposal in the layout of a binding, and (effect, place) of its units; `nominal`: the names of the
+    numbers that `s.theta` has."""
+    theta, layout = binding.theta.copy(), binding.layout
+    for name, value in zip(nominal, s.theta, strict=True):
+        theta[layout.index(name)] = value
+    places = []
+    for u, numbers in zip(s.units, s.numbers, strict=True):
+        place = u.location.partition(" and ")[0]
+        places.append((u.effect, place))
+        own = dict(u.shape) | dict(zip(u.fields, map(float, numbers), strict=True))
+        for i in layout.of_effect(u.effect, place):
+            if (field := layout.entries[i].field) in own:
+                theta[i] = np.clip(own[field], binding.lower[i], binding.upper[i])
+    return theta, places

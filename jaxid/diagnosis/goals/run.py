@@ -1,0 +1,137 @@
+"""A robot that goals drive, diagnosed: proposed along the measured motion, decided by simulation under the law."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Sequence
+from dataclasses import replace
+
+import numpy as np
+
+from jaxid.data.dataset import Dataset
+from jaxid.diagnosis.goals.floor import between_simulators, with_floor
+from jaxid.diagnosis.goals.propose import as_vector, goes_the_other_way, kinds_of, Proposal, proposals, shown, with_other_hold
+from jaxid.diagnosis.goals.search import Decider
+from jaxid.diagnosis.goals.study import LedStudy, loop_step
+from jaxid.diagnosis.hypothesis import Search
+from jaxid.diagnosis.result import Diagnosis
+from jaxid.dynamics.chain import Chain
+from jaxid.dynamics.effect import Effect
+from jaxid.dynamics.joint_readings import all_read
+from jaxid.fitting.assemble import assemble
+from jaxid.fitting.fitter import Minimum, Progress
+from jaxid.fitting.problem_builder import Bench
+from jaxid.fitting.result import Fit
+from jaxid.problem.binding import bind, Binding
+from jaxid.problem.residual import OutputError
+from jaxid.simulation.sample_buffers import STEP, step_count
+from jaxid.wording import listed
+
+
+#: Is told of the nominal fit and of what is known so far: what a run that is stopped keeps.
+Offer = Callable[[Callable[[], Fit], Search], None]
+
+Answer = Callable[[Binding, Sequence[str], Callable[[Bench, Offer], tuple[Fit, Search]], float], Diagnosis]
+
+TOO_DEAR = (
+    "simulating recordings of this length with this many numbers would take too long: the torque that the law asks for along the "
+    "measured motion is compared instead, and no free run judges the answer"
+)
+OTHER_WAY = (
+    "the goals go {} from sample to sample here, not {} as the dataset has it: the re-tuned model follows them better so on data "
+    "that were and were not fitted (state hold of the goals' channels where that is wrong)"
+)
+WORDS = {"zero": "held", "linear": "along straight lines"}
+
+
+#: Steps of all free runs of one linearisation beyond which simulations are not worth their time.
+DEAR = 4e6
+
+
+def dear(binding: Binding) -> bool:
+    """Whether a fit by simulation takes too long."""
+    step, runs = max(STEP, loop_step(binding)), binding.experiments("fit")
+    lanes = 1 + len(binding.free) + 2 * binding.chain.nq * len(runs)
+    return sum(step_count(e, step) for e in runs) * lanes > DEAR
+
+
+def led(chain: Chain) -> bool:
+    """Whether goals drive a model through a law, with every joint measured."""
+    law = getattr(chain.mechanism, "drive_law", None)
+    return law is not None and law.kind != "pid" and not chain.mechanism.hidden_states and all_read(chain)
+
+
+def diagnose_led(
+    model: object,
+    dataset: Dataset,
+    binding: Binding,
+    without: tuple[str, ...],
+    library: Sequence[type[Effect]],
+    max_effects: int,
+    seed: int,
+    progress: Progress | None,
+    answer: Answer,
+) -> Diagnosis:
+    """The diagnosis of a binding without candidates; `answer(binding with candidates, names of effects, search, step)` makes that
+    of a search on simulations in such steps."""
+    began = time.perf_counter()
+    say = progress or (lambda *_: None)
+    say("along the motion", 0, 3, "rows")
+    step = max(STEP, loop_step(binding))
+    first = Bench(binding, step, differences=1)
+    first.compile_ahead(OutputError(), binding.theta, binding.free)  # while the rows are made
+    kinds = [k for k in library if shown(k)]
+    study, notes = LedStudy(binding, kinds), []
+    swapped = with_other_hold(dataset)
+    other = LedStudy(bind(model, swapped, without=without), kinds, begin=study.theta)
+    if goes_the_other_way(study, other):
+        hold = dataset.inputs[0].hold
+        notes.append(OTHER_WAY.format(WORDS[other.binding.dataset.inputs[0].hold], WORDS.get(hold, hold)))
+        dataset, study = swapped, other
+    say("along the motion", 1, 3, "noise")
+    series = between_simulators(Bench(study.binding, step, differences=1))
+    apart = None if series is None else study.left_of(series)
+    study = study.with_binding(with_floor(study.binding, apart))
+    say("along the motion", 2, 3, f"effects, {len(kinds)} kinds")
+    bare, sets = proposals(study, max_effects)
+    names = kinds_of(sets)
+    wide = with_floor(bind(model, dataset, without=without, candidates=[k for k in kinds if k.name in names]), apart)
+    asked = f"asked along the measured motion: {listed(sorted(k.name for k in kinds))}"
+    left = sorted(k.name for k in library if not shown(k))
+    notes.append(f"{asked}; not asked, for they have a motion of their own: {listed(left) or 'none'}")
+
+    def search(bench: Bench, offer: Offer) -> tuple[Fit, Search]:
+        return _decided(bench, study.binding.layout.names, bare, sets, seed, began, progress, offer)
+
+    found = answer(wide, names, search, step)
+    if found.which.verdict == "unknown" and series is not None:
+        # No effect is borne out: what is left is no gap where two simulators of the file as it stands are as far apart.
+        plain = with_floor(bind(model, dataset, without=without), np.sqrt(np.mean(np.concatenate(series) ** 2, 0)))
+        nominal = lambda bench, offer: _decided(bench, study.binding.layout.names, bare, [], seed, began, progress, offer)
+        again = answer(plain, (), nominal, step)
+        if again.which.verdict == "none":
+            text = (
+                f"{again.which.text} Its noise is what MuJoCo and jaxid make of the same file; no effect explains what is nearer."
+            )
+            found = replace(again, which=replace(again.which, text=text, ranking=found.which.ranking))
+    notes.append(f"{found.nominal.evaluations} free runs were simulated under the law, in steps of {step:.2g} s at most")
+    return replace(found, notes=(*found.notes, *notes), wall_time_s=time.perf_counter() - began)
+
+
+def _decided(
+    bench: Bench, names: Sequence[str], bare: Proposal, sets: Sequence[Proposal], seed: int, began: float,
+    progress: Progress | None, offer: Offer,
+) -> tuple[Fit, Search]:  # fmt: skip
+    decider = Decider(bench, names, progress, 0, 1 + len(sets))
+    theta, _ = as_vector(bench.binding, names, bare)
+    nominal = decider.refit((), theta)
+    path = nominal.path
+
+    def fitted() -> Fit:
+        minimum = Minimum(path.z, path.loss, path.converged, path.stopped, decider.evaluations, [])
+        spent = time.perf_counter() - began
+        return assemble(bench, path.problem, minimum, OutputError(), "lm", seed, bench.compile_time(), spent)
+
+    offer(fitted, Search(nominal, nominal))
+    search = decider.decided(nominal, sets)
+    return fitted(), search

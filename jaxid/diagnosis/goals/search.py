@@ -1,0 +1,89 @@
+"""The first few proposals, decided by simulation under the law."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from jaxid.diagnosis.evidence import held_out, knowledge
+from jaxid.diagnosis.goals.propose import as_vector, Proposal
+from jaxid.diagnosis.hypothesis import Candidate, candidates, Hypothesis, Search
+from jaxid.diagnosis.selection import indistinct, significant
+from jaxid.diagnosis.verdict import judge, level
+from jaxid.fitting.fitter import Progress
+from jaxid.fitting.least_squares import descend, Path
+from jaxid.fitting.problem_builder import Bench
+from jaxid.problem.residual import OutputError
+
+
+#: Iterations and tolerance of a refit from the numbers that were read along the measured motion.
+NEAR = (12, 1e-4)
+
+
+@dataclass
+class Decider:
+    """Refits by simulation, and counts what is simulated."""
+
+    bench: Bench
+    names: Sequence[str]  # of the nominal model's numbers
+    progress: Progress | None = None
+    done: int = 0
+    total: int = 1
+    evaluations: int = field(default=0)
+
+    def refit(self, effects: Sequence[Candidate], theta: np.ndarray, like: Path | None = None) -> Hypothesis:
+        """A model with these effects fitted to the free runs from numbers theta; its runs begin as those of `like`."""
+        told = " and ".join(map(str, effects)) or "nominal model"
+        if self.progress:
+            self.progress("simulated", self.done, self.total, told)
+        free = [*self.bench.binding.free, *(i for c in effects for i in c.index)]
+        p = self.bench.problem(OutputError(), "fit", free, theta)
+        z = p.z(theta) if like is None else p.z(theta, like.problem.starts(like.z))
+        path = descend([(p, z)], *NEAR)[0]
+        self.done, self.evaluations = self.done + 1, self.evaluations + path.linearisations * (1 + p.size)
+        theta = p.theta(path.z)
+        splits = [held_out(self.bench, "validation", [theta], OutputError(), [knowledge(path)])]
+        return Hypothesis(tuple(effects), theta, path, splits[0][0])
+
+    def decided(self, nominal: Hypothesis, sets: Sequence[Proposal]) -> Search:
+        """Of the sets that were proposed the one that simulations bear out; its effects taken back where they are not missed.
+        None is asked where the re-tuned model reaches the noise: what two simulators differ by is coloured, and is no effect."""
+        if not sets or judge(Search(nominal, nominal))[0] == "none":
+            return Search(nominal, nominal)
+        pool = {(c.effect, c.location): c for c in candidates(self.bench, [u.effect for s in sets for u in s.units])}
+        self.total = self.done + len(sets)
+        tried: list[Hypothesis] = []
+        for s in sets:
+            theta, places = as_vector(self.bench.binding, self.names, s)
+            own = [pool[p] for p in places if p in pool]
+            if own:
+                tried.append(self.refit(own, theta, nominal.path))
+        good = [h for h in tried if np.isfinite(h.fit_loss) and significant(nominal, h)]
+        if not good:
+            return Search(nominal, nominal, tried)
+        enough = [h for h in good if self._at_noise(h)]
+        chosen = min(enough, key=lambda h: h.size) if enough else min(good, key=lambda h: h.validation.loss)
+        chosen = self._thinned(nominal, chosen, tried)
+        mates = [c for h in tried if h is not chosen and len(h.effects) <= len(chosen.effects) and indistinct(chosen, h)
+                 for c in h.effects if c not in chosen.effects]  # fmt: skip
+        return Search(nominal, chosen, tried, mates, None, len({c.effect for c in chosen.effects}) > 1)
+
+    def _at_noise(self, h: Hypothesis) -> bool:
+        return h.validation.loss <= level(h.validation.count) and h.fit_loss <= level(h.path.count)
+
+    def _thinned(self, nominal: Hypothesis, chosen: Hypothesis, tried: list[Hypothesis]) -> Hypothesis:
+        """Without what is not missed, place by place."""
+        for c in chosen.effects:
+            left = [e for e in chosen.effects if e is not c]
+            if not left:
+                break
+            theta = chosen.theta.copy()
+            theta[list(c.index)] = self.bench.binding.theta[list(c.index)]
+            self.total += 1
+            less = self.refit(left, theta, chosen.path)
+            tried.append(less)
+            if self._at_noise(less) or not significant(less, chosen):
+                chosen = less
+        return chosen

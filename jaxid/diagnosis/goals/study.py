@@ -1,0 +1,319 @@
+"""One recording under goals: rows of the free run to first order, and effects as columns of it."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+from copy import copy
+from dataclasses import fields, replace
+from typing import Any
+
+import numpy as np
+
+from jaxid.diagnosis.goals.loop import FINE, LoopRun, mean_input, RawRun, refined
+from jaxid.diagnosis.goals.plant import CHANGED, Drive, inverse_along, LedPlant
+from jaxid.diagnosis.torque.algebra import Weights
+from jaxid.diagnosis.torque.library import Unit, units
+from jaxid.diagnosis.torque.rows import read_runs, Run, turning_speeds
+from jaxid.diagnosis.torque.study import Rows, SHARPER, Study
+from jaxid.dynamics.effect import Effect, InputEffect, neutral
+from jaxid.dynamics.joint_readings import joint_readings
+from jaxid.dynamics.parameter import resolve, specs, with_fields
+from jaxid.numerics.precision import float64
+from jaxid.problem.binding import Binding
+from jaxid.simulation.sample_buffers import columns
+
+
+#: A shift of readings over which gravity's derivative is taken: what an encoder that is off does.
+OFF = 1e-4
+#: Coefficient below which an effect without a strength of its own is not there.
+PRESENT = 0.3
+
+
+class LedStudy(Study):
+    """A study whose rows are positions of the free run, rad or m."""
+
+    def __init__(
+        self, binding: Binding, kinds: Iterable[type[Effect]], cutoff_hz: float | None = None, begin: np.ndarray | None = None
+    ):
+        """`begin`: numbers that the re-tuning begins with, those of the binding by default."""
+        self.begin = binding.theta if begin is None else begin
+        super().__init__(binding, kinds, cutoff_hz, None, False)
+
+    def with_binding(self, binding: Binding) -> LedStudy:
+        """The same with another noise."""
+        out = copy(self)
+        out.binding = out.plant.binding = binding
+        out.measured = out._noise()
+        out.settle(out.theta)
+        return out
+
+    def left_of(self, series: Sequence[np.ndarray]) -> np.ndarray:
+        """Root mean square [n] of what re-tuned numbers leave of positions [samples n] in each of the fit runs."""
+        rows, n = self.made(self.theta, []), self.binding.chain.nq
+        own, target = [], []
+        for k, x in zip(self.of("fit"), series, strict=True):
+            run = self.runs[k]
+            e = next(e for e in self.binding.dataset.experiments if e.name == run.experiment.name)
+            fine = np.stack([np.interp(run.experiment.t, e.t, c) for c in x.T], 1)
+            own.append(rows.rows[k][:, :, :-1].reshape(-1, rows.size))
+            target.append(run.sampled(fine).reshape(-1))  # type: ignore[attr-defined]
+        A, b = np.concatenate(own), np.concatenate(target)
+        size = np.maximum(np.linalg.norm(A, axis=0), 1e-300)
+        left = b - (A / size) @ np.linalg.lstsq(A / size, b, rcond=1e-10)[0]
+        return np.sqrt(np.mean(left.reshape(-1, n) ** 2, 0))
+
+    def weights(self, rows: Rows) -> Weights:
+        """Weights by what the re-tuned model leaves."""
+        white = self._weights(rows, np.zeros(0, int), np.zeros(0))
+        return self._weights(rows, *self.solved(rows, white))
+
+    def solved(self, rows: Rows, white: Weights) -> tuple[np.ndarray, np.ndarray]:
+        """Columns of the re-tuned model, with clocks that agree, and their numbers."""
+        s = self._solution(rows, white, np.arange(self.size - self.binding.chain.nq), self.of("fit"))
+        return s.at, s.theta
+
+    # ---- what was measured
+
+    def _read(self, cutoff_hz: float | None) -> list[Run]:
+        b = self.binding
+        iu, _ = columns(b.dataset, b.chain)
+        every = np.array([b.dataset.inputs[i].hold == "linear" for i in range(len(b.dataset.inputs))], bool)
+        self.linear = every[iu]
+        times = _times(b)
+        self.sampling = float(np.median(np.concatenate([np.diff(e.t) for e in b.dataset.experiments])))
+        # A part of a recording is smoothed with what went before it, and the loop has settled when it begins.
+        fine = replace(b.dataset, experiments=tuple(refined(e.whole, times, every) for e in b.dataset.experiments))
+        begins = {e.name: times * (0 if e.past is None else len(e.past.t)) for e in b.dataset.experiments}
+        runs = read_runs(replace(b, dataset=fine), cutoff_hz)
+        self.other = [mean_input(r.u, ~self.linear) for r in runs]
+        return [_led(r, begins[r.experiment.name], self.linear) for r in runs]
+
+    def _plant(self) -> LedPlant:
+        return LedPlant(self.binding, turning_speeds(self.runs))
+
+    def _begin(self) -> np.ndarray:
+        return self.begin.copy()
+
+    def _nominal(self) -> np.ndarray:
+        """On the fit runs alone."""
+        every = self.runs
+        self.runs = [r for r in every if r.split == "fit"]
+        theta = super()._nominal()
+        self.runs = every
+        self.linearise(theta)
+        return theta
+
+    # ---- rows
+
+    def linearise(self, theta: np.ndarray) -> None:
+        """Takes the free runs to first order at the numbers theta. What numbers and effects change is read along these free runs,
+        not along the measured motion: noise is not in it, and nothing is gained by making all forces small."""
+        plant: LedPlant = self.plant  # type: ignore[assignment]
+        self.runs = [replace(r, loop=plant.loop(r, theta)) for r in self.runs]  # type: ignore[call-arg]
+        self.apart = [r.free_run(plant.missing(r, theta)) for r in self.runs]  # type: ignore[attr-defined]
+        self.free = [_moved(r, x) for r, x in zip(self.runs, self.apart, strict=True)]
+
+    def made(self, theta: np.ndarray, found: list[Unit]) -> Rows:
+        if not found:  # else they were made for this free run
+            self.linearise(theta)
+        plant: LedPlant = self.plant  # type: ignore[assignment]
+        rows = []
+        for k, (run, free) in enumerate(zip(self.runs, self.free, strict=True)):
+            own = np.concatenate([plant.columns(free, theta), self._turning_columns(free), self._late(free, theta)], 2)
+            made = run.rows(own)
+            target = run.sampled(self.apart[k]) + made[:, :, : plant.size] @ theta[plant.free]  # type: ignore[attr-defined]
+            rows.append(np.concatenate([made, *(u.columns[k] for u in found), target[:, :, None]], 2))
+        return Rows(theta, found, rows)
+
+    def _unasked(self, run: Run) -> np.ndarray:
+        return np.zeros((0, run.q.shape[1], 3 * run.q.shape[1]))  # made anew along every free run: see `made`
+
+    def free_bounds(self) -> tuple[np.ndarray, np.ndarray]:
+        """The clocks of a goal and of its reading agree to within half a sample: what so much delay does says nothing."""
+        low, high = super().free_bounds()
+        return np.concatenate([low[: -self.binding.chain.nq], -high[-self.binding.chain.nq :]]), high
+
+    def settle(self, theta: np.ndarray, found: Sequence[Any] = ()) -> None:
+        """A joint that sticks stands still in the loop: its rows are known like all others."""
+        self.unsure = [np.zeros((len(r.t), self.binding.chain.nq)) for r in self.runs]
+        self.noise = self.measured
+
+    def _late(self, run: Run, theta: np.ndarray) -> np.ndarray:
+        """What a delay of each goal by one sample changes, [time n n]."""
+        plant: LedPlant = self.plant  # type: ignore[assignment]
+        n, h = run.q.shape[1], run.step
+        out = []
+        for j in range(n):
+            early, late = (replace(run, u=np.where(np.arange(run.u.shape[1]) == j, np.roll(run.u, k, 0), run.u)) for k in (-1, 1))
+            out.append((plant.missing(early, theta) - plant.missing(late, theta)) / (2 * h) * self.sampling)
+        made = np.stack(out, 2)
+        made[:2] = made[-2:] = 0.0
+        return made
+
+    def _turning_columns(self, run: Run) -> np.ndarray:
+        turn = self.plant.turn
+        apart = [np.tanh(run.qd / (turn * wide)) - np.tanh(run.qd / turn) for wide in (1 / SHARPER, SHARPER)]
+        return np.concatenate([x[:, :, None] * np.eye(x.shape[1]) for x in apart], 2)
+
+    def _without_torque(self, theta: np.ndarray):
+        self.linearise(theta)
+        return super()._without_torque(theta)
+
+    def asked(self, kinds: Sequence[type[Effect]], theta: np.ndarray) -> list[Unit]:
+        raw = [RawRun(**{f.name: getattr(r, f.name) for f in fields(Run)}) for r in self.free]
+        out: list[Unit] = []
+        for kind in kinds:
+            if issubclass(kind, InputEffect):
+                found = self._driven(kind, theta)
+            elif kind.name == "sensor_bias":
+                found = self._off(theta)
+            elif kind.name in ("payload", "gravity_offset"):
+                found = self._bodies(kind, theta)
+            else:
+                found = units(self.plant, [kind], raw, theta, False)
+            out += self._as_rows(found)
+        return out
+
+    def _as_rows(self, found: Sequence[Unit]) -> list[Unit]:
+        """Units of forces at all samples as those of rows."""
+        if not found:
+            return []
+        ends = np.cumsum([len(u.fields) for u in found])[:-1]
+        parts = [
+            np.split(r.rows(np.concatenate([u.columns[k] for u in found], 2)), ends, axis=2) for k, r in enumerate(self.runs)
+        ]
+        return [replace(u, columns=[p[i] for p in parts]) for i, u in enumerate(found)]
+
+    def _driven(self, kind: type[Effect], theta: np.ndarray) -> list[Unit]:
+        """What an effect on the way from the goal to the torque changes, at each of its probes: one unit for each."""
+        b, n = self.binding, self.binding.chain.nq
+        plant: LedPlant = self.plant  # type: ignore[assignment]
+        drive = Drive(plant, [kind])
+        base = drive.theta(theta)
+        before = [drive.torque(r, o, base) for r, o in zip(self.free, self.other, strict=True)]
+        out = []
+        for j, place in enumerate(b.chain.offers(kind)[:n]):
+            for shape in _probes(b, kind, j):
+                at = base.copy()
+                for field, value in shape.items():
+                    (i,) = [k for k in drive.layout.of_effect(kind.name, place) if drive.layout.entries[k].field == field]
+                    at[i] = value
+                change = [drive.torque(r, o, at) - x for r, o, x in zip(self.free, self.other, before, strict=True)]
+                if any(np.any(c) for c in change):
+                    out.append(_scaled(kind, place, shape, j, [-c[:, :, None] for c in change]))
+        return out
+
+    def _bodies(self, kind: Any, theta: np.ndarray) -> list[Unit]:
+        """What changes the mechanism, to first order in each of its numbers."""
+        b, out, own = self.binding, [], specs(kind)
+        mechanism = b.layout.model(theta).mechanism
+        for place in b.chain.offers(kind):
+            j = b.chain.places(kind).index(place)
+            reference = b.reference(kind, j)
+            size = {f: CHANGED * float(resolve(s.scale, reference)) for f, s in own.items()}
+            columns = []
+            for r in self.free:
+                made = []
+                for f in own:
+                    ends = [
+                        inverse_of(_with_body(kind, len(b.chain.places(kind)), f, j, v)(mechanism), r) for v in (0.0, size[f])
+                    ]
+                    made.append((ends[1] - ends[0]) / size[f])
+                columns.append(np.stack(made, 2))
+            low, high = (np.array([resolve(getattr(s, k), reference) for s in own.values()]) for k in ("lower", "upper"))
+            if any(np.any(c) for c in columns):
+                out.append(
+                    Unit(
+                        kind.name, place, tuple(own), low, high, np.full(len(own), np.inf), {}, tuple(range(b.chain.nq)), columns
+                    )
+                )
+        return out
+
+    def _off(self, theta: np.ndarray) -> list[Unit]:
+        """An encoder that is off within the loop: the law sees what it reads, gravity acts where the joint is."""
+        b, n = self.binding, self.binding.chain.nq
+        out = []
+        for j, place in enumerate(b.chain.signature.joints):
+            step = OFF * np.eye(n)[j]
+            made = []
+            for r in self.free:
+                low, high = (self.plant.rigid(replace(r, q=r.q + s * step), theta) for s in (-0.5, 0.5))
+                made.append(-((high - low) / OFF)[:, :, None])
+            inf = np.full(1, np.inf)
+            out.append(Unit("sensor_bias", place, ("bias",), -inf, inf, inf, {}, (j,), made))
+        return out
+
+    # ---- noise
+
+    def _noise(self) -> np.ndarray:
+        """That of the readings, as far as it passes the filter."""
+        b, run = self.binding, self._longest()
+        sigma = np.array([b.sigma[r.q] if r.q is not None else 0.0 for r in joint_readings(b.chain)])
+        rate = min((len(e.t) - 1) / e.duration for e in b.dataset.experiments)
+        return np.maximum(sigma * np.sqrt(min(1.0, 2 * run.cutoff_hz / rate)), 1e-12)
+
+
+def _with_body(kind: Any, n: int, field: str, place: int, value: float) -> Any:
+    """A body effect with one number at one place."""
+    effect = neutral(kind)
+    own = {f: np.full(n, float(s.value)) for f, s in specs(effect).items()}
+    own[field][place] += value
+    return with_fields(effect, own)
+
+
+def inverse_of(body: Any, run: Run) -> np.ndarray:
+    """Torque [time n] that a mechanism takes along a run."""
+    with float64():
+        return np.asarray(inverse_along(body, *(run.padded(x) for x in (run.q, run.qd, run.qdd))))[: len(run.q)]
+
+
+def _moved(run: Run, x: np.ndarray) -> Run:
+    """A run whose motion is moved by x [time n]."""
+    speed = np.gradient(x, run.step, axis=0)
+    return replace(run, q=run.q + x, qd=run.qd + speed, qdd=run.qdd + np.gradient(speed, run.step, axis=0))
+
+
+def _led(r: Run, begins: int, linear: np.ndarray) -> LoopRun:
+    """A run whose rows are those of the free run from sample `begins` on."""
+    own = {f.name: getattr(r, f.name) for f in fields(Run)}
+    kept = slice(max(r.kept.start, begins), r.kept.stop, r.kept.step)
+    return LoopRun(**own | {"u": mean_input(r.u, linear), "kept": kept})
+
+
+def _probes(b: Binding, kind: type[Effect], place: int) -> list[dict[str, float]]:
+    reference = b.reference(kind, place)
+    found = [{f: float(resolve(v, reference)) for f, v in probe.items()} for probe in kind.probes]
+    return [dict(x) for x in dict.fromkeys(tuple(p.items()) for p in found)]
+
+
+def _scaled(kind: type[Effect], place: str, shape: dict[str, float], joint: int, made: list[np.ndarray]) -> Unit:
+    """A unit whose number is the effect's first, or how much of it there is where that is not 0 where it does nothing."""
+    field, value = next(iter(shape.items()))
+    own = specs(kind)
+    strong = own[field].value == 0
+    low = -np.inf if strong and resolve_lower(own[field]) < 0 else 0.0
+    columns = [x / value if strong else x for x in made]
+    rest = {f: v for f, v in shape.items() if f != field or not strong}
+    inf = np.full(1, np.inf)
+    return Unit(kind.name, place, (field if strong else "share",), np.array([low]), inf, inf, rest, (joint,), columns)
+
+
+def resolve_lower(spec) -> float:
+    lower = spec.lower
+    return float(lower) if isinstance(lower, int | float) else -1.0
+
+
+def _times(b: Binding) -> int:
+    """By how much the recording is refined."""
+    step = float(np.median(np.concatenate([np.diff(e.t) for e in b.dataset.experiments])))
+    return int(np.clip(np.ceil(step / loop_step(b)), 1, 8))
+
+
+def loop_step(b: Binding) -> float:
+    """Steps in seconds that follow the loop through its quickest radian."""
+    tree = b.chain.mechanism.tree.tree  # type: ignore[attr-defined]
+    law = b.chain.mechanism.drive_law  # type: ignore[attr-defined]
+    own = [tree.joints.index(j) for j in tree.leading]
+    carried = np.maximum((tree.swung() + tree.armature)[own], 1e-9)
+    kp = np.abs(np.array(law.kp) * np.array(law.gain) * (np.array(law.kd) if law.kind == "cascade" else 1.0))
+    return float(FINE / np.sqrt(max(np.max(kp / carried), 1e-12)))
