@@ -37,3 +37,6 @@ ARM_BLOCKS, ARM_GENERATIONS = (8, 30) if SMALL else (12, 200)
 
 #: Frames of an animation.
 FRAMES = 6 if SMALL else 60
+
+#: Candidates of a robot's diagnosis: None is the whole library.
+ROBOT_CANDIDATES = ("input_delay", "torque_scale", "stribeck_friction", "constant_torque") if SMALL else None

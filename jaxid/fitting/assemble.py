@@ -31,7 +31,7 @@ def estimates(binding: Binding, problem: Problem, z: np.ndarray, cov: Covariance
     theta, slope = problem.theta(z), problem.dtheta(z)
     out = {}
     for k, i in enumerate(problem.free):
-        std = cov.std[k] * slope[k]
+        std = np.hypot(cov.std[k] * slope[k], binding.doubts.get(binding.layout.names[i], 0.0))
         out[int(i)] = Estimate(
             float(theta[i]),
             float(std) if np.isfinite(std) else None,

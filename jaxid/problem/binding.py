@@ -59,6 +59,7 @@ class Binding:
     nominal: set[int]  # numbers of the model as the user has it, without added effects and candidates
     read: dict[int, float] = field(default_factory=dict)  # numbers that the recording itself tells: their standard deviation
     priors: dict[int, tuple[float, float]] = field(default_factory=dict)  # mean and standard deviation of numbers known before
+    doubts: dict[str, float] = field(default_factory=dict)  # what another simulator of the same file makes of numbers
     said: tuple[str, ...] = ()  # what the dataset asks for that changes a result
 
     def experiments(self, split: str) -> tuple[Experiment, ...]:

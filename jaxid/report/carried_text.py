@@ -17,8 +17,8 @@ if TYPE_CHECKING:
     from jaxid.robots.export.run import Exported
 
 
-def export_text(exported: Exported, folder: Any) -> str:
-    """What went where, a line for each row, and the files."""
+def export_text(exported: Exported, folder: Any = "") -> str:
+    """What went where, a line for each row, and the files, which stand in `folder` where they were written."""
     head = ("effect or number", "at", "field", "value", "how")
     rows = [
         (
@@ -33,8 +33,9 @@ def export_text(exported: Exported, folder: Any) -> str:
     notes = dict.fromkeys(
         f"{one_line(r.effect)} at {one_line(r.location)}: {one_line(r.note)}" for r in exported.rows if r.how != "exact"
     )
-    files = [f"{folder}/{one_line(name)}" for name in (*exported.files, "export.json")]
-    return "\n".join([table(head, rows), *notes, *map(one_line, exported.notes), f"written: {listed(files)}"])
+    names = [one_line(name) for name in (*exported.files, "export.json")]
+    files = f"written: {listed(f'{folder}/{name}' for name in names)}" if folder else f"files: {listed(names)}"
+    return "\n".join([table(head, rows), *notes, *map(one_line, exported.notes), files])
 
 
 def _short(value: Any) -> str:

@@ -7,6 +7,7 @@ difference is no gap of the model.
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import replace
 from pathlib import Path
 
@@ -52,8 +53,9 @@ def between_simulators(bench: Bench) -> list[np.ndarray] | None:
     return apart
 
 
-def with_floor(binding: Binding, apart: np.ndarray | None) -> Binding:
-    """The binding with noise that counts what two simulators of its file differ by."""
+def with_floor(binding: Binding, apart: np.ndarray | None, numbers: Mapping[str, float] | None = None) -> Binding:
+    """The binding with noise that counts what two simulators of its file differ by, rms `apart` [ny], and with what this makes of
+    its `numbers` as a standard deviation of theirs: a number is known only as well as its meaning."""
     if apart is None:
         return binding
     sigma, noise = np.hypot(binding.sigma, apart), {}
@@ -62,4 +64,5 @@ def with_floor(binding: Binding, apart: np.ndarray | None) -> Binding:
         text = f"{told.text}; MuJoCo and jaxid differ by {own:.2g} {told.unit} on the same file: nearer"
         text += f" than {new:.2g} says nothing"
         noise[name] = replace(told, std=float(new), text=text) if new > 1.2 * old else told
-    return replace(binding, sigma=sigma, noise={**binding.noise, **noise})
+    doubts = {name: abs(x) for name, x in (numbers or {}).items()}
+    return replace(binding, sigma=sigma, noise={**binding.noise, **noise}, doubts=doubts)

@@ -37,6 +37,10 @@ TOO_DEAR = (
     "simulating recordings of this length with this many numbers would take too long: the torque that the law asks for along the "
     "measured motion is compared instead, and no free run judges the answer"
 )
+MEANING = (
+    "standard deviations of the file's numbers count what MuJoCo and jaxid make of the same file: its first-order steps and soft "
+    "friction pass for other numbers"
+)
 OTHER_WAY = (
     "the goals go {} from sample to sample here, not {} as the dataset has it: the re-tuned model follows them better so on data "
     "that were and were not fitted (state hold of the goals' channels where that is wrong)"
@@ -90,12 +94,12 @@ def diagnose_led(
         dataset, study = swapped, other
     say("along the motion", 1, 3, "noise")
     series = between_simulators(Bench(study.binding, step, differences=1))
-    apart = None if series is None else study.left_of(series)
+    doubts, apart = ({}, None) if series is None else study.taken_up(series)
     study = study.with_binding(with_floor(study.binding, apart))
     say("along the motion", 2, 3, f"effects, {len(kinds)} kinds")
     bare, sets = proposals(study, max_effects)
     names = kinds_of(sets)
-    wide = with_floor(bind(model, dataset, without=without, candidates=[k for k in kinds if k.name in names]), apart)
+    wide = with_floor(bind(model, dataset, without=without, candidates=[k for k in kinds if k.name in names]), apart, doubts)
     asked = f"asked along the measured motion: {listed(sorted(k.name for k in kinds))}"
     left = sorted(k.name for k in library if not shown(k))
     notes.append(f"{asked}; not asked, for they have a motion of their own: {listed(left) or 'none'}")
@@ -106,7 +110,8 @@ def diagnose_led(
     found = answer(wide, names, search, step)
     if found.which.verdict == "unknown" and series is not None:
         # No effect is borne out: what is left is no gap where two simulators of the file as it stands are as far apart.
-        plain = with_floor(bind(model, dataset, without=without), np.sqrt(np.mean(np.concatenate(series) ** 2, 0)))
+        whole = np.sqrt(np.mean(np.concatenate(series) ** 2, 0))
+        plain = with_floor(bind(model, dataset, without=without), whole, doubts)
         nominal = lambda bench, offer: _decided(bench, study.binding.layout.names, bare, [], seed, began, progress, offer)
         again = answer(plain, (), nominal, step)
         if again.which.verdict == "none":
@@ -114,6 +119,8 @@ def diagnose_led(
                 f"{again.which.text} Its noise is what MuJoCo and jaxid make of the same file; no effect explains what is nearer."
             )
             found = replace(again, which=replace(again.which, text=text, ranking=found.which.ranking))
+    if doubts:
+        notes.append(MEANING)
     notes.append(f"{found.nominal.evaluations} free runs were simulated under the law, in steps of {step:.2g} s at most")
     return replace(found, notes=(*found.notes, *notes), wall_time_s=time.perf_counter() - began)
 

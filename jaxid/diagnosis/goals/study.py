@@ -47,8 +47,9 @@ class LedStudy(Study):
         out.settle(out.theta)
         return out
 
-    def left_of(self, series: Sequence[np.ndarray]) -> np.ndarray:
-        """Root mean square [n] of what re-tuned numbers leave of positions [samples n] in each of the fit runs."""
+    def taken_up(self, series: Sequence[np.ndarray]) -> tuple[dict[str, float], np.ndarray]:
+        """What positions [samples n] in each of the fit runs change in the numbers that are fitted to them, by name, and the root
+        mean square [n] of what these leave of them."""
         rows, n = self.made(self.theta, []), self.binding.chain.nq
         own, target = [], []
         for k, x in zip(self.of("fit"), series, strict=True):
@@ -59,8 +60,10 @@ class LedStudy(Study):
             target.append(run.sampled(fine).reshape(-1))  # type: ignore[attr-defined]
         A, b = np.concatenate(own), np.concatenate(target)
         size = np.maximum(np.linalg.norm(A, axis=0), 1e-300)
-        left = b - (A / size) @ np.linalg.lstsq(A / size, b, rcond=1e-10)[0]
-        return np.sqrt(np.mean(left.reshape(-1, n) ** 2, 0))
+        numbers = np.linalg.lstsq(A / size, b, rcond=1e-10)[0] / size
+        names = [self.binding.layout.names[i] for i in self.plant.free]
+        left = (b - A @ numbers).reshape(-1, n)
+        return dict(zip(names, map(float, numbers[: len(names)]), strict=True)), np.sqrt(np.mean(left**2, 0))
 
     def weights(self, rows: Rows) -> Weights:
         """Weights by what the re-tuned model leaves."""

@@ -32,6 +32,11 @@ class Exported:
     source: Mapping[str, Any]
     ranges: Mapping[str, Any] | None = None
 
+    def __repr__(self) -> str:
+        from jaxid.report.carried_text import export_text
+
+        return export_text(self)
+
     @property
     def carries(self) -> bool:
         """Whether anything can be carried over."""
