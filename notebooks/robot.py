@@ -161,7 +161,7 @@ errors = {
     label: [1e3 * np.sqrt(np.mean([r["mujoco"] ** 2 for r in found.rows if r["joint"] == j])) for j in ("shoulder", "elbow")]
     for label, found in (("the file as it was", before), ("the patched file", after))
 }
-axes = plt.figure(figsize=(6, 2.6), layout="constrained").add_subplot()
+axes = plt.figure(figsize=(7.5, 2.6), layout="constrained").add_subplot()
 for k, (label, values) in enumerate(errors.items()):
     axes.barh(np.arange(2) + 0.38 * k, values, height=0.36, label=label, color=("#d55e00", "#0072b2")[k])
 axes.set(yticks=np.arange(2) + 0.19, yticklabels=("shoulder", "elbow"), xlabel="rms error in MuJoCo (mrad)", xscale="log")

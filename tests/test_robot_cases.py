@@ -10,6 +10,7 @@ import pytest
 import jaxid
 from jaxid import UsageError
 from jaxid.cli.app import main
+from jaxid.diagnosis.equivalence import equivalences
 from jaxid.robots.match import robot_from
 from jaxid.robots.urdf_tree import read_urdf_tree
 
@@ -63,6 +64,16 @@ def test_a_robot_that_goals_drive_lacks_nothing_but_friction_that_its_file_under
     notes = " ".join(found.notes)
     assert "MuJoCo and jaxid differ by" in notes  # what the noise of 1e-6 rad of these readings is not
     assert "along straight lines" in notes  # every fifth goal was logged of one that moved on in between
+
+
+@pytest.mark.slow
+def test_what_the_numbers_of_a_robot_take_up_under_its_law():
+    """Back-EMF is viscous friction, an encoder that is off at the last joint of a planar arm turns gravity; a delay is neither."""
+    found = equivalences(str(case("robot_04_mjcf_refused") / "arm2.xml"))
+    taken = {(p.effect, p.location) for p in found.absorbed}
+    assert {("back_emf", "lift_tau"), ("back_emf", "elbow_tau")} <= taken
+    assert not {e for e, _ in taken} & {"input_delay", "stribeck_friction", "torque_scale", "saturation"}
+    assert "joint_elasticity" in found.excitation  # not compared, and said so
 
 
 def test_joints_of_the_recording_in_another_order_go_by_name(tmp_path):

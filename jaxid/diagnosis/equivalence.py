@@ -16,10 +16,13 @@ from typing import Any
 import numpy as np
 
 from jaxid.data.dataset import Dataset
+from jaxid.diagnosis.goals.equivalence import alike_under_goals, LEFT as OWN
+from jaxid.diagnosis.goals.run import led
 from jaxid.diagnosis.hypothesis import Candidate, candidates, probes_of
 from jaxid.diagnosis.last_resort import first_asked
 from jaxid.diagnosis.screen import probe_residuals, Retuning
 from jaxid.dynamics.chain import Chain
+from jaxid.dynamics.effect import Effect
 from jaxid.errors import UsageError
 from jaxid.fitting.effect_starts import probes
 from jaxid.fitting.least_squares import search
@@ -92,6 +95,8 @@ def equivalences(model: str, without: Sequence[str] = ()) -> Equivalences:
     chain = Chain(owner).without(*without)
     library = [k for n in first_asked() if n not in chain.contents and chain.offers(k := catalogue.effect_class(n))]
     data, text = _rich_motion(chain, model, owner)
+    if led(chain):
+        return _under_goals(bind(owner, data, without=without, splits=False), library, model, text)
     binding = bind(owner, data, without=without, candidates=library, splits=False)
     bench = Bench(binding)
     theta = _with_friction(binding)
@@ -134,6 +139,16 @@ def equivalences(model: str, without: Sequence[str] = ()) -> Equivalences:
     pairs = dict.fromkeys((*_parallel(seen), *_resembling(bench, seen)))
     alike = {frozenset(pair) for pair in pairs if all(_explains(bench, p, z, *order) for order in _orders(seen, pair))}
     return Equivalences(model, text, tuple(absorbed), tuple(invisible), _classes(list(seen), alike))
+
+
+def _under_goals(binding: Binding, library: Sequence[type[Effect]], model: str, text: str) -> Equivalences:
+    """Of a robot that goals drive."""
+    left, alike, apart = alike_under_goals(binding, library)
+    places = {key: Place(*key, share) for key, share in left.items()}
+    pairs = {frozenset(places[key] for key in pair) for pair in alike}
+    absorbed = tuple(p for p in places.values() if p.left <= OWN)
+    text += f"; to first order; not compared, for they have a motion of their own: {', '.join(apart) or 'none'}"
+    return Equivalences(model, text, absorbed, (), _classes([p for p in places.values() if p.left > OWN], pairs))
 
 
 def _parallel(seen: dict[Place, tuple[np.ndarray, Candidate]]) -> list[tuple[Place, Place]]:
