@@ -20,8 +20,8 @@ FAMILIES = {
     "change in time": "Change in time",
 }
 NOTEBOOKS = (
-    "00_tour", "diagnose_your_robot", "extend", "gradient_against_population", "recording", "flexible_link", "tracker", "ur10",
-    "space_manipulator",
+    "00_tour", "diagnose_your_robot", "robot", "extend", "gradient_against_population", "recording", "flexible_link", "tracker",
+    "ur10", "space_manipulator",
 )  # fmt: skip
 
 
