@@ -17,7 +17,7 @@ from jaxid.problem.binding import Binding
 
 
 #: Samples at which the force is looked at, and at which readings are gone through: what is compiled is compiled for these alone.
-ROWS, FEW = 1200, 300
+ROWS, FEW = 1200, 150
 
 
 def force(chain: Any, q: Any, qd: Any, qdd: Any, u: Any) -> Any:
@@ -31,21 +31,24 @@ def force(chain: Any, q: Any, qd: Any, qdd: Any, u: Any) -> Any:
 _PROGRAMS: dict[Any, Traced] = {}
 
 
-def _program(layout: Layout, slopes: bool) -> Traced:
-    """`force` by all numbers of a layout, one program for all chains of its structure: at sets of numbers [sets rows nq], or
-    (`slopes`) at one with its slopes [rows nq], [rows nq numbers]."""
-    structure = jax.tree.structure(layout.chain), slopes
+def _program(layout: Layout, free: tuple[int, ...] | None) -> Traced:
+    """`force` by all numbers of a layout, one program for all chains of its structure: at sets of numbers [sets rows nq], or at
+    one with its slopes by those that are `free` [rows nq], [rows nq free]."""
+    structure = jax.tree.structure(layout.chain), free
     if structure not in _PROGRAMS:
-        key = key_of(force, layout.model(np.zeros(len(layout))), layout.names, *(["slopes"] if slopes else []))
+        key = key_of(force, layout.model(np.zeros(len(layout))), layout.names, *([] if free is None else [free]))
         at = lambda theta, *sample: force(layout.model(theta), *sample)
 
         def sets(theta, *motion):
             return jax.vmap(lambda own: jax.vmap(lambda *s: at(own, *s))(*motion))(theta)
 
         def with_slopes(theta, *motion):  # backwards: a sample has fewer forces than the model has numbers
-            return jax.vmap(lambda *s: (at(theta, *s), jax.jacrev(at)(theta, *s)))(*motion)
+            theta, index = jnp.asarray(theta), jnp.array(free, int)
+            by = lambda own, *s: (found := at(theta.at[index].set(own), *s), found)
+            slopes, here = jax.vmap(lambda *s: jax.jacrev(by, has_aux=True)(theta[index], *s))(*motion)
+            return here, slopes
 
-        _PROGRAMS[structure] = Traced(with_slopes if slopes else sets, key)
+        _PROGRAMS[structure] = Traced(sets if free is None else with_slopes, key)
     return _PROGRAMS[structure]
 
 
@@ -60,7 +63,7 @@ class Forces:
     def at(self, thetas: np.ndarray, m: Any) -> np.ndarray:
         """Missing force [sets rows nq] at sets of numbers."""
         with float64():
-            found = _program(self.binding.layout, slopes=False)(thetas, *(_padded(x, ROWS) for x in (m.q, m.qd, m.qdd, m.u)))
+            found = _program(self.binding.layout, None)(thetas, *(_padded(x, ROWS) for x in (m.q, m.qd, m.qdd, m.u)))
         return _finite(found)[:, : len(m.q)]
 
     def missing(self, theta: np.ndarray, m: Any) -> np.ndarray:
@@ -116,11 +119,11 @@ class Forces:
     def _with_slopes(self, theta: np.ndarray, m: Any, u: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """The force [rows nq] and its slopes [rows nq free], `FEW` samples at a time: one program, however many there are."""
         parts = range(0, len(m.q), FEW)
-        run = _program(self.binding.layout, slopes=True)
+        run = _program(self.binding.layout, tuple(self.free))
         with float64():
             found = [run(theta, *(_padded(x[a : a + FEW], FEW) for x in (m.q, m.qd, m.qdd, u))) for a in parts]
         here = np.concatenate([np.asarray(f) for f, _ in found])[: len(m.q)]
-        slopes = np.concatenate([np.asarray(J)[..., self.free] for _, J in found])[: len(m.q)]
+        slopes = np.concatenate([np.asarray(J) for _, J in found])[: len(m.q)]
         return _finite(here), _finite(slopes)
 
 
