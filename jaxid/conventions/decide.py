@@ -83,10 +83,11 @@ def _next(binding: Binding, fit: ForceFit, m: Motion, names: Names, many: bool =
     if before <= 2 * FLOOR or before <= ALIKE * (fit.noise(plain, binding) + FLOOR):
         return None, None
     tried: list[Judged] = []
-    few = m.thinned(FEW) if many else m
+    quick = many and fit.forces.linear
+    few = m.thinned(FEW) if quick else m
     for readings in _readings(names, before, fit.driven) if out is None else _of(out, names):
         own = _tried(fit, few, readings, before)
-        if many:  # on all samples those that may come out on top
+        if quick:  # on all samples those that may come out on top
             own = [t for t in own if t.left <= min(ALIKE**2 * own[0].left, ALIKE * SHARE * before)]
             own = _tried(fit, m, [t.reading for t in own], before)
         tried = sorted([*tried, *own], key=lambda t: t.left)

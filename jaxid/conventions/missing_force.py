@@ -257,7 +257,8 @@ class ForceFit:
                 ahead /= 4
             else:
                 break
-            done = new > cost * (1 - 1e-3) or new < 1e-14 or (more is None and ahead == 1 and self.forces.linear)
+            solved = more is None and ahead == 1 and found.success and self.forces.linear  # no second step can do better
+            done = solved or new > cost * (1 - 1e-3) or new < 1e-14
             x, r, cost = trial, tried, new
             done |= round_ >= 2 and cost > hopeless**2 * weighed
             if done:
