@@ -13,7 +13,12 @@ import jaxid
 from benchmarks.conventions import broken, found, KINDS, recording
 from jaxid.cli.app import main
 from jaxid.conventions import checking
+from jaxid.conventions.force_columns import Forces
 from jaxid.conventions.mending import mended, Mending
+from jaxid.conventions.missing_force import measured
+from jaxid.conventions.readings import scaled_input, scaled_joint
+from jaxid.errors import UsageError
+from jaxid.problem.binding import bind
 
 
 CASES = Path(os.environ.get("JAXID_DATA", Path(__file__).parents[2] / "shared" / "data")).parent / "cases"
@@ -219,3 +224,35 @@ def test_faults_of_an_arm_with_many_numbers(recorded_arm, fault, kind, line):
     findings = [f for f in jaxid.check(None, mended(recorded_arm, fault)).findings if f.kind != "glitch"]
     assert [f.kind for f in findings] == ([kind] if kind else [])
     assert not kind or (findings[0].decisive and findings[0].line == line and findings[0].channel in line + str(fault))
+
+
+def test_columns_are_made_once_and_give_the_force():
+    """One motion's columns serve every reading of its inputs; other numbers and few samples give what the model itself does."""
+    binding = bind(None, recording("pendulum", 5).dataset())
+    motion = measured(binding)
+    assert motion is not None
+    forces = Forces(binding, binding.free, motion)
+    theta = binding.theta.copy()
+    theta[binding.free] = np.clip(1.3 * theta[binding.free] + 0.01, binding.lower[binding.free], binding.upper[binding.free])
+    for m in (motion, scaled_input(motion, 0, -1.0), scaled_joint(motion, 0, -1.0), motion.thinned(100)):
+        straight = forces.at(theta[None], m)[0]
+        assert np.allclose(forces.missing(theta, m), straight, rtol=0, atol=1e-8 * np.abs(straight).max())
+    assert forces.linear and forces.additive
+    assert forces.columns(motion)[1] is forces.columns(scaled_input(motion, 0, -1.0))[1]
+    few = motion.thinned(100)
+    at = np.arange(0, len(motion.q), -(-len(motion.q) // 100))
+    assert np.array_equal(few.q, motion.q[at]) and np.array_equal(few.u, motion.u[at])
+
+
+@pytest.mark.parametrize(("error", "noted"), [(UsageError("too short"), True), (ValueError("a slip"), False)])
+def test_only_what_the_data_do_not_allow_becomes_a_note(monkeypatch, error, noted):
+    def fails(binding):
+        raise error
+
+    monkeypatch.setattr(checking, "measured", fails)
+    data = recording("pendulum", 5).dataset()
+    if noted:
+        assert "too short" in " ".join(checked(data).notes)
+    else:
+        with pytest.raises(ValueError, match="a slip"):
+            checked(data)

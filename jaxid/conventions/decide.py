@@ -9,6 +9,7 @@ from math import pi
 import numpy as np
 
 from jaxid.conventions.finding import DataFinding
+from jaxid.conventions.force_columns import FEW
 from jaxid.conventions.mending import exchange_lines, lines, Mending
 from jaxid.conventions.missing_force import Fitted, ForceFit, Motion
 from jaxid.conventions.readings import (
@@ -82,9 +83,14 @@ def _next(binding: Binding, fit: ForceFit, m: Motion, names: Names, many: bool =
     if before <= 2 * FLOOR or before <= ALIKE * (fit.noise(plain, binding) + FLOOR):
         return None, None
     tried: list[Judged] = []
+    quick = many and fit.forces.linear
+    few = m.thinned(FEW) if quick else m
     for readings in _readings(names, before, fit.driven) if out is None else _of(out, names):
-        tried += [Judged(r, fit.fit(r.change(m), laws=False, hopeless=before)) for r in readings]
-        tried = sorted((t for t in tried if np.isfinite(t.left)), key=lambda t: t.left)
+        own = _tried(fit, few, readings, before)
+        if quick:  # on all samples those that may come out on top
+            own = [t for t in own if t.left <= min(ALIKE**2 * own[0].left, ALIKE * SHARE * before)]
+            own = _tried(fit, m, [t.reading for t in own], before)
+        tried = sorted([*tried, *own], key=lambda t: t.left)
         if tried and tried[0].left <= CLEAR * before:
             break
     if not tried or tried[0].left > SHARE * before:
@@ -130,6 +136,12 @@ def _next(binding: Binding, fit: ForceFit, m: Motion, names: Names, many: bool =
         headline=_headline(best.reading, value, binding, what),
     )
     return Shown(finding, mending if decisive else Mending()), (change(m) if decisive else None)
+
+
+def _tried(fit: ForceFit, m: Motion, readings: list[Reading], before: float) -> list[Judged]:
+    """What readings of a motion leave, the least first."""
+    found = (Judged(r, fit.fit(r.change(m), laws=False, hopeless=before)) for r in readings)
+    return sorted((t for t in found if np.isfinite(t.left)), key=lambda t: t.left)
 
 
 def _standing_out(plain: Fitted, m: Motion, names: Names) -> set[str]:

@@ -13,21 +13,16 @@ from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Any
 
-import jax
-import jax.numpy as jnp
 import numpy as np
 
+from jaxid.conventions.force_columns import FEW, Forces, ROWS
 from jaxid.data.signals import content_cutoff, differentiate, filter_ends, zero_phase
-from jaxid.dynamics.effect import Command
-from jaxid.dynamics.parameter_vector import Layout
-from jaxid.numerics.export_cache import key_of, Traced
-from jaxid.numerics.precision import float64
 from jaxid.problem.binding import Binding
 from jaxid.simulation.sample_buffers import columns
 
 
-#: Samples at which the force is looked at, and the longest part of a run that is filtered for them.
-ROWS, LONGEST = 1200, 200_000
+#: The longest part of a run that is filtered.
+LONGEST = 200_000
 #: Share of the usual speed below which a joint counts as standing still: its friction may take any value.
 STILL = 0.08
 BLOCKS, EDGE = 10, 4
@@ -74,6 +69,20 @@ class Motion:
                 for i in np.flatnonzero(self.mix[:, j]):
                     out[part, j] += self.mix[i, j] * np.interp(at, s.t, s.u[:, i])
         return out
+
+    def thinned(self, count: int) -> Motion:
+        """Every so many-th sample, so that about `count` are left."""
+        every = max(1, -(-len(self.q) // count))
+        sources, first, kept = [], 0, np.arange(0, len(self.q), every)
+        for s in self.sources:
+            own = kept[(kept >= first) & (kept < first + len(s.at))] - first
+            sources.append(replace(s, at=s.at[own]))
+            first += len(s.at)
+        take = lambda name: getattr(self, name)[kept]
+        return replace(
+            self, q=take("q"), qd=take("qd"), qdd=take("qdd"), since=take("since"), weight=take("weight"), held=take("held"),
+            block=take("block"), sources=tuple(sources),
+        )  # fmt: skip
 
 
 def measured(binding: Binding) -> Motion | None:
@@ -131,31 +140,6 @@ def _part(binding: Binding, e: Any, count: int, number: int) -> Motion | None:
     )  # fmt: skip
 
 
-def force(chain: Any, q: Any, qd: Any, qdd: Any, u: Any) -> Any:
-    """Missing torque and drive torque [nq] of one sample."""
-    still = chain.start(q, jnp.zeros_like(q), u).z
-    command = Command(jnp.zeros(()), jnp.full((), 1e-3), u, u, lambda d: u)
-    missing, _ = chain.inverse(command, still, q, qd, qdd)
-    return missing
-
-
-_PROGRAMS: dict[Any, Traced] = {}
-
-
-def _program(layout: Layout) -> Traced:
-    """`force` at all samples [sets rows nq] by sets of all numbers of a layout: one program for all chains of its structure."""
-    structure = jax.tree.structure(layout.chain)
-    if structure not in _PROGRAMS:
-        key = key_of(force, layout.model(np.zeros(len(layout))), layout.names)
-
-        def run(theta, q, qd, qdd, u):
-            chain = layout.model(theta)
-            return jax.vmap(lambda *s: force(chain, *s))(q, qd, qdd, u)
-
-        _PROGRAMS[structure] = Traced(jax.vmap(run, (0, None, None, None, None)), key)
-    return _PROGRAMS[structure]
-
-
 @dataclass(frozen=True)
 class Fitted:
     """Numbers fitted under one reading: what is left of the drive (rms, share) on fitted and on held-out samples, and the
@@ -177,47 +161,25 @@ class ForceFit:
 
     def __init__(self, binding: Binding, motion: Motion):
         self.binding, self.motion = binding, motion
-        self.program = _program(binding.layout)
         self.free = [i for i in binding.free if np.isfinite(binding.theta[i])]
         self.nq = binding.chain.nq
-        self._known: tuple[np.ndarray, np.ndarray, np.ndarray] | None = None
         self.driven = motion.u.shape[1] > 0 and bool(np.any(motion.u))
         if not self.driven and self.free:  # without a drive nothing says how large the inertia is: one number is held
             self.free = self.free[1:]
+        self.forces = Forces(binding, self.free, motion.thinned(FEW))
 
     def missing(self, theta: np.ndarray, m: Motion) -> np.ndarray:
         """Missing force [rows nq] at these numbers."""
-        return self.all_missing(theta[None], m)[0]
+        return self.forces.missing(theta, m)
 
-    def all_missing(self, thetas: np.ndarray, m: Motion) -> np.ndarray:
-        """Missing force [sets rows nq] at sets of numbers."""
-        count = len(m.q)
-        pad = lambda a: np.concatenate([a, np.repeat(a[-1:], ROWS - count, 0)]) if count < ROWS else a
-        with float64():
-            found = self.program(thetas, *(pad(a) for a in (m.q, m.qd, m.qdd, m.u)))
-        return np.nan_to_num(np.asarray(found)[:, :count], nan=1e12, posinf=1e12, neginf=-1e12)
-
-    def slopes(self, theta: np.ndarray, h: np.ndarray, here: np.ndarray, m: Motion) -> np.ndarray:
-        """The force [free rows nq] by each free number, by differences h; those of a model that is linear in its numbers are the
-        same wherever they stand, and whatever the inputs are."""
-        if self._known is not None and self._known[0] is m.q and self._known[1] is m.qd:
-            return self._known[2]
-        thetas = np.repeat(theta[None], len(h), 0)
-        thetas[np.arange(len(h)), self.free] += h
-        found = (self.all_missing(thetas, m) - here) / h[:, None, None]
-        if self.linear:
-            self._known = (m.q, m.qd, found)
-        return found
-
-    @cached_property
-    def linear(self) -> bool:
-        """Whether the force is linear in the free numbers, as an arm's is: two steps make their sum."""
-        rng, b = np.random.default_rng(0), self.binding
-        steps = np.zeros((2, len(b.theta)))
-        steps[:, self.free] = rng.uniform(0.1, 1.0, (2, len(self.free))) * np.maximum(b.scale[self.free], 1e-9)
-        thetas = b.theta + np.stack([0 * steps[0], steps[0], steps[1], steps[0] + steps[1]])
-        none, one, other, both = self.all_missing(thetas, self.motion)
-        return bool(np.allclose(both - none, one + other - 2 * none, rtol=0, atol=1e-9 * (np.abs(both).max() + 1e-300)))
+    def slopes(self, theta: np.ndarray, h: np.ndarray, m: Motion) -> np.ndarray:
+        """The force [rows nq free] by each free number, by differences h unless the model is linear in its numbers."""
+        if self.forces.linear:
+            return self.forces.columns(m)[1]
+        thetas = np.repeat(theta[None], 1 + len(h), 0)
+        thetas[1 + np.arange(len(h)), self.free] += h
+        found = self.forces.at(thetas, m)
+        return np.moveaxis((found[1:] - found[0]) / h[:, None, None], 0, -1)
 
     def norm(self, m: Motion) -> np.ndarray:
         """What the force is measured by, [nq]: the drive where it is measured, else what the motion takes at start values."""
@@ -276,9 +238,8 @@ class ForceFit:
             theta = b.theta.copy()
             theta[free] = x[:p]
             moved = m if more is None else more(x[p : p + k])
-            here = self.missing(theta, moved)
             if p:
-                J[..., :p] = np.moveaxis(self.slopes(theta, h[:p], here, moved) * weight, 0, -1)
+                J[..., :p] = self.slopes(theta, h[:p], moved) * weight[..., None]
             for i in range(p, p + k):
                 J[..., i] = (residual(x + h[i] * (np.arange(x.size) == i)) - r) / h[i]
             A = (J[train] * scale).reshape(-1, x.size)
@@ -296,7 +257,8 @@ class ForceFit:
                 ahead /= 4
             else:
                 break
-            done = new > cost * (1 - 1e-3) or new < 1e-14
+            solved = more is None and ahead == 1 and found.success and self.forces.linear  # no second step can do better
+            done = solved or new > cost * (1 - 1e-3) or new < 1e-14
             x, r, cost = trial, tried, new
             done |= round_ >= 2 and cost > hopeless**2 * weighed
             if done:
