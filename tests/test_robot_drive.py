@@ -18,14 +18,16 @@ from jaxid.dynamics.effect import Command, Signals
 from jaxid.excitation.bounds import bounds_of
 from jaxid.excitation.design import mechanism_of
 from jaxid.fitting.problem_builder import Bench
+from jaxid.fitting.result import Estimate
 from jaxid.fitting.simulate import own_numbers
 from jaxid.models import Robot
-from jaxid.models.effects import SensorBias
+from jaxid.models.effects import CoulombFriction, Saturation, SensorBias
 from jaxid.problem.binding import bind, resolve_model
 from jaxid.problem.residual import InverseDynamics
 from jaxid.robots.beside import left_out as without_channels, rides
 from jaxid.robots.drives import stated_law
 from jaxid.robots.match import prepared, spec_of_file
+from jaxid.robots.yardstick import stated
 from report_sample import sample_diagnosis
 
 
@@ -82,6 +84,14 @@ def test_stated_gains_are_priors_and_the_result_says_so():
     assert 0 < b.lower[i] < 5 - 4 < 5 + 4 < b.upper[i] and b.theta[i] == 5.0
     own = bind(Robot.from_mjcf("robot.xml", text=ARM), recording(pd(fit=["kp"])))
     assert "prior of kp@lift, kp@turn: 20 ± 2 N m/rad (stated)" in own.said  # 10 % where no spread is stated
+
+
+def test_only_numbers_that_the_file_can_have_stand_beside_it():
+    """Those of an effect at a torque have neither joint nor link of the file."""
+    b = bind(Robot.from_mjcf("arm.xml", text=ARM), recording(), candidates=[Saturation, CoulombFriction])
+    found = {i: Estimate(1.0, 0.1, "N m", 0.0, 9.0) for i in (*b.free, *b.layout.of_effect("saturation", "turn_tau"))}
+    rows = stated(b, found)
+    assert {r["parameter"] for r in rows} >= {"damping", "armature"} and not {r["parameter"] for r in rows} & {"limit"}
 
 
 @pytest.mark.parametrize("kind", ["pd", "cascade"])

@@ -25,6 +25,8 @@ def stated(binding: Any, found: Mapping[int, Any]) -> tuple[dict[str, Any], ...]
         name = binding.layout.entries[i].name
         kind, _, place = name.partition("@")
         value = float(binding.theta[i])
+        if i not in binding.nominal:  # an effect's: no file has it
+            continue
         if i not in binding.stated and (tree is None or not _states(tree, kind, value)):
             continue
         std = estimate.std
