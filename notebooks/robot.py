@@ -133,7 +133,6 @@ diagnosis
 # %%
 trace = next(t for t in diagnosis.traces if t.channel == "elbow" and t.split == "report")
 trace.plot()
-plt.show()
 
 # %% [markdown]
 # ## The fix, back in the file
@@ -167,7 +166,6 @@ for k, (label, values) in enumerate(errors.items()):
 axes.set(yticks=np.arange(2) + 0.19, yticklabels=("shoulder", "elbow"), xlabel="rms error in MuJoCo (mrad)", xscale="log")
 axes.axvline(0.2, color="k", ls="--", lw=1, label="the encoders' noise")
 axes.legend(frameon=False, loc="lower left", bbox_to_anchor=(0, 1), ncols=3)
-plt.show()
 
 # %% [markdown]
 # The same on the command line:

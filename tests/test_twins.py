@@ -41,13 +41,13 @@ def test_the_arm_is_that_of_pinocchio():
 
 def test_twins_and_papers_need_no_more_than_the_library_installs():
     """What a notebook or a table of the papers imports is there after the README's command."""
-    names = ("pytest", "pinocchio", "mujoco", "hypothesis", "simulated", "sympy")
+    names = ("pytest", "pinocchio", "hypothesis", "simulated", "sympy")
     missing = f"import sys; sys.modules.update(dict.fromkeys({names}))"
     code = f"{missing}; import benchmarks.papers, jaxid.study.papers.twins.flexible_link, jaxid.study.papers.twins.serial_arm"
     ran = subprocess.run([sys.executable, "-c", code], cwd=ROOT, capture_output=True, text=True, timeout=120)
     assert ran.returncode == 0, ran.stderr
     for path in (ROOT / "notebooks").glob("*.py"):
-        for word in ("import pytest", "import pinocchio", "import mujoco", "from tests", "import tests", "from simulated"):
+        for word in ("import pytest", "import pinocchio", "from tests", "import tests", "from simulated"):
             assert word not in path.read_text(), f"{path.name}: {word}"
 
 
