@@ -38,7 +38,7 @@ from benchmarks.blind_summary import share  # noqa: E402
 
 RESULTS = Path(__file__).with_name("results") / "blind_robots.jsonl"
 RATE, STEP = 500, 1e-3
-#: What looks the same under one law and pose: see the section on equivalences of `docs/limits.md`.
+#: What looks the same under one law and pose: see `docs/limits.md`, or ask `jaxid effects --model`.
 ALIKE = {
     "input_delay": {"input_delay", "input_hold", "actuator_lag"},
     "constant_torque": {"constant_torque", "sensor_bias", "gravity_offset"},

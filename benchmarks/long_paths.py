@@ -13,6 +13,7 @@ from __future__ import annotations
 
 import datetime
 import json
+import re
 import subprocess
 import sys
 import tempfile
@@ -52,6 +53,12 @@ class Witness:
     def end(self) -> None:
         self._going = False
         self._thread.join()
+
+
+def end_of(errors: str, folder: Path) -> str:
+    """What a command said last, without the folders and ports of this computer."""
+    last = (errors.strip().splitlines() or ["nothing was said"])[-1]
+    return re.sub(r"/dev/\S+?(?=[:\s]|$)", "the port", last.replace(f"{folder}/", "")).removeprefix("jaxid: ")
 
 
 def waited_share() -> float:
@@ -104,7 +111,7 @@ def played(device: str, seconds: float, seed: int = 0) -> dict[str, object]:
         return {
             "what": f"{'UR, six joints' if device == 'arm' else 'servo'}, {seconds:g} s at {RATE[device]:g} Hz",
             "rows of the path": round(seconds * RATE[device]) + 1,
-            "played": "yes" if process.returncode == 0 else f"no: {errors.strip()} [emulator: {', '.join(halts)}]",
+            "played": "yes" if process.returncode == 0 else f"no: {end_of(errors, folder)} [emulator: {', '.join(halts)}]",
             "path took (s)": round(took, 1),
             "rows": report.get("rows", 0),
             "lost": report.get("lost", 0),
@@ -134,7 +141,7 @@ def two_recorders() -> dict[str, object]:
         good = sum(code == 2 and "is in use" in text for text, code in refused)
         return {
             "what": f"two recorders on one port: {good} of {len(refused)} refused as in use, with exit 2",
-            "played": "the first went on" if first.returncode == 0 else f"no: {errors.strip()}",
+            "played": "the first went on" if first.returncode == 0 else f"no: {end_of(errors, folder)}",
             "rows": report["rows"],
             "lost": report["lost"],
             "lost answers": next((e["text"] for e in report["events"] if "losses" in e), "none"),

@@ -40,12 +40,8 @@ def geometry_of(document: Document, places: Places, open_text: Any, problems: li
         return Geometry(convention=entry.dh.convention, columns=columns)
     assert entry.urdf is not None
     key = ("model", "urdf")
-    if open_text is None:
-        problems.append(places.problem(key, "a URDF needs a folder", "Give the model as SerialArm.from_urdf(...)"))
-        return None
-    text = open_text(entry.urdf, key)
-    if isinstance(text, Problem):
-        problems.append(text)
+    needs = places.problem(key, "a URDF needs a folder", "Give the model as SerialArm.from_urdf(...)")
+    if (text := _text(entry.urdf, key, open_text, needs, problems)) is None:
         return None
     geometry = Geometry(urdf=text, file=entry.urdf, tip=entry.tip, root=entry.root)
     try:
@@ -55,6 +51,15 @@ def geometry_of(document: Document, places: Places, open_text: Any, problems: li
         problems.append(places.problem(stated, str(error), "Correct it"))
         return None
     return geometry
+
+
+def _text(name: str, key: tuple[str, str], open_text: Any, needs: Problem, problems: list[Problem]) -> str | None:
+    """The text of a file that `[model]` names; where there is none, `needs` or what is wrong with it joins the problems."""
+    text = needs if open_text is None else open_text(name, key)
+    if isinstance(text, Problem):
+        problems.append(text)
+        return None
+    return text
 
 
 def as_robot_entry(document: Document, open_text: Any) -> ModelEntry | None:
@@ -77,13 +82,10 @@ def robot_geometry(entry: ModelEntry, places: Places, open_text: Any, problems: 
     from jaxid.robots.match import robot_of
     from jaxid.robots.mjcf_text import expanded
 
+    assert entry.robot is not None
     key = ("model", "robot")
-    if open_text is None:
-        problems.append(places.problem(key, "a robot's file needs a folder", "Give the model as Robot.from_mjcf(...)"))
-        return None
-    text = open_text(entry.robot, key)
-    if isinstance(text, Problem):
-        problems.append(text)
+    needs = places.problem(key, "a robot's file needs a folder", "Give the model as Robot.from_mjcf(...)")
+    if (text := _text(entry.robot, key, open_text, needs, problems)) is None:
         return None
     try:
         if not str(entry.robot).lower().endswith(".urdf"):

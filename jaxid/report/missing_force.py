@@ -26,9 +26,7 @@ FIELDS = {"speed": "qd", "position": "q", "load": "load", "command": "load"}
 def section(forces: Sequence[MissingForce], regimes: Sequence[Regime], where: Sequence[Finding] = ()) -> Section | None:
     """`where`: the findings; the variable that the first of a joint is a law of is drawn first."""
     joints = list(dict.fromkeys(f.joint for f in forces))
-    most = {
-        j: max(float(np.nanstd(plot.series(f.before) - plot.series(f.after))) for f in forces if f.joint == j) for j in joints
-    }
+    most = {j: max(supplied(f) for f in forces if f.joint == j) for j in joints}
     joints.sort(key=lambda j: -most[j])
     told_by = {w.channel: w.variable for w in reversed(where)}
     pictures = []

@@ -13,7 +13,7 @@ import numpy as np
 from jaxid.diagnosis.goals.loop import Loop, loop_of
 from jaxid.diagnosis.torque.plant import AnyPlant
 from jaxid.diagnosis.torque.rows import Run
-from jaxid.dynamics.effect import Command, InputEffect, Signals
+from jaxid.dynamics.effect import Command, InputEffect, neutral, Signals
 from jaxid.dynamics.parameter_vector import Layout
 from jaxid.numerics.precision import float64
 
@@ -70,20 +70,13 @@ class LedPlant(AnyPlant):
         level = self._dry(theta)
         sticking = level / self.turn / np.cosh(np.clip(run.qd / self.turn, -300, 300)) ** 2
         smooth = damping - sticking[:, :, None] * np.eye(len(level))
-        pad = lambda x: run.padded(x)
-        return loop_of(run.step, *(pad(x) for x in (inertia, smooth, sticking, stiffness)))
+        return loop_of(run.step, *(run.padded(x) for x in (inertia, smooth, sticking, stiffness)))
 
     def _dry(self, theta: np.ndarray) -> np.ndarray:
         """Level of the model's own dry friction [n]."""
         chain = self.binding.layout.model(theta)
         own = [np.asarray(e.level) for e in chain.effects if e.name == "coulomb_friction"]  # pyright: ignore
         return sum(own, np.zeros(chain.nq))
-
-
-@jax.jit
-def inverse_along(body: Any, q: Any, qd: Any, qdd: Any) -> Any:
-    """Torque [time n] that a mechanism takes along a motion."""
-    return jax.vmap(body.inverse)(q, qd, qdd)
 
 
 def _command(h: Any, u: Any, other: Any, k: Any) -> Command:
@@ -121,8 +114,6 @@ class Drive:
     """The law with effects on its way, without the mechanism: the joint torque along a measured motion."""
 
     def __init__(self, plant: LedPlant, kinds: Sequence[Any]):
-        from jaxid.dynamics.effect import neutral
-
         chain = plant.layout.chain
         law = [e for e in chain.effects if isinstance(e, InputEffect)]
         self.plant, self.names = plant, plant.layout.names

@@ -10,15 +10,15 @@ from typing import Any
 import numpy as np
 
 from jaxid.diagnosis.goals.loop import FINE, LoopRun, mean_input, RawRun, refined
-from jaxid.diagnosis.goals.plant import CHANGED, Drive, inverse_along, LedPlant
+from jaxid.diagnosis.goals.plant import CHANGED, Drive, LedPlant
 from jaxid.diagnosis.torque.algebra import Weights
 from jaxid.diagnosis.torque.library import Unit, units
+from jaxid.diagnosis.torque.plant import inverse_of
 from jaxid.diagnosis.torque.rows import read_runs, Run, turning_speeds
 from jaxid.diagnosis.torque.study import Rows, SHARPER, Study
 from jaxid.dynamics.effect import Effect, InputEffect, neutral
 from jaxid.dynamics.joint_readings import joint_readings
 from jaxid.dynamics.parameter import resolve, specs, with_fields
-from jaxid.numerics.precision import float64
 from jaxid.problem.binding import Binding
 from jaxid.simulation.sample_buffers import columns
 
@@ -262,12 +262,6 @@ def _with_body(kind: Any, n: int, field: str, place: int, value: float) -> Any:
     own = {f: np.full(n, float(s.value)) for f, s in specs(effect).items()}
     own[field][place] += value
     return with_fields(effect, own)
-
-
-def inverse_of(body: Any, run: Run) -> np.ndarray:
-    """Torque [time n] that a mechanism takes along a run."""
-    with float64():
-        return np.asarray(inverse_along(body, *(run.padded(x) for x in (run.q, run.qd, run.qdd))))[: len(run.q)]
 
 
 def _moved(run: Run, x: np.ndarray) -> Run:

@@ -131,13 +131,19 @@ class AnyPlant(Plant):
     def rigid(self, run, theta):
         with float64():
             body = self.layout.model(theta).body()
-            return np.asarray(_inverse(body, *(run.padded(x) for x in (run.q, run.qd, run.qdd))))[: len(run.q)]
+            return inverse_of(body, run)
 
     def _missing(self, run: Run, theta: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         n, series = len(run.q), [run.padded(x) for x in (run.u, run.q, run.qd, run.qdd)]
         with float64():
             missing, slope = _slopes(self.layout, tuple(self.free))(theta, run.step, *series)
         return np.asarray(missing)[:n], np.asarray(slope)[:n]
+
+
+def inverse_of(body: Any, run: Run) -> np.ndarray:
+    """Torque [time n] that a mechanism takes along a run."""
+    with float64():
+        return np.asarray(_inverse(body, *(run.padded(x) for x in (run.q, run.qd, run.qdd))))[: len(run.q)]
 
 
 @jax.jit
