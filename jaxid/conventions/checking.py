@@ -184,13 +184,12 @@ def gap(binding: Binding, data: Dataset) -> float | None:
     from jaxid.fitters import LevenbergMarquardt
     from jaxid.fitting.problem_builder import default_residual
     from jaxid.fitting.run import fit_binding
-    from jaxid.problem.residual import InverseDynamics
 
     chain = binding.chain
     try:
         own = bind(chain, data)
         residual = default_residual(own)
-        if isinstance(residual, InverseDynamics):
+        if residual.torques:
             return None
         found = fit_binding(own, LevenbergMarquardt(restarts=0), residual, "sum_of_squares", 0, BUDGET, None)
     except UsageError:

@@ -78,7 +78,7 @@ def held_out(
     models whose fits are given to `follow` are refitted to both where they leave more than the noise. Windows: each window's
     start is fitted, and costs its degrees of freedom.
     """
-    if residual is None or isinstance(residual, OutputError):
+    if residual is None or residual.free_run:
         return _free(bench, split, thetas, known or [None] * len(thetas), follow or [None] * len(thetas))
     return _windows(bench, split, thetas, residual)
 

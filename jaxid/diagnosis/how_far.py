@@ -13,7 +13,7 @@ from jaxid.diagnosis.evidence import held_out, HeldOut, memory
 from jaxid.diagnosis.result import ChannelGap, HowFar
 from jaxid.fitting.problem_builder import Bench
 from jaxid.problem.binding import Binding
-from jaxid.problem.residual import MultipleShooting, Residual
+from jaxid.problem.residual import Residual
 from jaxid.robots.match import is_robot
 from jaxid.robots.yardstick import as_it_stands
 from jaxid.simulation.sample_buffers import columns
@@ -49,7 +49,7 @@ def measure(
     split = splits[0]
     stated = held_out(alike, split, [before, retuned, after], residual)
     runs = stated if alike is bench else [*stated[:2], *held_out(bench, split, [after], residual)]
-    if isinstance(residual, MultipleShooting):
+    if residual.windows:
         note += " Gaps are over windows of the runs, each with its own start, as models were compared."
     if still:
         note += f" The {' and '.join(still)} runs stand still and tell nothing."
@@ -115,7 +115,7 @@ def model_before(binding: Binding, retuned: np.ndarray) -> tuple[np.ndarray, str
 
 def whole_runs(bench: Bench, residual: Residual, split: str, held: HeldOut) -> HeldOut:
     """What is held out window by window, run by run."""
-    if not isinstance(residual, MultipleShooting):
+    if not residual.windows:
         return held
     runs = bench.runs(residual, split)
     of = [runs.record(number).experiment for number in runs.records]

@@ -284,7 +284,7 @@ def _diagnosed(question: Question, scatter: timing.Scatter | None = None) -> tup
     )  # fmt: skip
     if stopped:
         raise Interrupted(found) from stopped
-    return found, growth(bench, search.nominal.theta) if isinstance(residual, OutputError) else 0.0
+    return found, growth(bench, search.nominal.theta) if residual.free_run else 0.0
 
 
 def _search(question: Question) -> tuple[Bench, Fit, Search, float]:

@@ -47,7 +47,7 @@ from jaxid.fitting.fitter import Progress
 from jaxid.fitting.least_squares import descend, Path, race
 from jaxid.fitting.problem_builder import Bench, estimate_starts
 from jaxid.problem.problem import Problem
-from jaxid.problem.residual import InverseDynamics, OutputError, Residual
+from jaxid.problem.residual import InverseDynamics, Residual
 from jaxid.problem.step_error import finer_predictions, step_error, STEP_SHARE
 
 
@@ -273,7 +273,7 @@ class Searcher:
     def _taught(self, h: Hypothesis) -> Hypothesis:
         """What the fit runs leave open, as the validation runs have it, for a model that follows the fit runs."""
         held, theta, far = h.validation, h.validation.theta, h.fit_loss > NEAR
-        if theta is None and held.gap**2 > held.loss + OPEN and isinstance(self.residual, OutputError) and not far:
+        if theta is None and held.gap**2 > held.loss + OPEN and self.residual.free_run and not far:
             starts = estimate_starts(self._quick, "validation", [h.theta])
             theta = (end := together(self._quick, "validation", [h.path], starts)[0]).problem.theta(end.z)
         if theta is None or far:
@@ -344,7 +344,7 @@ class Searcher:
         for split in ("fit", "validation"):
             p = self.bench.problem(self.residual, split, [], h.theta)
             starts = h.path.problem.starts(h.path.z) if split == "fit" else None
-            if split == "validation" and isinstance(self.residual, OutputError):
+            if split == "validation" and self.residual.free_run:
                 starts = estimate_starts(self.bench, split, [h.theta])[0]
             z = p.z(h.theta, starts)
             fine = finer_predictions(p, z, self.accurate.runs(self.residual, split))

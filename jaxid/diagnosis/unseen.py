@@ -20,7 +20,7 @@ from jaxid.diagnosis.screen import each_probe, probe_residuals, Retuning
 from jaxid.fitting.least_squares import descend
 from jaxid.fitting.problem_builder import Bench, estimate_starts
 from jaxid.problem.problem import Problem, Rows, rows
-from jaxid.problem.residual import OutputError, Residual
+from jaxid.problem.residual import Residual
 
 
 #: Closer simulations than this (standard deviations of the noise, all samples together) are not told apart.
@@ -176,7 +176,7 @@ class Looker:
         p = bench.problem(residual, self.split, own.free, nominal.theta)
         starts = p.start0.copy()
         starts[: len(own.records)] = own.starts(nominal.path.z)
-        if held and isinstance(residual, OutputError):
+        if held and residual.free_run:
             starts[len(own.records) :] = estimate_starts(bench, held, [nominal.theta])[0]
         path = descend([(p, p.z(nominal.theta, starts))], 12, 1e-6)[0]
         self.p, self.z, self.theta = path.problem, path.z, path.problem.theta(path.z)

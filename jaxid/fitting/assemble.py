@@ -11,7 +11,7 @@ from jaxid.fitting import result as results
 from jaxid.fitting.covariance import Covariance, covariance
 from jaxid.fitting.ending import ending
 from jaxid.fitting.fitter import Minimum
-from jaxid.fitting.own_simulation import own_simulation, simulated_scores, SIMULATIONS
+from jaxid.fitting.own_simulation import own_simulation, simulated_scores
 from jaxid.fitting.problem_builder import Bench, estimate_starts
 from jaxid.fitting.result import EffectEstimate, Estimate, Fit, Score, Trace
 from jaxid.fitting.reweighting import weighed_by
@@ -20,7 +20,7 @@ from jaxid.fitting.stated import Stated, stated_numbers
 from jaxid.problem.binding import Binding
 from jaxid.problem.frequency_response import FrequencyResponseError
 from jaxid.problem.problem import Problem
-from jaxid.problem.residual import InverseDynamics, MultipleShooting, Residual
+from jaxid.problem.residual import Residual
 from jaxid.robots import yardstick
 from jaxid.robots.match import is_robot
 from jaxid.robots.origin import origin
@@ -113,28 +113,28 @@ def assemble(
                 notes.append(f"the {split} data show no line of a frequency response: only their course over time is compared")
         if not binding.experiments(split):
             continue
-        if isinstance(residual, InverseDynamics):
+        if residual.torques:
             table[split] = torque_scores(bench, residual, split, theta, problem.free)
             continue
-        if split == "fit" and not isinstance(residual, MultipleShooting) and len(problem.records) == len(experiments):
+        if split == "fit" and not residual.windows and len(problem.records) == len(experiments):
             starts = problem.starts(result.z)[None]
         else:
             starts = estimate_starts(bench, split, [theta])
         predictions = free_runs(bench, split, [theta], starts)[0]
         table[split] = {**table.get(split, {}), **scores(bench, split, predictions)}
-        if SIMULATIONS.get(residual.name) in ("windows", "closed_loop"):
+        if residual.simulation in ("windows", "closed_loop"):
             inside, z = own_simulation(bench, residual, split, problem, result.z)
             free[split], table[split] = table[split], simulated_scores(inside, z)
             if inside.runs.channels == binding.chain.signature.outputs and len(inside.records) == len(experiments):
                 predictions = inside.predictions(z)
         traces += make_traces(binding, split, {"fit": predictions})
-        if split == "fit" and isinstance(residual, MultipleShooting):
+        if split == "fit" and residual.windows:
             windowed = table[split]
     joints: tuple[dict, ...] = ()
     if is_robot(binding.chain.mechanism):
         rows = yardstick.stated(binding, found)
         notes += yardstick.sentences(rows, binding.chain.mechanism.tree.tree)  # type: ignore[attr-defined]
-        joints = yardstick.per_joint(bench, table, residual if isinstance(residual, InverseDynamics) else None, problem.free)
+        joints = yardstick.per_joint(bench, table, residual if residual.torques else None, problem.free)
         stated = tuple(Stated(**row) for row in rows)
     else:
         stated = stated_numbers(binding, found)
@@ -149,7 +149,7 @@ def assemble(
         binding.chain.mechanism.name, added, fitter, residual.name, problem.loss_name, seed, end.state == "converged",
         end.state == "failed", end.because, loss, own, table, windowed, result.evaluations, wall_time, compile_time,
         binding.dataset.name, binding.dataset.sha256, tuple(notes), groups, tuple(result.history), tuple(traces), theta,
-        end.state == "stalled", SIMULATIONS.get(residual.name, "free_run"), free, stated, joints,
+        end.state == "stalled", residual.simulation, free, stated, joints,
         fitted_chain(binding, theta, added), solver_name(binding), robot=origin_of(binding, added),
         covariance=numbers_covariance(binding, problem, result.z, cov), reweighted_loss=reweighted,
     )  # fmt: skip

@@ -8,21 +8,12 @@ import numpy as np
 
 from jaxid.fitting.least_squares import descend
 from jaxid.problem.problem import Problem
-from jaxid.problem.residual import MultipleShooting, Residual
+from jaxid.problem.residual import Residual
 
 
 if TYPE_CHECKING:
     from jaxid.fitting.problem_builder import Bench
     from jaxid.fitting.result import Score
-
-
-#: What each residual simulates, where that is not the free run.
-SIMULATIONS = {
-    "multiple_shooting": "windows",
-    "closed_loop": "closed_loop",
-    "inverse_dynamics": "inverse_dynamics",
-    "frequency_response": "frequency_response",
-}
 
 
 def own_simulation(bench: Bench, residual: Residual, split: str, problem: Problem, z: np.ndarray) -> tuple[Problem, np.ndarray]:
@@ -33,7 +24,7 @@ def own_simulation(bench: Bench, residual: Residual, split: str, problem: Proble
     own = bench.problem(residual, split, [], problem.theta(z))
     at = own.z(own.base)
     if own.size:
-        share = 1.0 if isinstance(residual, MultipleShooting) else 0.1
+        share = 1.0 if residual.windows else 0.1
         path = descend([(own, at)], 8, 1e-8, share)[0]
         at = path.z if np.isfinite(path.cost) else at
     return own, at

@@ -14,7 +14,7 @@ from jaxid.fitting.scale_free import shrinking
 from jaxid.problem.binding import Binding
 from jaxid.problem.frequency_response import FrequencyResponseError
 from jaxid.problem.problem import Problem
-from jaxid.problem.residual import InverseDynamics, MultipleShooting, OutputError, Residual, Runs
+from jaxid.problem.residual import InverseDynamics, OutputError, Residual, Runs
 from jaxid.simulation import sample_buffers as samples
 
 
@@ -67,7 +67,7 @@ class Bench:
                 b.dataset,
                 experiments,
                 b.layout,
-                b.readings if isinstance(residual, InverseDynamics) else b.sigma,
+                b.readings if residual.torques else b.sigma,
                 b.motions_of(experiments),
                 self.step,
                 self._shape_of(residual),
@@ -78,7 +78,7 @@ class Bench:
 
     def forget_long(self, kept: Residual) -> None:
         """Lets go of the torques of long runs, which only start values were made of, where another residual is fitted."""
-        if not isinstance(kept, InverseDynamics):
+        if not kept.torques:
             gone = [key for key, runs in self._runs.items() if runs.setting is not None and runs.engine.long]
             self._forgotten += sum(self._runs.pop(key).engine.compile_time_s for key in gone)
 
@@ -88,9 +88,9 @@ class Bench:
         self.runs(residual, "fit").engine.compile_ahead(name, theta, free, few=True)
 
     def _shape_of(self, residual: Residual) -> tuple[int, int]:
-        if isinstance(residual, InverseDynamics):  # at the samples, whatever the step of simulations
+        if residual.torques:  # at the samples, whatever the step of simulations
             return self._rows
-        return (self._shape[0], 0) if isinstance(residual, MultipleShooting) else self._shape
+        return (self._shape[0], 0) if residual.windows else self._shape
 
     def problem(
         self,
@@ -102,7 +102,7 @@ class Bench:
         loss: str = "sum_of_squares",
     ) -> Problem:
         b = self.binding
-        if isinstance(residual, InverseDynamics) and (own := b.gains & {int(i) for i in free}):
+        if residual.torques and (own := b.gains & {int(i) for i in free}):
             raise UsageError(
                 f"inverse_dynamics compares torques, and {', '.join(b.layout.names[i] for i in sorted(own))} make the torque: "
                 "the smaller, the less is left. Take them out of [controller] fit, or use the residual output_error"

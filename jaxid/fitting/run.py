@@ -23,7 +23,7 @@ from jaxid.fitting.scale_free import refuse_scale_free
 from jaxid.fitting.settings import label_of
 from jaxid.problem.binding import Binding
 from jaxid.problem.problem import Problem
-from jaxid.problem.residual import InverseDynamics, OutputError, Residual
+from jaxid.problem.residual import Residual
 from jaxid.problem.step_error import step_error, STEP_SHARE
 from jaxid.runtime import Interrupted
 from jaxid.simulation import sample_buffers as samples
@@ -48,7 +48,7 @@ def fit_binding(
 
     try:
         fit = fitted(residual, None, 0)
-        free = residual is None and isinstance(default_residual(binding), OutputError) and loss == "sum_of_squares"
+        free = residual is None and default_residual(binding).free_run and loss == "sum_of_squares"
         if not free or (budget is not None and fit.evaluations >= budget):
             return fit
 
@@ -80,7 +80,7 @@ def fit_seeds(
     channels are weighed by what the model leaves of them where their noises differ much from that."""
     began = time.perf_counter()
     residual = residual or default_residual(binding)
-    simulated = not isinstance(residual, InverseDynamics) and bool(binding.dataset.split("fit"))
+    simulated = not residual.torques and bool(binding.dataset.split("fit"))
     benches = Benches(binding) if benches is None else benches
     compiled = benches.compile_time()
     notes: dict[int, list[str]] = {seed: [] for seed in seeds}
@@ -99,7 +99,7 @@ def fit_seeds(
             if (key := guesses[0].tobytes()) not in common:
                 common[key] = bench.problem(residual, "fit", binding.free, guesses[0], loss=loss)
             problem = common[key]
-            if isinstance(residual, InverseDynamics):
+            if residual.torques:
                 refuse_scale_free(problem, problem.z(guesses[0]))
             jobs.append((problem, [problem.z(g) for g in guesses], jax.random.key(seed)))
         if engine:
@@ -115,7 +115,7 @@ def fit_seeds(
             if benches.of(step / 2) is bench:
                 continue  # samples are closer than either step
             moved = step_error(problem, result.z, benches.of(step / 2).runs(residual, "fit"))
-            if moved > STEP_SHARE and isinstance(residual, OutputError) and growth(bench, problem.theta(result.z)) > SENSITIVE:
+            if moved > STEP_SHARE and residual.free_run and growth(bench, problem.theta(result.z)) > SENSITIVE:
                 notes[seed].append("runs that forget how they began are not refined: every step shows another one")
             elif moved > STEP_SHARE:
                 finer[seed] = problem.theta(result.z)

@@ -23,7 +23,7 @@ from jaxid.dynamics.controller import Law, law_of, Memory, Reading
 from jaxid.dynamics.effect import Command
 from jaxid.dynamics.parameter_vector import Layout
 from jaxid.errors import UsageError
-from jaxid.problem.residual import OutputError, overrides, record_of, Residual, RESIDUALS, Runs
+from jaxid.problem.residual import OutputError, overrides, record_of, Residual, RESIDUALS, Runs, Simulation
 from jaxid.simulation import sample_buffers as recorded
 from jaxid.simulation.batch import Engine
 from jaxid.simulation.rollout import Lane, over_time
@@ -117,6 +117,7 @@ class ClosedLoopOutputError(Residual):
     """
 
     name: ClassVar[str] = "closed_loop"
+    simulation: ClassVar[Simulation] = "closed_loop"
     signals: str = "outputs"
 
     def runs(self, dataset, experiments, layout, noise, motions, step=recorded.STEP, shape=(0, 0)):

@@ -22,7 +22,7 @@ from jaxid.dynamics.chain import Chain
 from jaxid.dynamics.mechanism import Mechanism
 from jaxid.dynamics.parameter_vector import Layout
 from jaxid.errors import nearest, UsageError
-from jaxid.problem.residual import overrides, record_of, Residual, RESIDUALS, Runs
+from jaxid.problem.residual import overrides, record_of, Residual, RESIDUALS, Runs, Simulation
 from jaxid.simulation import sample_buffers as recorded
 from jaxid.simulation.batch import Engine
 from jaxid.simulation.rollout import EVEN, Lane, simulate_lane
@@ -156,6 +156,7 @@ class FrequencyResponseError(Residual):
     """
 
     name: ClassVar[str] = "frequency_response"
+    simulation: ClassVar[Simulation] = "frequency_response"
     magnitude: bool = False
     linear: bool = False
     output: str | None = None

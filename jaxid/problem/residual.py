@@ -12,7 +12,7 @@ from __future__ import annotations
 import abc
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
-from typing import ClassVar
+from typing import ClassVar, Literal
 
 import numpy as np
 
@@ -29,6 +29,9 @@ from jaxid.simulation.batch import Engine
 from jaxid.simulation.rollout import Lane, simulate_lane, torque_lane
 from jaxid.simulation.sample_buffers import Record
 
+
+#: What a residual's runs are.
+Simulation = Literal["free_run", "windows", "closed_loop", "inverse_dynamics", "frequency_response"]
 
 #: A part of a longer run starts so long before it, and by so many samples at most.
 RUN_UP_S, RUN_UP_SAMPLES = 1.0, 500
@@ -76,9 +79,29 @@ class Runs:
 
 
 class Residual(abc.ABC):
-    """Abstract: how experiments become records."""
+    """Abstract: how experiments become records.
+
+    `simulation` says what its runs are, and everything that fits, scores and diagnoses asks that alone; a residual of one's own
+    that states it takes part like the others.
+    """
 
     name: ClassVar[str]
+    simulation: ClassVar[Simulation] = "free_run"
+
+    @property
+    def free_run(self) -> bool:
+        """Whether one run from one start stands for the whole experiment."""
+        return self.simulation == "free_run"
+
+    @property
+    def windows(self) -> bool:
+        """Whether an experiment is many short runs, each with a start of its own."""
+        return self.simulation == "windows"
+
+    @property
+    def torques(self) -> bool:
+        """Whether torques along the measured motion are compared: nothing is simulated, no start is unknown."""
+        return self.simulation == "inverse_dynamics"
 
     def select(self, dataset: Dataset, split: str) -> tuple[Experiment, ...]:
         """The runs of a split, or of several ("fit+validation"), that it looks at."""
@@ -143,6 +166,7 @@ class MultipleShooting(Residual):
     """Free runs over windows of `window_s` seconds, each start estimated; windows are not forced to meet."""
 
     name: ClassVar[str] = "multiple_shooting"
+    simulation: ClassVar[Simulation] = "windows"
     window_s: float | None = None
 
     def runs(self, dataset, experiments, layout, noise, motions, step=recorded.STEP, shape=(0, 0)):
@@ -181,6 +205,7 @@ class InverseDynamics(Residual):
     """
 
     name: ClassVar[str] = "inverse_dynamics"
+    simulation: ClassVar[Simulation] = "inverse_dynamics"
     cutoff_hz: float | None = None
     decimate: int | None = None
 

@@ -18,7 +18,7 @@ from jaxid.dynamics.parameter_vector import Layout
 from jaxid.errors import nearest, UsageError
 from jaxid.numerics.reverse import reversible
 from jaxid.problem.binding import Binding
-from jaxid.problem.residual import MultipleShooting, OutputError, Residual
+from jaxid.problem.residual import Residual
 from jaxid.simulation.rollout import Lane, simulate_lane
 
 
@@ -69,7 +69,7 @@ def bound_to(binding: Binding, solver: Any, residual: Residual | None) -> Bindin
         solver = Diffrax(solver)
     if not isinstance(solver, Diffrax):
         raise UsageError(f"a solver is one of diffrax, such as diffrax.Tsit5(), not {type(solver).__name__}")
-    if residual is not None and not isinstance(residual, OutputError | MultipleShooting):
+    if residual is not None and not (residual.free_run or residual.windows):
         raise UsageError(f"a solver simulates free runs (output_error, multiple_shooting); {residual.name} has its own way")
     check_smooth(binding.chain)
     return replace(binding, layout=Layout(binding.layout.chain, solver))
