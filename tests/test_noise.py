@@ -40,6 +40,12 @@ def test_stated_noise_counts():
     assert "sensor's alone" in found.text
 
 
+def test_sensor_noise_is_right_on_average():
+    rng = np.random.default_rng(5)
+    found = [sensor_noise([rng.standard_normal(1000)]) ** 2 for _ in range(1000)]
+    assert np.mean(found) == pytest.approx(1, abs=0.012)  # 4 standard errors of the mean; 0.967 without the median's own
+
+
 @pytest.mark.parametrize("std", [1e-5, 1e-4, 1e-3, 1e-2])
 def test_sensor_noise_is_estimated_where_nothing_is_stated(std):
     found = noise_floor(dataset(MOTION + noise(std)))["q"]

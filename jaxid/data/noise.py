@@ -99,8 +99,15 @@ def _from_differences(series: Sequence[np.ndarray], order: int) -> float:
     for y in series:
         d = np.diff(y, order) / sqrt(comb(2 * order, order))
         blocks = np.array_split(d, max(1, len(d) // BLOCK)) if len(d) else []
-        variances += [float(np.mean(block**2)) for block in blocks]
+        variances += [float(np.mean(block**2)) / _median_of_variance(len(block), order) for block in blocks]
     return sqrt(float(np.median(variances))) if variances else 0.0
+
+
+def _median_of_variance(count: int, order: int) -> float:
+    """Median of the mean square of `count` differences of unit variance: that of chi-square over its degrees of freedom
+    (Wilson and Hilferty 1931), which correlation of neighbouring differences makes fewer than `count`."""
+    freedom = max(1.0, count * comb(2 * order, order) ** 2 / comb(4 * order, 2 * order))
+    return (1 - 2 / (9 * freedom)) ** 3
 
 
 def _beside(series: Sequence[np.ndarray], scatter: Sequence[np.ndarray]) -> float:
