@@ -31,7 +31,7 @@ def test_the_torque_of_an_arm_under_a_law_is_the_laws():
     assert next(e for e in found.experiments if e.split == "validation").relative_error < 0.02
     value, std = found.theta[found.names.index("mx3")], found.std()[found.names.index("mx3")]
     assert abs(value - 0.18) < 3 * std < 0.01  # the true link of 1.5 kg; the file has 1.0
-    assert any(n.startswith("link 3 carries 5") and "more first moment" in n for n in found.notes)
+    assert any(n.startswith("link 3 carries 5") and "more first moment" in n for n in found.answers)
 
 
 def test_the_file_is_the_yardstick():
@@ -41,6 +41,17 @@ def test_the_file_is_the_yardstick():
     assert rows["mx3"]["deviation"] > 5 and rows["mx3"]["joint"] == "q3"
     for row in found["how_far"]["per_joint"]:
         assert row["as_it_stands"] > 3 * row["retuned"]
+    assert found["notes"][1].startswith("link 3 carries 5") and "97 % at pan" in found["notes"][2].replace("97.4", "97")
+
+
+def test_what_the_file_has_wrong_stands_first_on_the_page_of_an_identification_and_beside_each_number(tmp_path):
+    found = jaxid.identify(None, jaxid.load_dataset(case("robot_09_nominal_urdf_not_compared") / "ds"))
+    page = found.report(tmp_path / "report.html").read_text()
+    assert page.index("Link 3 carries 5") < page.index("Torque, measured against predicted")
+    row = page[page.index("<code>mx3</code>") :].split("</tr>")[0]
+    apart = next(r for r in found.stated if r["parameter"] == "mx3")["deviation"]
+    assert "0.1200" in row and f"{apart:+.1f}" in row
+    assert f"{apart:+.1f}" in repr(found)
 
 
 def test_an_mjcf_is_read_from_the_dataset_and_from_the_command_line():
@@ -94,7 +105,7 @@ def test_joints_of_the_recording_in_another_order_go_by_name(tmp_path):
     (tmp_path / "dataset.toml").write_text("\n".join(text))
     found = jaxid.identify(None, jaxid.load_dataset(tmp_path))
     assert abs(found.theta[found.names.index("mx3")] - 0.18) < 0.02
-    assert any("1 pan, 2 lift, 3 elbow" in n for n in found.notes)
+    assert any("1 pan, 2 lift, 3 elbow" in n for n in found.answers)
 
 
 def test_an_end_is_named_where_a_robot_branches(tmp_path, capsys):

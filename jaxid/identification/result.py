@@ -78,6 +78,7 @@ class Identification(Exportable):
     traces: tuple[Any, ...] = field(default=(), compare=False)
     labels: tuple[str, ...] = ()  # what tables call the joints: their names, else q1 …
     stated: tuple[dict[str, Any], ...] = ()
+    answers: tuple[str, ...] = ()  # sentences on what is stated and the data refute; a file as it stands
     per_joint: tuple[dict[str, Any], ...] = ()
     data: tuple[DataFinding, ...] = ()  # what the recording says about itself
     robot: dict[str, Any] = field(default_factory=dict)  # the file of a robot and its drive: see `jaxid.robots.origin`
@@ -147,7 +148,7 @@ class Identification(Exportable):
             "dataset_sha256": self.dataset_sha256,
             "wall_time_s": self.wall_time_s,
             "versions": versions(),
-            "notes": list(self.notes),
+            "notes": [*self.answers, *self.notes],
         }
 
     def report(self, path: str | Path) -> Path:

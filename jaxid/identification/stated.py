@@ -10,7 +10,7 @@ import numpy as np
 from jaxid.data.dataset import ModelSpec
 from jaxid.dynamics.base_parameters import BaseParameters
 from jaxid.identification.regression import Law, Run, torques
-from jaxid.wording import number
+from jaxid.wording import listed, number, percent
 
 
 #: Standard deviations from which a difference is worth a sentence.
@@ -29,7 +29,7 @@ def answered(
     rows = [_answer(name, value, known, base, result) for name, value in known.items() if name in (*base.standard, *result.names)]
     rows.sort(key=lambda row: -abs(row["deviation"] or 0.0))
     said = [row["text"] for row in rows if abs(row["deviation"] or 0.0) > MANY]
-    return {"stated": tuple(rows), "notes": (*result.notes, *said)}
+    return {"stated": tuple(rows), "answers": tuple(said)}
 
 
 def _answer(name: str, value: float, known: dict[str, float], base: BaseParameters, result: Any) -> dict[str, Any]:
@@ -63,7 +63,7 @@ def _answer(name: str, value: float, known: dict[str, float], base: BaseParamete
 
 
 def beside_the_file(arm: Any, base: BaseParameters, law: Law, runs: Sequence[Run], result: Any) -> dict[str, Any]:
-    """Fields `stated`, `per_joint` and `notes` of an identification whose arm comes from a file.
+    """Fields `stated`, `per_joint` and `answers` of an identification whose arm comes from a file.
 
     A base parameter's stated value is the file's own combination. Torque errors are relative, of the filtered torque.
     """
@@ -99,12 +99,12 @@ def beside_the_file(arm: Any, base: BaseParameters, law: Law, runs: Sequence[Run
             for j in range(n)
         ]  # fmt: skip
     worst = [max(r["as_it_stands"] for r in joints if r["joint"] == f"q{j + 1}") for j in range(n)]
-    notes = [
-        "with the file as it stands the torque of "
-        + ", ".join(f"joint {j + 1} is off by {100 * w:.1f} %" for j, w in enumerate(worst)),
+    said = [
         *_first_moments(rows, n, {k: int(np.count_nonzero(r)) > 1 for k, r in zip(base.names, base.K, strict=True)}),
+        "with the file as it stands the torque is off by "
+        + listed([f"{percent(w)} at {name}" for name, w in zip(result.labels, worst, strict=True)]),
     ]
-    return {"stated": tuple(rows), "per_joint": tuple(joints), "notes": (*result.notes, *notes)}
+    return {"stated": tuple(rows), "per_joint": tuple(joints), "answers": tuple(said)}
 
 
 def _first_moments(rows: Sequence[dict[str, Any]], n: int, regrouped: dict[str, bool]) -> list[str]:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+from typing import Any, TYPE_CHECKING
 
 import numpy as np
 
@@ -25,6 +25,7 @@ def section(result: Identification) -> Section:
             "joints": result.labels,
             "friction": friction_rows(result),
             "base": base_rows(result),
+            "beside": beside_head(result),
             "payload": None if result.payload is None else payload_rows(result),
             "pictures": [
                 (f"Torque in {name} ({split} data)", picture(result, k)) for k, (name, split, *_) in enumerate(result.traces)
@@ -68,11 +69,30 @@ def friction_rows(result: Identification) -> list[tuple[str, str, list[str]]]:
     return [(k, joints[0][k]["unit"], [told(j[k]["value"], j[k]["std"]) for j in joints]) for k in keys]
 
 
-def base_rows(result: Identification) -> list[tuple[str, str, str, str, str]]:
-    std = result.std()
+def beside_head(result: Identification) -> tuple[str, ...]:
+    """Heads of the columns that a file or a dataset adds to the base parameters: none where nothing is stated."""
+    return ("stated", "apart, in its std") if _stated(result) else ()
+
+
+def _stated(result: Identification) -> dict[str, dict[str, Any]]:
+    leading = result.names[: result.base_count]
+    return {row["parameter"]: row for row in result.stated if row["parameter"] in leading}
+
+
+def _beside(row: dict[str, Any] | None) -> tuple[str, str]:
+    if row is None:
+        return "", ""
+    apart = row["deviation"]
+    return wording.number(row["stated"], 4), "" if apart is None else f"{apart:+.1f}"
+
+
+def base_rows(result: Identification) -> list[tuple[str, ...]]:
+    """Leading parameter, value, what is stated of it and how far that is (where anything is), unit, combination, remark."""
+    std, stated = result.std(), _stated(result)
     return [
         (
-            result.names[i], pair(float(result.theta[i]), float(std[i])), result.units[i], result.expressions[i],
+            result.names[i], pair(float(result.theta[i]), float(std[i])),
+            *(_beside(stated.get(result.names[i])) if stated else ()), result.units[i], result.expressions[i],
             "" if result.identifiable[i] else "not determined by these data",
         )
         for i in range(result.base_count)

@@ -294,13 +294,14 @@ def simulation_text(simulation: Simulation) -> str:
 def identification_text(result: Identification) -> str:
     """The result as tables for a terminal."""
     from jaxid.conventions.finding import data_lines
-    from jaxid.report.identified import base_rows, error, friction_rows, headline, payload_rows
+    from jaxid.report.identified import base_rows, beside_head, error, friction_rows, headline, payload_rows
     from jaxid.wording import table
 
     joints = result.labels
     parts = [
         *data_lines(result.data),
         f"{result.dataset}, model {result.model}: {result.method}, friction law {result.law}. {headline(result)}",
+        *(f"{answer[0].upper()}{answer[1:]}." for answer in result.answers),
         table(
             ("recording", "data", "all joints", *joints, "unfiltered"),
             [
@@ -312,7 +313,7 @@ def identification_text(result: Identification) -> str:
             ],
         ),
         table(("friction", *joints), [(f"{name} ({unit})", *values) for name, unit, values in friction_rows(result)]),
-        table(("base parameter", "value", "unit", "stands for", ""), base_rows(result)),
+        table(("base parameter", "value", *beside_head(result), "unit", "stands for", ""), base_rows(result)),
     ]  # fmt: skip
     if result.payload is not None:
         parts.append(table(("payload", "value", "95 % interval"), payload_rows(result)))
