@@ -130,7 +130,7 @@ class Log:
 
     def show(self, done: int, total: int) -> None:
         if self.progress:
-            self.progress(self.name, done, total, f"loss {self.best:.6g}")
+            self.progress(self.name, done, total, f"loss {self.best:.6g}" if np.isfinite(self.best) else "no finite loss yet")
 
     def minimum(self, z: np.ndarray, converged: bool, stopped: str, stalled: bool = False) -> Minimum:
         """The result; its loss is computed by the one program that all fitters share."""
