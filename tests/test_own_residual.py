@@ -27,5 +27,5 @@ def test_a_residual_of_ones_own_takes_part_in_fits_and_diagnoses():
     found = jaxid.diagnose(None, data, effects=["dead_zone", "input_delay"], residual=Seconds())
     assert found.residual == "seconds" and [e.effect for e in found.which.effects] == ["dead_zone"]
     width = found.which.effects[0].parameters["width"]
-    assert abs(width.value - 0.1) < 4 * width.std
+    assert width.std is not None and abs(width.value - 0.1) < 4 * width.std
     assert found.final.simulation == "windows" and found.final.windowed
