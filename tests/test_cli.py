@@ -7,6 +7,7 @@ import os
 import resource
 import subprocess
 import sys
+import warnings
 from dataclasses import replace
 from pathlib import Path
 from types import SimpleNamespace
@@ -19,6 +20,7 @@ import jaxid.api  # it takes its names before some of them are replaced here
 from jaxid import catalogue, wording
 from jaxid.cli import app as cli, terminal
 from jaxid.data.dataset import Dataset
+from jaxid.errors import DatasetWarning
 from jaxid.runtime import Interrupted
 from jaxid.serialise import finite
 from report_sample import hostile, sample_diagnosis, sample_fit, sample_simulation
@@ -204,6 +206,18 @@ def test_failed_fit_is_saved_and_exits_1(calls, monkeypatch, tmp_path, capsys):
     assert run("fit", "data", "--out", tmp_path) == 1
     assert (tmp_path / "fit.json").is_file()
     assert "every start diverged" in capsys.readouterr().err
+
+
+def test_a_warning_on_the_users_file_is_a_sentence_said_once(calls, monkeypatch, tmp_path, capsys):
+    def warns(*args, **kwargs):
+        for level in (1, 2, 3):  # from three of our lines
+            warnings.warn("arm.urdf: link 'a' has principal moments that no body can have", DatasetWarning, stacklevel=level)
+        return sample_fit(samples=200)
+
+    monkeypatch.setattr(jaxid, "fit", warns)
+    assert run("fit", "data", "--out", tmp_path) == 0
+    said = [line for line in capsys.readouterr().err.splitlines() if "no body can have" in line]
+    assert said == ["jaxid: arm.urdf: link 'a' has principal moments that no body can have"]
 
 
 @pytest.mark.parametrize(

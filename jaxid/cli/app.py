@@ -290,7 +290,8 @@ def main(arguments: list[str] | None = None) -> int:
         if callable(reconfigure := getattr(stream, "reconfigure", None)):
             reconfigure(errors="replace")
     try:
-        code = cli.main(args=arguments, prog_name="jaxid", standalone_mode=False)
+        with terminal.warnings_said_once():
+            code = cli.main(args=arguments, prog_name="jaxid", standalone_mode=False)
         sys.stdout.flush()
         return code or SUCCESS
     except click.ClickException as error:

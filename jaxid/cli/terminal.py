@@ -4,9 +4,12 @@ from __future__ import annotations
 
 import sys
 import time
-from collections.abc import Callable
-from contextlib import suppress
+import warnings
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager, suppress
+from typing import Any
 
+from jaxid.errors import DatasetWarning
 from jaxid.wording import clean, one_line
 
 
@@ -17,6 +20,23 @@ def say(text: object) -> None:
 def complain(text: object) -> None:
     with suppress(OSError):  # the terminal is gone
         print(f"jaxid: {clean(text)}", file=sys.stderr, flush=True)
+
+
+@contextmanager
+def warnings_said_once() -> Iterator[None]:
+    """Warnings on the user's own data as sentences, each once, whichever line of ours reads the same file again."""
+    with warnings.catch_warnings():
+        show, said = warnings.showwarning, set()
+
+        def say_once(message, category, *where: Any, **more: Any) -> None:
+            if not issubclass(category, DatasetWarning):
+                show(message, category, *where, **more)
+            elif str(message) not in said:
+                said.add(str(message))
+                complain(message)
+
+        warnings.showwarning = say_once
+        yield
 
 
 #: Seconds between two lines of progress where standard error is no terminal.
