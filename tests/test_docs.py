@@ -186,3 +186,18 @@ def test_every_model_of_the_atlas_has_a_motion_that_can_be_recorded(monkeypatch)
         owner = catalogue.model_class(model)()
         data, _ = _rich_motion(Chain(owner), model, owner)
         assert bind(model, data, splits=False).experiments("fit"), model
+
+
+def test_every_stop_of_the_walk_exists_and_so_does_its_picture():
+    from xml.dom import minidom
+
+    page = (ROOT / "docs" / "walk.md").read_text(encoding="utf-8")
+    stops = re.findall(r"`((?:jaxid|models|fitters)/[\w/]+\.py): ([\w.]+)`", page)
+    assert len(stops) > 20
+    for file, name in stops:
+        owner, _, method = name.partition(".")
+        tree = ast.parse((ROOT / file).read_text(encoding="utf-8"))
+        found = [n for n in tree.body if getattr(n, "name", "") == owner]
+        assert found, f"docs/walk.md: {file} has no {owner}"
+        assert not method or any(getattr(n, "name", "") == method for n in ast.walk(found[0])), f"docs/walk.md: no {name}"
+    assert minidom.parse(str(ROOT / "docs" / "_static" / "walk.svg")).documentElement
