@@ -128,3 +128,11 @@ def test_inertias_that_no_body_can_have_are_named():
     tree = read_urdf_tree(path)
     assert len(tree.joints) == 7 and len(tree.impossible) == 3
     assert all("link '" in text and "kg m^2" in text for text in tree.impossible)
+
+
+@pytest.mark.slow
+def test_a_short_run_of_an_arm_under_position_control_is_compared_by_torque_and_said_to_determine_nothing():
+    found = jaxid.diagnose(None, jaxid.load_dataset(case("robot_08_arm_free_run_diverges")))
+    assert found.residual == "inverse_dynamics" and "the free run diverges" in found.notes[-1]
+    assert found.which.verdict == "unknown" and not found.which.effects and not found.where
+    assert "worse than no model on data that were not fitted" in " ".join(repr(found).split())

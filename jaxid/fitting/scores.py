@@ -14,7 +14,7 @@ from jaxid.problem.frequency_response import FrequencyResponseError
 from jaxid.problem.problem import Problem
 from jaxid.problem.residual import OutputError, Residual
 from jaxid.simulation import sample_buffers as samples
-from jaxid.wording import percent
+from jaxid.wording import listed, times
 
 
 def free_runs(bench: Bench, split: str, thetas: Sequence[np.ndarray], starts: np.ndarray) -> list[list[np.ndarray]]:
@@ -65,15 +65,19 @@ LOST, ABOVE_NOISE, ABOVE_FIT = 1.0, 3.0, 3.0
 
 def lost(table: Mapping[str, Mapping[str, Score]], noise: Mapping[str, float]) -> tuple[str, ...]:
     """A sentence where the numbers of a fit predict data that were not fitted worse than a constant would; `noise` by channel."""
-    fit, found = table.get("fit", {}), {}
+    fit: Mapping[str, Score] = table.get("fit", {})
+    found: dict[str, tuple[float, str]] = {}
     for split in ("validation", "report"):
         for name, s in table.get(split, {}).items():
             seen = s.nrmse > LOST and s.rmse > ABOVE_NOISE * noise.get(name, 0.0)
             if seen and name in fit and s.nrmse > ABOVE_FIT * fit[name].nrmse:
-                found.setdefault(name, f"{name} is off by {percent(s.nrmse)} of its standard deviation there ({split})")
+                found.setdefault(name, (s.nrmse, split))
     if not found:
         return ()
-    return (f"worse than no model on data that were not fitted: {', '.join(found.values())}",)
+    worst = sorted(found, key=lambda name: -found[name][0])
+    said = [f"{name} is off by {times(found[name][0])} times its standard deviation ({found[name][1]})" for name in worst[:2]]
+    more = [f"{len(worst) - 2} more channels too"] if len(worst) > 2 else []
+    return (f"worse than no model on data that were not fitted: {listed([*said, *more])}",)
 
 
 def response_scores(

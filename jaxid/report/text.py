@@ -114,9 +114,7 @@ def which_sentence(which: Which, how_far: HowFar | None = None) -> str:
         return f"The model lacks {names}, and something more that no known effect explains."
     if which.verdict == "none":
         return "Nothing is missing: the model already reaches the noise."
-    if how_far is not None and which.text and max(how_far.gap_before, how_far.gap_retuned) <= NEAR:
-        return which.text
-    return "There is a gap, and no known effect explains most of it."
+    return which.text or "There is a gap, and no known effect explains most of it."
 
 
 def confusable_sentence(which: Which) -> str:
@@ -200,13 +198,21 @@ def sentence(text: str) -> str:
     return f"{text[:1].upper()}{text[1:].rstrip('.')}."
 
 
+#: What was compared, where that is no free run.
+COMPARED = {
+    "windows": ", compared over short windows",
+    "inverse_dynamics": ", compared by torque along the measured motion",
+    "closed_loop": ", simulated under the recording's controller",
+}
+
+
 def diagnosis_text(diagnosis: Diagnosis) -> str:
     """About ten lines: where, which, how far, what next."""
     which, how_far = diagnosis.which, diagnosis.how_far
     channels = telling(how_far)[:3]
     parts = [
         *map(wrapped, data_lines(diagnosis.data)),
-        f"{one_line(diagnosis.dataset)}, model {one_line(diagnosis.model)}",
+        f"{one_line(diagnosis.dataset)}, model {one_line(diagnosis.model)}{COMPARED.get(diagnosis.final.simulation, '')}",
         joint_table(how_far.per_joint),
         paragraph("STATED", stated_sentences(diagnosis.final.stated)),
         "" if which.verdict == "none" else paragraph("WHERE", (where_sentence(f) for f in diagnosis.where[:2])),

@@ -168,7 +168,7 @@ def _judged(study: Study, found: Found) -> tuple[str, str]:
     sets = [w for w in split if w] or [found.fit]
     before = [nominal.gap(w) for w in sets]
     after = [final.gap(w) for w in sets]
-    if astray := lost(scores(final), {c: s for (c, _), s in zip(study.binding.chain.torque_channels, study.noise, strict=True)}):
+    if astray := _astray(study, final):
         return "unknown", f"The re-tuned model is {astray[0]}: these data do not determine it, and no effect is named beside it."
     names = listed(_said(u) for u in final.units)
     base = found.base.final.units if found.base else ()
@@ -198,6 +198,12 @@ def _judged(study: Study, found: Found) -> tuple[str, str]:
         f"No effect explains most of the gap: {names} explains {percent(min(shares))} of it on held-out data; {left}, so that it "
         "is not claimed."
     )
+
+
+def _astray(study: Study, answer: Answer) -> tuple[str, ...]:
+    """A sentence where a model predicts held-out torque worse than none would."""
+    noise = {c: s for (c, _), s in zip(study.binding.chain.torque_channels, study.noise, strict=True)}
+    return lost(scores(answer), noise)
 
 
 def _said(unit: Unit) -> str:
@@ -231,6 +237,8 @@ def _answered(study: Study, found: Found, most: int, seed: int, began: float) ->
     far = how_far(study, before, found.nominal, final, which, split, verdict, note, bound)
     looked = [*found.choose, *found.judge] if found.different else study.of("fit")
     findings, pictures, regimes = places(study, found.nominal, final, verdict, looked, seed)
+    if _astray(study, final):  # what it leaves says where its numbers are wrong, not where the machine is
+        findings = ()
     mates = [found.chooser.units[k] for k in found.chooser.confusable(found.chosen)] if claimed else []
     named = effects if claimed else ()
     nominal_fit = _fit(study, found.nominal, plain, (), seed, began)
