@@ -5,7 +5,6 @@ from __future__ import annotations
 import warnings
 from collections.abc import Iterable, Mapping
 from dataclasses import replace
-from importlib import import_module
 from pathlib import Path
 from typing import Any, TYPE_CHECKING
 
@@ -23,7 +22,8 @@ from jaxid.fitting.settings import fitter_of
 from jaxid.fitting.simulation import Simulation
 from jaxid.problem.binding import bind, Binding
 from jaxid.problem.problem import LOSSES
-from jaxid.problem.residual import InverseDynamics, Residual, RESIDUALS
+from jaxid.problem.residual import Residual, resolve_residual
+from jaxid.problem.solver import with_solver
 from jaxid.robots.limbs import each, effects_at, limbs_of
 from jaxid.runtime import Interrupted
 
@@ -239,32 +239,3 @@ def resolve_fitter(fitter: AbstractFitter | str | None, loss: str = "sum_of_squa
     if fitter is None:
         fitter = "lm" if loss == "sum_of_squares" else "hybrid"
     return fitter_of(fitter) if isinstance(fitter, str) else fitter
-
-
-def with_solver(binding: Binding, solver: Any, residual: Residual | None) -> Binding:
-    """The binding whose runs are simulated by a solver of diffrax; None, "own": by jaxid's own stepping."""
-    if solver is None or solver == "own":
-        return binding
-    from jaxid.simulation.diffrax_solver import bound_to
-
-    return bound_to(binding, solver, residual)
-
-
-def resolve_residual(residual: Residual | str | None, cutoff_hz: float | None = None) -> Residual | None:
-    """The residual that is meant; `cutoff_hz` is that of `inverse_dynamics`. Raises `UsageError` for one that does not exist."""
-    if cutoff_hz is not None:
-        name = residual if isinstance(residual, str | None) else residual.name
-        if name != InverseDynamics.name:
-            raise UsageError(
-                "a cutoff is the low-pass of inverse_dynamics: give residual='inverse_dynamics' (--residual) with it"
-            )
-        if not cutoff_hz > 0:
-            raise UsageError(f"a cutoff of {cutoff_hz:g} Hz is none; give one above 0")
-        return InverseDynamics(cutoff_hz=cutoff_hz)
-    if isinstance(residual, str):
-        import_module("jaxid.problem.closed_loop")  # which enters its own
-        import_module("jaxid.problem.frequency_response")
-        if residual not in RESIDUALS:
-            raise UsageError(f"there is no residual {residual!r}{nearest(residual, RESIDUALS)}")
-        return RESIDUALS[residual]()
-    return residual

@@ -4,9 +4,11 @@ from __future__ import annotations
 
 import math
 import shutil
+import sys
 import textwrap
 import unicodedata
 from collections.abc import Iterable, Sequence
+from contextlib import suppress
 from typing import Protocol
 
 
@@ -122,3 +124,9 @@ def paragraph(label: str, sentences: Iterable[str]) -> str:
 def wrapped(sentence: str, first: str = "", others: str = "") -> str:
     width = max(40, min(shutil.get_terminal_size((100, 24)).columns, 110))
     return "\n".join(textwrap.wrap(one_line(sentence), width, initial_indent=first, subsequent_indent=others))
+
+
+def complain(text: object) -> None:
+    """Says a sentence on standard error, where it still exists."""
+    with suppress(OSError):  # the terminal is gone
+        print(f"jaxid: {clean(text)}", file=sys.stderr, flush=True)

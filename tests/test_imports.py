@@ -37,19 +37,15 @@ MODULE_LEVEL = {
     ("catalogue", "fitting"),
     ("data.assemble_model", "dynamics"),
     ("fitting.run", "fitters"),
-    ("fitting.simulate", "api"),
-    ("numerics.program_cache", "cli"),
     ("problem.pure_problem", "fitting"),
     ("robots.drives", "simulation"),
     ("robots.limbs", "fitting"),
-    ("simulation.diffrax_solver", "problem"),
 }
 #: Imports inside functions that still point up: (module, package).
 INSIDE_FUNCTIONS = {
     ("catalogue", "fitters"),
     ("conventions.checking", "fitters"),
     ("conventions.checking", "fitting"),
-    ("conventions.finding", "fitting"),
     ("data.assemble", "catalogue"),
     ("data.assemble", "dynamics"),
     ("data.assemble_model", "robots"),
@@ -57,9 +53,7 @@ INSIDE_FUNCTIONS = {
     ("numerics.export_cache", "fitters"),
     ("numerics.export_cache", "models"),
     ("problem.closed_loop", "fitting"),
-    ("problem.pure_problem", "api"),
     ("robots.yardstick", "fitting"),
-    ("storage.result_files", "report"),
 }
 
 

@@ -19,9 +19,9 @@ import pytest
 import jaxid
 from jaxid.cli import app as cli
 from jaxid.errors import NotSaved
-from jaxid.report.page import result_of
 from jaxid.storage import atomic_files, interim, result_files
 from jaxid.storage.atomic_files import replace_files, settle, STAGE
+from jaxid.storage.result_files import result_of
 from jaxid.storage.small_files import LARGEST_BYTES
 from report_sample import sample_diagnosis, sample_fit
 from test_batch import write_dataset

@@ -6,20 +6,15 @@ import sys
 import time
 import warnings
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager, suppress
+from contextlib import contextmanager
 from typing import Any
 
 from jaxid.errors import DatasetWarning
-from jaxid.wording import clean, one_line
+from jaxid.wording import clean, complain as complain, one_line
 
 
 def say(text: object) -> None:
     print(clean(text))
-
-
-def complain(text: object) -> None:
-    with suppress(OSError):  # the terminal is gone
-        print(f"jaxid: {clean(text)}", file=sys.stderr, flush=True)
 
 
 @contextmanager

@@ -72,7 +72,7 @@ class Checked:
     wall_time_s: float = 0.0
 
     def to_dict(self) -> dict[str, Any]:
-        from jaxid.fitting.result import versions
+        from jaxid.numerics.versions import versions
         from jaxid.serialise import SCHEMA
 
         return {

@@ -12,7 +12,7 @@ from jaxid.data.dataset import Dataset
 from jaxid.dynamics.chain import Chain
 from jaxid.excitation.bounds import Bounds
 from jaxid.excitation.trajectories import Fourier
-from jaxid.fitting.result import versions
+from jaxid.numerics.versions import versions
 from jaxid.serialise import SCHEMA
 
 

@@ -9,7 +9,7 @@ from typing import Any, TYPE_CHECKING
 
 import numpy as np
 
-from jaxid.fitting.result import versions
+from jaxid.numerics.versions import versions
 from jaxid.serialise import SCHEMA
 
 

@@ -8,7 +8,6 @@ from typing import Any
 import jax.numpy as jnp
 import numpy as np
 
-from jaxid.api import with_solver
 from jaxid.data.dataset import Dataset
 from jaxid.dynamics.chain import Chain
 from jaxid.dynamics.parameter_vector import Layout
@@ -19,6 +18,7 @@ from jaxid.fitting.scores import free_runs, scored
 from jaxid.fitting.simulation import Simulation
 from jaxid.numerics.precision import float64
 from jaxid.problem.binding import bind, resolve_model
+from jaxid.problem.solver import with_solver
 from jaxid.simulation import sample_buffers as samples
 from jaxid.simulation.animation import Motion, motion
 

@@ -9,8 +9,8 @@ from typing import Any
 import numpy as np
 
 from jaxid.conventions.finding import as_data, DataFinding
-from jaxid.fitting.result import versions
 from jaxid.identification.payload import Payload
+from jaxid.numerics.versions import versions
 from jaxid.robots.export.result import Exportable
 from jaxid.serialise import SCHEMA
 

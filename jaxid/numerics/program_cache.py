@@ -17,7 +17,7 @@ import time
 from pathlib import Path
 from typing import Any
 
-from jaxid.cli import terminal
+from jaxid.wording import complain
 
 
 #: When a program is written, those are removed that nobody read for so long (s), and what a killed process left half written.
@@ -114,7 +114,7 @@ def _say_once(kind: str, message: str) -> None:
         said = kind in _SAID
         _SAID.add(kind)
     if not said:
-        terminal.complain(message)
+        complain(message)
 
 
 # ---- whose folder it is

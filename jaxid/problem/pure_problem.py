@@ -22,7 +22,8 @@ from jaxid.numerics.reverse import in_reverse
 from jaxid.problem.binding import bind
 from jaxid.problem.objective import LOSSES, penalised
 from jaxid.problem.problem import Data, Problem as Runnable
-from jaxid.problem.residual import Residual
+from jaxid.problem.residual import Residual, resolve_residual
+from jaxid.problem.solver import with_solver
 from jaxid.simulation.rollout import Lane
 from jaxid.simulation.sample_buffers import BLOCK
 
@@ -119,7 +120,6 @@ def make_problem(
     `split` says which runs it looks at, `solver` (a solver of diffrax, or `Diffrax`) simulates in place of jaxid's own
     stepping. Raises `UsageError` for arguments that do not fit.
     """
-    from jaxid.api import resolve_residual, with_solver
 
     if loss not in LOSSES:
         raise UsageError(f"there is no loss {loss!r}{nearest(loss, LOSSES)}")

@@ -12,6 +12,7 @@ from __future__ import annotations
 import abc
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
+from importlib import import_module
 from typing import ClassVar, Literal
 
 import numpy as np
@@ -20,7 +21,7 @@ from jaxid.data.dataset import Dataset, Experiment
 from jaxid.dynamics.chain import Chain
 from jaxid.dynamics.joint_readings import joint_readings, position_matters, start_of, stated_start
 from jaxid.dynamics.parameter_vector import Layout
-from jaxid.errors import UsageError
+from jaxid.errors import nearest, UsageError
 from jaxid.problem import measured_motion
 from jaxid.problem.measured_motion import Motion
 from jaxid.problem.torque_filter import decimated_torque_lane, evenly, torque_setting, TorqueSetting
@@ -295,3 +296,23 @@ def record_of(number: int, e: Experiment, p: np.ndarray, a: int, b: int, dataset
 
 
 RESIDUALS: dict[str, type[Residual]] = {r.name: r for r in (OutputError, MultipleShooting, InverseDynamics)}
+
+
+def resolve_residual(residual: Residual | str | None, cutoff_hz: float | None = None) -> Residual | None:
+    """The residual that is meant; `cutoff_hz` is that of `inverse_dynamics`. Raises `UsageError` for one that does not exist."""
+    if cutoff_hz is not None:
+        name = residual if isinstance(residual, str | None) else residual.name
+        if name != InverseDynamics.name:
+            raise UsageError(
+                "a cutoff is the low-pass of inverse_dynamics: give residual='inverse_dynamics' (--residual) with it"
+            )
+        if not cutoff_hz > 0:
+            raise UsageError(f"a cutoff of {cutoff_hz:g} Hz is none; give one above 0")
+        return InverseDynamics(cutoff_hz=cutoff_hz)
+    if isinstance(residual, str):
+        import_module("jaxid.problem.closed_loop")  # which enters its own
+        import_module("jaxid.problem.frequency_response")
+        if residual not in RESIDUALS:
+            raise UsageError(f"there is no residual {residual!r}{nearest(residual, RESIDUALS)}")
+        return RESIDUALS[residual]()
+    return residual

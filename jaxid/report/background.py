@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 from jaxid import wording
-from jaxid.fitting.result import versions
+from jaxid.numerics.versions import versions
 from jaxid.report import text
 from jaxid.report.page import Section
 

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import hashlib
-import re
 from collections.abc import Iterable
 from typing import Any, NamedTuple
 
@@ -40,12 +39,6 @@ def render(title: str, sections: Iterable[Section | None], result: str, content:
     return _environment.get_template("page.html").render(
         title=title, style=_style(), body=_body(sections), result=result, digest=digest
     )
-
-
-def result_of(page: bytes) -> tuple[str, str] | None:
-    """Name and SHA-256 of the file that belongs to a page; None for one that is not ours."""
-    found = re.search(rb'<meta name="jaxid-result" content="([^"/]+) sha256:([0-9a-f]{64})">', page[:4096])
-    return None if found is None else (found[1].decode(), found[2].decode())
 
 
 def render_fragment(sections: Iterable[Section | None]) -> str:

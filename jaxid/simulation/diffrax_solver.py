@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import cache
 from typing import Any
 
@@ -13,12 +13,9 @@ from jaxid.dynamics.carry import Carry
 from jaxid.dynamics.chain import Chain
 from jaxid.dynamics.effect import Command, OutputEffect
 from jaxid.dynamics.mechanism import Mechanism
-from jaxid.dynamics.ode import check_smooth, rates
-from jaxid.dynamics.parameter_vector import Layout
+from jaxid.dynamics.ode import rates
 from jaxid.errors import nearest, UsageError
 from jaxid.numerics.reverse import reversible
-from jaxid.problem.binding import Binding
-from jaxid.problem.residual import Residual
 from jaxid.simulation.rollout import Lane, simulate_lane
 
 
@@ -56,23 +53,6 @@ def named(text: str) -> Diffrax:
         return Diffrax(kinds[name]())
     except TypeError as error:
         raise UsageError(f"diffrax:{name} needs settings: make it in Python, solver=diffrax.{name}(...)") from error
-
-
-def bound_to(binding: Binding, solver: Any, residual: Residual | None) -> Binding:
-    """The binding whose free runs and windows are simulated by a solver. Raises `UsageError` for dry friction that sticks, and
-    for residuals that are something else."""
-    import diffrax
-
-    if isinstance(solver, str):
-        solver = named(solver)
-    elif isinstance(solver, diffrax.AbstractSolver):
-        solver = Diffrax(solver)
-    if not isinstance(solver, Diffrax):
-        raise UsageError(f"a solver is one of diffrax, such as diffrax.Tsit5(), not {type(solver).__name__}")
-    if residual is not None and not (residual.free_run or residual.windows):
-        raise UsageError(f"a solver simulates free runs (output_error, multiple_shooting); {residual.name} has its own way")
-    check_smooth(binding.chain)
-    return replace(binding, layout=Layout(binding.layout.chain, solver))
 
 
 @cache

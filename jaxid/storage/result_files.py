@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import io
 import json
+import re
 from contextlib import suppress
 from hashlib import sha256
 from pathlib import Path
@@ -106,8 +107,6 @@ def _written(place: Path) -> list[str]:
 
 def _kept_page(folder: Path, name: str) -> dict[str, bytes]:
     """The page there is, where it belongs to another JSON than `name` that still lies beside it: under the name of that one."""
-    from jaxid.report.page import result_of
-
     with suppress(OSError):
         page = (folder / PAGE).read_bytes()
         about = result_of(page)
@@ -121,8 +120,6 @@ def _kept_page(folder: Path, name: str) -> dict[str, bytes]:
 
 def _obsolete(folder: Path, name: str, files: dict[str, bytes]) -> list[str]:
     """Files of the older result of this kind that the new one does not have."""
-    from jaxid.report.page import result_of
-
     out = []
     with suppress(OSError):
         page = Path(name).with_suffix(".html").name
@@ -134,3 +131,9 @@ def _obsolete(folder: Path, name: str, files: dict[str, bytes]) -> list[str]:
             runs = [f"run_{i + 1}.{kind}" for i in range(older) for kind in ("parquet", "png")]
             out += [run for run in runs if run not in files]
     return out
+
+
+def result_of(page: bytes) -> tuple[str, str] | None:
+    """Name and SHA-256 of the file that belongs to a page; None for one that is not ours."""
+    found = re.search(rb'<meta name="jaxid-result" content="([^"/]+) sha256:([0-9a-f]{64})">', page[:4096])
+    return None if found is None else (found[1].decode(), found[2].decode())
