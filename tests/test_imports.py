@@ -54,6 +54,7 @@ INSIDE_FUNCTIONS = {
     ("numerics.export_cache", "models"),
     ("problem.closed_loop", "fitting"),
     ("robots.yardstick", "fitting"),
+    ("storage.result_files", "report"),
 }
 
 
