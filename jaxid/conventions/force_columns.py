@@ -34,10 +34,10 @@ _PROGRAMS: dict[Any, Traced] = {}
 def _program(layout: Layout, free: tuple[int, ...] | None) -> Traced:
     """`force` by all numbers of a layout, one program for all chains of its structure: at sets of numbers [sets rows nq], or at
     one with its slopes by those that are `free` [rows nq], [rows nq free]."""
-    structure = jax.tree.structure(layout.chain), free
-    if structure not in _PROGRAMS:
-        key = key_of(force, layout.model(np.zeros(len(layout))), layout.names, *([] if free is None else [free]))
-        at = lambda theta, *sample: force(layout.model(theta), *sample)
+    form = layout.form
+    if (form, free) not in _PROGRAMS:
+        key = key_of(force, form.bare, *([] if free is None else [free]))
+        at = lambda theta, *sample: force(form.model(theta), *sample)
 
         def sets(theta, *motion):
             return jax.vmap(lambda own: jax.vmap(lambda *s: at(own, *s))(*motion))(theta)
@@ -48,8 +48,8 @@ def _program(layout: Layout, free: tuple[int, ...] | None) -> Traced:
             slopes, here = jax.vmap(lambda *s: jax.jacrev(by, has_aux=True)(theta[index], *s))(*motion)
             return here, slopes
 
-        _PROGRAMS[structure] = Traced(sets if free is None else with_slopes, key)
-    return _PROGRAMS[structure]
+        _PROGRAMS[form, free] = Traced(sets if free is None else with_slopes, key)
+    return _PROGRAMS[form, free]
 
 
 class Forces:

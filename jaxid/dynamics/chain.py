@@ -145,6 +145,13 @@ class Chain(eqx.Module):
         """The same model with dry friction smoothed as tanh(qd / smoothing_velocity); 0 restores true sticking."""
         return Chain(self.mechanism, self.effects, signature=self.signature, smoothing_velocity=smoothing_velocity)
 
+    def nameless(self) -> Chain:
+        """The same as programs are made of it: see `Mechanism.nameless`. Where numbers are told apart by name it is unchanged."""
+        if self.timed:
+            return self
+        mechanism, signature = self.mechanism.nameless(self.signature)
+        return Chain(mechanism, self.effects, signature=signature, smoothing_velocity=self.smoothing_velocity)
+
     # ---- numbers that change in time
 
     @property
@@ -363,17 +370,19 @@ class Chain(eqx.Module):
         q: Float[Array, " nq"],
         qd: Float[Array, " nq"],
         qdd: Float[Array, " nq"],
+        turn: Float[Array, " nq"] | None = None,
     ) -> tuple[Float[Array, " nq"], tuple]:
-        """Missing torque of a measured motion, drive(u) - (M qdd + bias + friction), and the effects' next states."""
+        """Missing torque of a measured motion, drive(u) - (M qdd + bias + friction), and the effects' next states. `turn`: speeds
+        within which dry friction turns about, in place of `smoothing_velocity`."""
         if self.timed:
-            return self.present(command.t, command.h).inverse(command, z, q, qd, qdd)
+            return self.present(command.t, command.h).inverse(command, z, q, qd, qdd, turn)
         body = self.body()
         s = Signals(command.t, q, qd, jnp.zeros_like(q), command.h, command, qd)
         u, z = self.commanded(s, z)
         tau = body.drive(self.signature, u, q, qd)
         F, minus, plus, z = self.friction(s._replace(load=tau), z)
-        eps = self.smoothing_velocity
-        direction = jnp.sign(qd) if eps == 0 else jnp.tanh(qd / eps)
+        eps = self.smoothing_velocity if turn is None else turn
+        direction = jnp.sign(qd) if turn is None and eps == 0 else jnp.tanh(qd / eps)
         dry = jnp.where(direction > 0, plus, minus) * direction
         return tau - body.inverse(q, qd, qdd) - F - dry, z
 

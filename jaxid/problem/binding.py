@@ -306,11 +306,10 @@ _INERTIA: dict[Any, Traced] = {}
 
 def _inertia_program(layout: Layout) -> Traced:
     """`inertia_torque` by all numbers of a layout, one program for all chains of its structure."""
-    structure = jax.tree.structure(layout.chain)
-    if structure not in _INERTIA:
-        key = key_of(inertia_torque, layout.model(np.zeros(len(layout))), layout.names)
-        _INERTIA[structure] = Traced(lambda theta, q, qdd: inertia_torque(layout.model(theta), q, qdd), key)
-    return _INERTIA[structure]
+    if (form := layout.form) not in _INERTIA:
+        program = lambda theta, q, qdd: inertia_torque(form.model(theta), q, qdd)
+        _INERTIA[form] = Traced(program, key_of(inertia_torque, form.bare))
+    return _INERTIA[form]
 
 
 def _references(

@@ -167,14 +167,12 @@ def drive_torque(layout: Layout, theta: np.ndarray | None, u: np.ndarray, motion
     chain, nq = layout.chain, layout.chain.nq
     if chain.direct and not chain.signature.beside:
         return u * (drive_gains(chain) if theta is None else drive_gains(layout.model(theta)))
-    structure = jax.tree.structure(chain)
-    if structure not in _DRIVES:
-        key = key_of(_driven, layout.model(np.zeros(len(layout))), layout.names)
-        _DRIVES[structure] = Traced(lambda theta, *args: _driven(layout.model(theta), *args), key)
+    if (form := layout.form) not in _DRIVES:
+        _DRIVES[form] = Traced(lambda theta, *args: _driven(form.model(theta), *args), key_of(_driven, form.bare))
     room = bucket(len(u)) - len(u)  # runs of other lengths meet the same program
     args = [np.pad(a, ((0, room), (0, 0))) for a in (u, motion[:, :nq], motion[:, nq : 2 * nq])]
     with float64():
-        return np.asarray(_DRIVES[structure](layout.values if theta is None else theta, *args))[: len(u)]
+        return np.asarray(_DRIVES[form](layout.values if theta is None else theta, *args))[: len(u)]
 
 
 def _driven(chain: Chain, u: Any, q: Any, qd: Any) -> Any:

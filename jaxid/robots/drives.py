@@ -71,6 +71,11 @@ class Law:
         return "delay" in self.fit or any(self.delay)
 
     @property
+    def nameless(self) -> Law:
+        """The law without numbers and names: those are told to a program."""
+        return Law("", self.kind, *((),) * 9)
+
+    @property
     def numbers(self) -> dict[str, np.ndarray]:
         """Fields of a `PositionLaw`."""
         return {k: np.array(getattr(self, k)) for k in ("kp", "kd", "ki", "gain", "lowest", "highest", "offset")}

@@ -23,7 +23,7 @@ import numpy as np
 from jaxtyping import Array
 
 from jaxid.dynamics.effect import RecordEffect
-from jaxid.dynamics.parameter_vector import Layout
+from jaxid.dynamics.parameter_vector import Form, Layout
 from jaxid.numerics.batch_loop import over_lanes
 from jaxid.numerics.export_cache import key_of, Traced
 from jaxid.numerics.precision import float64
@@ -72,19 +72,19 @@ _LOCK = Lock()
 
 def programs_for(layout: Layout, lane: Lane, length: int, reach: int, burn: bool) -> Programs:
     """Programs shared by all engines of the same structure: numbers, data and lengths up to the bucket are arguments."""
-    key = (jax.tree.structure(layout.chain), lane, length, reach, burn)
+    key = (form := layout.form, lane, length, reach, burn)
     with _LOCK:
         if key not in _PROGRAMS:
-            _PROGRAMS[key] = _programs(layout, lane, length, reach, burn)
+            _PROGRAMS[key] = _programs(form, lane, length, reach, burn)
         _PROGRAMS.move_to_end(key)
         if len(_PROGRAMS) > KEPT:
             _PROGRAMS.popitem(last=False)
         return _PROGRAMS[key]
 
 
-def _programs(layout: Layout, lane: Lane, length: int, reach: int, burn: bool) -> Programs:
+def _programs(form: Form, lane: Lane, length: int, reach: int, burn: bool) -> Programs:
     def predict(theta, start, where, samples, steps):
-        return lane(layout.model(theta), samples, where, start, steps, length, reach, burn)
+        return lane(form.model(theta), samples, where, start, steps, length, reach, burn)
 
     def tangent(theta, start, dtheta, dstart, where, samples, steps):
         f = lambda theta, start: predict(theta, start, where, samples, steps)
@@ -92,10 +92,10 @@ def _programs(layout: Layout, lane: Lane, length: int, reach: int, burn: bool) -
 
     batch = over_lanes(predict, (0, 0, 0, None, None))
     tangents = over_lanes(tangent, (0, 0, 0, 0, 0, None, None))
-    about = key_of(lane, layout.model(np.zeros(len(layout))), layout.names, length, reach, burn)
+    about = key_of(lane, form.bare, length, reach, burn)
     traced = lambda f, name: Traced(f, about and f"{name}\n{about}")
     whole = traced(batch, "outputs"), traced(tangents, "tangents")
-    parts = windowed(layout, lane, reach, burn)
+    parts = windowed(form, lane, reach, burn)
     part = traced(parts.outputs, "output windows"), traced(parts.tangents, "tangent windows")
     return Programs(predict, *whole, *part, parts.begins, {}, {})
 

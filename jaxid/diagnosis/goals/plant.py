@@ -14,7 +14,7 @@ from jaxid.diagnosis.goals.loop import Loop, loop_of
 from jaxid.diagnosis.torque.plant import AnyPlant
 from jaxid.diagnosis.torque.rows import Run
 from jaxid.dynamics.effect import Command, InputEffect, neutral, Signals
-from jaxid.dynamics.parameter_vector import Layout
+from jaxid.dynamics.parameter_vector import Form, Layout
 from jaxid.numerics.precision import float64
 
 
@@ -29,7 +29,7 @@ class LedPlant(AnyPlant):
         """Force [time n] that the model lacks along the motion of a run, moved by so much."""
         series = [run.padded(x) for x in (run.u, run.q + q, run.qd + qd, run.qdd + qdd)]
         with float64():
-            return np.asarray(_missing(self.layout)(theta, run.step, *series))[: len(run.q)]
+            return np.asarray(_missing(self.form)(theta, self.eps, run.step, *series))[: len(run.q)]
 
     def linearised(self, run, theta):
         at, out = self.missing(run, theta), self.columns(run, theta)
@@ -93,13 +93,13 @@ def _command(h: Any, u: Any, other: Any, k: Any) -> Command:
 
 
 @lru_cache(maxsize=16)
-def _missing(layout: Layout) -> Any:
-    def missing(theta: Any, h: Any, u: Any, q: Any, qd: Any, qdd: Any) -> Any:
-        chain = layout.model(theta)
+def _missing(form: Form) -> Any:
+    def missing(theta: Any, eps: Any, h: Any, u: Any, q: Any, qd: Any, qdd: Any) -> Any:
+        chain = form.model(theta)
 
         def step(z: Any, now: Any) -> Any:
             k, q, qd, qdd = now
-            out, z = chain.inverse(_command(h, u, u, k), z, q, qd, qdd)
+            out, z = chain.inverse(_command(h, u, u, k), z, q, qd, qdd, eps)
             return z, out
 
         z, every = chain.start(q[0], qd[0], u[0]).z, (jnp.arange(u.shape[0]), q, qd, qdd)
@@ -114,9 +114,9 @@ class Drive:
     """The law with effects on its way, without the mechanism: the joint torque along a measured motion."""
 
     def __init__(self, plant: LedPlant, kinds: Sequence[Any]):
-        chain = plant.layout.chain
+        chain = plant.binding.chain
         law = [e for e in chain.effects if isinstance(e, InputEffect)]
-        self.plant, self.names = plant, plant.layout.names
+        self.plant, self.names = plant, plant.binding.layout.names
         self.chain = chain._with([*law, *(neutral(k) for k in kinds)])
         self.layout = Layout(self.chain)
 
@@ -129,13 +129,13 @@ class Drive:
         """[time n]; `other` [time nu] the inputs under the other hold."""
         series = [run.padded(x) for x in (run.u, other, run.q, run.qd)]
         with float64():
-            return np.asarray(_torque(self.layout)(theta, run.step, *series))[: len(run.q)]
+            return np.asarray(_torque(self.layout.form)(theta, run.step, *series))[: len(run.q)]
 
 
 @lru_cache(maxsize=16)
-def _torque(layout: Layout) -> Any:
+def _torque(form: Form) -> Any:
     def torque(theta: Any, h: Any, u: Any, other: Any, q: Any, qd: Any) -> Any:
-        chain = layout.model(theta)
+        chain = form.model(theta)
         body = chain.body()
 
         def step(z: Any, now: Any) -> Any:

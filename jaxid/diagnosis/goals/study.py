@@ -209,7 +209,7 @@ class LedStudy(Study):
     def _bodies(self, kind: Any, theta: np.ndarray) -> list[Unit]:
         """What changes the mechanism, to first order in each of its numbers."""
         b, out, own = self.binding, [], specs(kind)
-        mechanism = b.layout.model(theta).mechanism
+        mechanism = b.layout.form.model(theta).mechanism
         for place in b.chain.offers(kind):
             j = b.chain.places(kind).index(place)
             reference = b.reference(kind, j)

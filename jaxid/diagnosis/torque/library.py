@@ -236,7 +236,7 @@ def _derivatives(
     joints = b.chain.signature.joints
     fields = list(specs(kind))
     with float64():
-        mechanism = b.layout.model(theta).mechanism
+        mechanism = b.layout.form.model(theta).mechanism
         for place in places:
             columns, j = [], joints.index(place)
             for r in runs:
