@@ -370,21 +370,31 @@ class Chain(eqx.Module):
         q: Float[Array, " nq"],
         qd: Float[Array, " nq"],
         qdd: Float[Array, " nq"],
-        turn: Float[Array, " nq"] | None = None,
     ) -> tuple[Float[Array, " nq"], tuple]:
-        """Missing torque of a measured motion, drive(u) - (M qdd + bias + friction), and the effects' next states. `turn`: speeds
-        within which dry friction turns about, in place of `smoothing_velocity`."""
+        """Missing torque of a measured motion, drive(u) - (M qdd + bias + friction), and the effects' next states."""
+        left, minus, plus, z = self.balance(command, z, q, qd, qdd)
+        eps = self.smoothing_velocity
+        direction = jnp.sign(qd) if eps == 0 else jnp.tanh(qd / eps)
+        return left - jnp.where(direction > 0, plus, minus) * direction, z
+
+    def balance(
+        self,
+        command: Command,
+        z: tuple,
+        q: Float[Array, " nq"],
+        qd: Float[Array, " nq"],
+        qdd: Float[Array, " nq"],
+    ) -> tuple[Float[Array, " nq"], Float[Array, " nq"], Float[Array, " nq"], tuple]:
+        """What a measured motion leaves to dry friction, drive(u) - (M qdd + bias + smooth friction), the dry levels (minus, plus),
+        and the effects' next states."""
         if self.timed:
-            return self.present(command.t, command.h).inverse(command, z, q, qd, qdd, turn)
+            return self.present(command.t, command.h).balance(command, z, q, qd, qdd)
         body = self.body()
         s = Signals(command.t, q, qd, jnp.zeros_like(q), command.h, command, qd)
         u, z = self.commanded(s, z)
         tau = body.drive(self.signature, u, q, qd)
         F, minus, plus, z = self.friction(s._replace(load=tau), z)
-        eps = self.smoothing_velocity if turn is None else turn
-        direction = jnp.sign(qd) if turn is None and eps == 0 else jnp.tanh(qd / eps)
-        dry = jnp.where(direction > 0, plus, minus) * direction
-        return tau - body.inverse(q, qd, qdd) - F - dry, z
+        return tau - body.inverse(q, qd, qdd) - F, minus, plus, z
 
     def ode(self) -> ODE:
         """The model as dy/dt = f(t, y, (parameters, u)), for diffrax and other solvers: see `jaxid.dynamics.ode.ODE`.

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
+from functools import cached_property
 from typing import Any, NamedTuple
 
 import equinox as eqx
@@ -93,7 +94,7 @@ class Layout:
     def __len__(self) -> int:
         return len(self.entries)
 
-    @property
+    @cached_property
     def form(self) -> Form:
         """What programs of this model are made of."""
         return Form(self.chain, self._leaves)

@@ -23,13 +23,28 @@ MOVED, FASTER, CHANGED = 1e-5, 1e-4, 1e-4
 
 
 class LedPlant(AnyPlant):
-    """The missing force of a model that goals drive. Along the measured motion dry friction turns about within `turn`."""
+    """The missing force of a model that goals drive. Along the measured motion dry friction turns about within `turn`; a joint that
+    stands still is held by any force up to its dry friction, and nothing is missing there."""
 
-    def missing(self, run: Run, theta: np.ndarray, q: Any = 0.0, qd: Any = 0.0, qdd: Any = 0.0) -> np.ndarray:
-        """Force [time n] that the model lacks along the motion of a run, moved by so much."""
+    def balance(self, run: Run, theta: np.ndarray, q: Any = 0.0, qd: Any = 0.0, qdd: Any = 0.0) -> tuple[np.ndarray, ...]:
+        """Force [time n] that the motion of a run, moved by so much, leaves to dry friction, and its levels (minus, plus)."""
         series = [run.padded(x) for x in (run.u, run.q + q, run.qd + qd, run.qdd + qdd)]
         with float64():
-            return np.asarray(_missing(self.form)(theta, self.eps, run.step, *series))[: len(run.q)]
+            found = _balance(self.form)(theta, run.step, *series)
+        return tuple(np.asarray(x)[: len(run.q)] for x in found)
+
+    def friction(self, run: Run, theta: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """What the motion leaves to dry friction and what friction takes of it, [time n]."""
+        left, minus, plus = self.balance(run, theta)
+        way = np.tanh(run.qd / self.eps)
+        room = 1 - np.abs(way)
+        turned = np.where(way > 0, plus, minus) * way
+        return left, np.clip(left, turned - room * minus, turned + room * plus)
+
+    def missing(self, run: Run, theta: np.ndarray) -> np.ndarray:
+        """Force [time n] that the model lacks along the motion of a run."""
+        left, taken = self.friction(run, theta)
+        return left - taken
 
     def linearised(self, run, theta):
         at, out = self.missing(run, theta), self.columns(run, theta)
@@ -50,7 +65,7 @@ class LedPlant(AnyPlant):
         return out
 
     def slopes(self, run: Run, theta: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Minus the derivatives of the missing force by accelerations, speeds and positions, each [time n n]."""
+        """Minus the derivatives of what is left to dry friction by accelerations, speeds and positions, each [time n n]."""
         n = run.q.shape[1]
         top = np.maximum(np.percentile(np.abs(run.qd), 99, axis=0), 1e-6)
         made: list[np.ndarray] = []
@@ -58,19 +73,19 @@ class LedPlant(AnyPlant):
             columns = []
             for j in range(n):
                 step = size[j] * np.eye(n)[j]
-                low, high = (self.missing(run, theta, **{field: s * step}) for s in (-1.0, 1.0))
+                low, high = (self.balance(run, theta, **{field: s * step})[0] for s in (-1.0, 1.0))
                 columns.append((low - high) / (2 * size[j]))
             made.append(np.stack(columns, 2))
         return made[0], made[1], made[2]
 
     def loop(self, run: Run, theta: np.ndarray) -> Loop:
-        """The free run to first order about the measured motion. The slope of dry friction is what the damping has of it where a
-        joint turns about."""
+        """The free run to first order about the measured motion; a joint that friction holds is moved by no force."""
         inertia, damping, stiffness = self.slopes(run, theta)
         level = self._dry(theta)
-        sticking = level / self.turn / np.cosh(np.clip(run.qd / self.turn, -300, 300)) ** 2
-        smooth = damping - sticking[:, :, None] * np.eye(len(level))
-        return loop_of(run.step, *(run.padded(x) for x in (inertia, smooth, sticking, stiffness)))
+        slow = 1 / np.cosh(np.clip(run.qd / self.eps, -300, 300)) ** 2
+        left, taken = self.friction(run, theta)
+        moves = np.where(left == taken, np.abs(np.tanh(run.qd / self.eps)), 1.0)
+        return loop_of(run.step, *(run.padded(x) for x in (inertia, damping, level / self.eps * slow, stiffness, moves)))
 
     def _dry(self, theta: np.ndarray) -> np.ndarray:
         """Level of the model's own dry friction [n]."""
@@ -93,21 +108,21 @@ def _command(h: Any, u: Any, other: Any, k: Any) -> Command:
 
 
 @lru_cache(maxsize=16)
-def _missing(form: Form) -> Any:
-    def missing(theta: Any, eps: Any, h: Any, u: Any, q: Any, qd: Any, qdd: Any) -> Any:
+def _balance(form: Form) -> Any:
+    def balance(theta: Any, h: Any, u: Any, q: Any, qd: Any, qdd: Any) -> Any:
         chain = form.model(theta)
 
         def step(z: Any, now: Any) -> Any:
             k, q, qd, qdd = now
-            out, z = chain.inverse(_command(h, u, u, k), z, q, qd, qdd, eps)
-            return z, out
+            left, minus, plus, z = chain.balance(_command(h, u, u, k), z, q, qd, qdd)
+            return z, (left, minus, plus)
 
         z, every = chain.start(q[0], qd[0], u[0]).z, (jnp.arange(u.shape[0]), q, qd, qdd)
         if jax.tree.leaves(z):
             return jax.lax.scan(step, z, every)[1]
         return jax.vmap(lambda *now: step(z, now)[1])(*every)
 
-    return jax.jit(missing)
+    return jax.jit(balance)
 
 
 class Drive:
