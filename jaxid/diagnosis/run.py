@@ -255,7 +255,9 @@ def _diagnosed(question: Question, scatter: timing.Scatter | None = None) -> tup
     estimates = _effect_estimates(binding, final, named)
     if verdict == "named" and (against := doubts(estimates)):
         verdict, text = "partly", f"{text} It is not to be believed as it stands: {'; '.join(against)}."
-    final_fit = _fit(bench, final, residual, seed, compile_time, time.perf_counter() - began)
+    final_fit = nominal_fit
+    if named or question.search is None:
+        final_fit = _fit(bench, final, residual, seed, compile_time, time.perf_counter() - began)
     how_far = dataclasses.replace(how_far, per_joint=with_effects(nominal_fit.per_joint, final_fit.per_joint))
     mates = search.confusable if named else []
     findings, pictures, rows = _where(bench, search.nominal, final, verdict, estimates, seed)
@@ -385,7 +387,9 @@ def _where(bench: Bench, nominal: Hypothesis, final: Hypothesis, verdict: str, n
     before = location.missing_forces(bench, nominal.theta, starts, seed)
     found, rows, pictures = [], [], []
     if before:
-        after = location.missing_forces(bench, final.theta, _starts(bench, final), seed, draws=0)
+        after = before
+        if final is not nominal:
+            after = location.missing_forces(bench, final.theta, _starts(bench, final), seed, draws=0)
         forces = {j: location.supplied(before, after, joints.index(j)) for j in only}
         given = {j: force for j, force in forces.items() if force is not None}
         rows = location.table(before, joints, given)

@@ -385,8 +385,8 @@ class Chain(eqx.Module):
         qd: Float[Array, " nq"],
         qdd: Float[Array, " nq"],
     ) -> tuple[Float[Array, " nq"], Float[Array, " nq"], Float[Array, " nq"], tuple]:
-        """What a measured motion leaves to dry friction, drive(u) - (M qdd + bias + smooth friction), the dry levels (minus, plus),
-        and the effects' next states."""
+        """What a measured motion leaves to dry friction, drive(u) - (M qdd + bias + smooth friction), the dry levels (minus,
+        plus), and the effects' next states."""
         if self.timed:
             return self.present(command.t, command.h).balance(command, z, q, qd, qdd)
         body = self.body()

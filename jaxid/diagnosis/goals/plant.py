@@ -23,8 +23,8 @@ MOVED, FASTER, CHANGED = 1e-5, 1e-4, 1e-4
 
 
 class LedPlant(AnyPlant):
-    """The missing force of a model that goals drive. Along the measured motion dry friction turns about within `turn`; a joint that
-    stands still is held by any force up to its dry friction, and nothing is missing there."""
+    """The missing force of a model that goals drive. Along the measured motion dry friction turns about within `eps`; a joint
+    that stands still is held by any force up to its dry friction, and nothing is missing there."""
 
     def balance(self, run: Run, theta: np.ndarray, q: Any = 0.0, qd: Any = 0.0, qdd: Any = 0.0) -> tuple[np.ndarray, ...]:
         """Force [time n] that the motion of a run, moved by so much, leaves to dry friction, and its levels (minus, plus)."""

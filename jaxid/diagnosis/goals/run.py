@@ -15,6 +15,7 @@ from jaxid.diagnosis.goals.search import Decider
 from jaxid.diagnosis.goals.study import LedStudy, loop_step
 from jaxid.diagnosis.hypothesis import Search
 from jaxid.diagnosis.result import Diagnosis
+from jaxid.diagnosis.verdict import level
 from jaxid.dynamics.chain import Chain
 from jaxid.dynamics.effect import Effect
 from jaxid.dynamics.joint_readings import all_read
@@ -92,6 +93,7 @@ def diagnose_led(
         hold = dataset.inputs[0].hold
         notes.append(OTHER_WAY.format(WORDS[other.binding.dataset.inputs[0].hold], WORDS.get(hold, hold)))
         dataset, study = swapped, other
+        study.tuned(study.theta)
     say("along the motion", 1, 3, "noise")
     series = between_simulators(Bench(study.binding, step, differences=1))
     doubts, apart = ({}, None) if series is None else study.taken_up(series)
@@ -108,7 +110,7 @@ def diagnose_led(
         return _decided(bench, study.binding.layout.names, bare, sets, seed, began, progress, offer)
 
     found = answer(wide, names, search, step)
-    if found.which.verdict == "unknown" and series is not None:
+    if found.which.verdict == "unknown" and series is not None and _near(found, study.binding, series):
         # No effect is borne out: what is left is no gap where two simulators of the file as it stands are as far apart.
         whole = np.sqrt(np.mean(np.concatenate(series) ** 2, 0))
         plain = with_floor(bind(model, dataset, without=without), whole, doubts)
@@ -123,6 +125,14 @@ def diagnose_led(
         notes.append(MEANING)
     notes.append(f"{found.nominal.evaluations} free runs were simulated under the law, in steps of {step:.2g} s at most")
     return replace(found, notes=(*found.notes, *notes), wall_time_s=time.perf_counter() - began)
+
+
+def _near(found: Diagnosis, binding: Binding, series: Sequence[np.ndarray]) -> bool:
+    """Whether a nominal model can reach noise that counts all that two simulators differ by: whatever its numbers, it leaves no
+    less of the fit runs than the best one, weighed by the channel in which noise grows most."""
+    wide = np.hypot(binding.sigma, np.sqrt(np.mean(np.concatenate(series) ** 2, 0)))
+    count = sum(len(e.t) for e in binding.experiments("fit")) * len(wide)
+    return bool(found.nominal.loss * np.min(binding.sigma / wide) ** 2 <= level(count))
 
 
 def _decided(

@@ -9,6 +9,7 @@ from typing import Any
 
 import numpy as np
 
+from jaxid.data.dataset import Experiment
 from jaxid.diagnosis.goals.loop import FINE, LoopRun, mean_input, RawRun, refined
 from jaxid.diagnosis.goals.plant import CHANGED, Drive, LedPlant
 from jaxid.diagnosis.torque.algebra import gram, solve, weighted, Weights
@@ -25,8 +26,8 @@ from jaxid.simulation.sample_buffers import columns
 
 #: A shift of readings over which gravity's derivative is taken: what an encoder that is off does.
 OFF = 1e-4
-#: Damping of the descent to the nominal model (Marquardt's, a share of each number's own curvature): at first, by how much less and
-#: more it is after a step that led down and one that did not, and where it ends.
+#: Damping of the descent to the nominal model (Marquardt's, a share of each number's own curvature): at first, by how much less
+#: and more it is after a step that led down and one that did not, and where it ends.
 FIRST, EASIER, HARDER, LAST = 1e-2, 5.0, 4.0, 1e3
 #: A step that gains less of the logarithm of the likelihood is the last one.
 ENOUGH = 0.1
@@ -105,17 +106,23 @@ class LedStudy(Study):
 
     def _nominal(self) -> np.ndarray:
         """On the fit runs alone; where that is known already (`begin`), as it is."""
-        every, theta = self.runs, self.begin.copy()
+        if self.begin is not self.binding.theta:
+            self.linearise(self.begin)
+            return self.begin.copy()
+        return self.tuned(self.begin.copy())
+
+    def tuned(self, theta: np.ndarray) -> np.ndarray:
+        """The nominal model's numbers, from where they are."""
+        every = self.runs
         self.runs = [r for r in every if r.split == "fit"]
-        if self.begin is self.binding.theta:
-            theta = self._descended(theta)
+        self.theta = self._descended(theta)
         self.runs = every
-        self.linearise(theta)
-        return theta
+        self.linearise(self.theta)
+        return self.theta
 
     def _descended(self, theta: np.ndarray) -> np.ndarray:
-        """Levenberg and Marquardt: delay, damping and inertia stand in for each other, and first order goes from one to the other.
-        Every joint counts by what is left of it, which is the likelihood with its size unknown."""
+        """Levenberg and Marquardt: delay, damping and inertia stand in for each other, and first order jumps between them. Every
+        joint counts by what is left of it, which is the likelihood with its size unknown."""
         rows = self.made(theta, [])
         white = self._weights(rows, np.zeros(0, int), np.zeros(0))
         white = self._weights(rows, *self._solved(rows, white))
