@@ -73,7 +73,8 @@ class Law:
     @property
     def nameless(self) -> Law:
         """The law without numbers and names: those are told to a program."""
-        return Law("", self.kind, *((),) * 9)
+        none: tuple[float, ...] = ()
+        return Law("", self.kind, none, none, none, none, none, none, none, none, none)
 
     @property
     def numbers(self) -> dict[str, np.ndarray]:

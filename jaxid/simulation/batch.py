@@ -10,11 +10,10 @@ from __future__ import annotations
 
 import os
 import time
-from collections import deque, OrderedDict
+from collections import deque
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
 from functools import partial
-from threading import Lock
 from typing import Any, NamedTuple
 
 import jax
@@ -26,6 +25,7 @@ from jaxid.dynamics.effect import RecordEffect
 from jaxid.dynamics.parameter_vector import Form, Layout
 from jaxid.numerics.batch_loop import over_lanes
 from jaxid.numerics.export_cache import key_of, Traced
+from jaxid.numerics.kept import shared
 from jaxid.numerics.precision import float64
 from jaxid.simulation.rollout import Lane, reach_of, WINDOWED
 from jaxid.simulation.sample_buffers import BLOCK, bucket, LONG, Record, Samples
@@ -63,23 +63,10 @@ class Programs(NamedTuple):
     ready: dict[tuple[str, int], Future | None]  # which are there, by width; what another thread makes ready, as its task
 
 
-#: So many kinds of programs are kept, those used last. A compiled one of the flexible link takes about 500 regions of memory, of
-#: which Linux gives a process 65530: a process that diagnoses one recording after the other would die of them.
-KEPT = 48
-_PROGRAMS: OrderedDict[Any, Programs] = OrderedDict()
-_LOCK = Lock()
-
-
 def programs_for(layout: Layout, lane: Lane, length: int, reach: int, burn: bool) -> Programs:
     """Programs shared by all engines of the same structure: numbers, data and lengths up to the bucket are arguments."""
-    key = (form := layout.form, lane, length, reach, burn)
-    with _LOCK:
-        if key not in _PROGRAMS:
-            _PROGRAMS[key] = _programs(form, lane, length, reach, burn)
-        _PROGRAMS.move_to_end(key)
-        if len(_PROGRAMS) > KEPT:
-            _PROGRAMS.popitem(last=False)
-        return _PROGRAMS[key]
+    form = layout.form
+    return shared("lanes", (form, lane, length, reach, burn), lambda: _programs(form, lane, length, reach, burn))
 
 
 def _programs(form: Form, lane: Lane, length: int, reach: int, burn: bool) -> Programs:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from functools import lru_cache
 from typing import Any
 
 import jax
@@ -13,8 +12,9 @@ import numpy as np
 from jaxid.diagnosis.goals.loop import Loop, loop_of
 from jaxid.diagnosis.torque.plant import AnyPlant
 from jaxid.diagnosis.torque.rows import Run
-from jaxid.dynamics.effect import Command, InputEffect, neutral, Signals
+from jaxid.dynamics.effect import Command, InputEffect, JointEffect, neutral, Signals
 from jaxid.dynamics.parameter_vector import Form, Layout
+from jaxid.numerics.kept import shared
 from jaxid.numerics.precision import float64
 
 
@@ -30,7 +30,7 @@ class LedPlant(AnyPlant):
         """Force [time n] that the motion of a run, moved by so much, leaves to dry friction, and its levels (minus, plus)."""
         series = [run.padded(x) for x in (run.u, run.q + q, run.qd + qd, run.qdd + qdd)]
         with float64():
-            found = _balance(self.form)(theta, run.step, *series)
+            found = shared("balance", self.form, lambda: _balance(self.form))(theta, run.step, *series)
         return tuple(np.asarray(x)[: len(run.q)] for x in found)
 
     def friction(self, run: Run, theta: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -53,16 +53,33 @@ class LedPlant(AnyPlant):
     def columns(self, run: Run, theta: np.ndarray) -> np.ndarray:
         """Minus the derivatives of the missing force by the numbers that are fitted, [time n size]."""
         out = np.zeros((*run.q.shape, self.size))
-        for k, i in enumerate(self.free):
-            apart = CHANGED * float(self.binding.scale[i])
-            low, high = max(theta[i] - apart, self.binding.lower[i]), min(theta[i] + apart, self.binding.upper[i])
+        for group in self._alone():
+            at = [self.free[k] for k in group]
+            apart = CHANGED * self.binding.scale[at]
+            low, high = (
+                np.maximum(theta[at] - apart, self.binding.lower[at]),
+                np.minimum(theta[at] + apart, self.binding.upper[at]),
+            )
             ends = []
             for value in (low, high):
                 moved = theta.copy()
-                moved[i] = value
+                moved[at] = value
                 ends.append(self.missing(run, moved))
-            out[:, :, k] = (ends[0] - ends[1]) / (high - low)
+            slope = ends[0] - ends[1]
+            for k, width in zip(group, high - low, strict=True):
+                place = slice(None) if len(group) == 1 else self.binding.layout.entries[self.free[k]].place
+                out[:, place, k] = slope[:, place] / width
         return out
+
+    def _alone(self) -> list[list[int]]:
+        """Positions among the free numbers, those together that each act at their own joint alone."""
+        b, groups = self.binding, {}
+        for k, i in enumerate(self.free):
+            e = b.layout.entries[i]
+            effect = b.chain.effects[e.owner] if e.owner >= 0 else None
+            own = isinstance(effect, JointEffect | InputEffect) and not effect.couples
+            groups.setdefault((e.owner, e.field) if own else k, []).append(k)
+        return list(groups.values())
 
     def slopes(self, run: Run, theta: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Minus the derivatives of what is left to dry friction by accelerations, speeds and positions, each [time n n]."""
@@ -107,7 +124,6 @@ def _command(h: Any, u: Any, other: Any, k: Any) -> Command:
     return Command(k * h, h, u[k], other[k], delayed)
 
 
-@lru_cache(maxsize=16)
 def _balance(form: Form) -> Any:
     def balance(theta: Any, h: Any, u: Any, q: Any, qd: Any, qdd: Any) -> Any:
         chain = form.model(theta)
@@ -144,10 +160,10 @@ class Drive:
         """[time n]; `other` [time nu] the inputs under the other hold."""
         series = [run.padded(x) for x in (run.u, other, run.q, run.qd)]
         with float64():
-            return np.asarray(_torque(self.layout.form)(theta, run.step, *series))[: len(run.q)]
+            program = shared("torque", self.layout.form, lambda: _torque(self.layout.form))
+            return np.asarray(program(theta, run.step, *series))[: len(run.q)]
 
 
-@lru_cache(maxsize=16)
 def _torque(form: Form) -> Any:
     def torque(theta: Any, h: Any, u: Any, other: Any, q: Any, qd: Any) -> Any:
         chain = form.model(theta)

@@ -19,7 +19,7 @@ from jaxid.problem.residual import OutputError
 
 
 #: Iterations and tolerance of a refit from the numbers that were read along the measured motion.
-NEAR = (12, 1e-4)
+NEAR = (12, 1e-3)
 
 
 @dataclass

@@ -31,6 +31,8 @@ OFF = 1e-4
 FIRST, EASIER, HARDER, LAST = 1e-2, 5.0, 4.0, 1e3
 #: A step that gains less of the logarithm of the likelihood is the last one.
 ENOUGH = 0.1
+#: A number that is neutral from here on is a limit; shares of the time in which the drive stays below those that are asked for.
+ENDLESS, LEVELS = 1e9, (0.5, 0.7, 0.8, 0.9, 0.95, 0.98, 0.99, 0.995, 0.999)
 #: Coefficient below which an effect without a strength of its own is not there.
 PRESENT = 0.3
 
@@ -204,11 +206,8 @@ class LedStudy(Study):
         """What a delay of each goal by one sample changes, [time n n]."""
         plant: LedPlant = self.plant  # type: ignore[assignment]
         n, h = run.q.shape[1], run.step
-        out = []
-        for j in range(n):
-            early, late = (replace(run, u=np.where(np.arange(run.u.shape[1]) == j, np.roll(run.u, k, 0), run.u)) for k in (-1, 1))
-            out.append((plant.missing(early, theta) - plant.missing(late, theta)) / (2 * h) * self.sampling)
-        made = np.stack(out, 2)
+        early, late = (plant.missing(replace(run, u=np.roll(run.u, k, 0)), theta) for k in (-1, 1))
+        made = ((early - late) / (2 * h) * self.sampling)[:, :, None] * np.eye(n)
         made[:2] = made[-2:] = 0.0
         return made
 
@@ -257,16 +256,19 @@ class LedStudy(Study):
         drive = Drive(plant, [kind])
         base = drive.theta(theta)
         before = [drive.torque(r, o, base) for r, o in zip(self.free, self.other, strict=True)]
+        places = b.chain.offers(kind)[:n]
+        levels = np.max([np.quantile(np.abs(x), LEVELS, axis=0) for x in before], 0) if _is_level(kind) else None
+        probes = [_probes(b, kind, j) if levels is None else _at_levels(kind, levels[:, j]) for j in range(len(places))]
         out = []
-        for j, place in enumerate(b.chain.offers(kind)[:n]):
-            for shape in _probes(b, kind, j):
-                at = base.copy()
-                for field, value in shape.items():
-                    (i,) = [k for k in drive.layout.of_effect(kind.name, place) if drive.layout.entries[k].field == field]
-                    at[i] = value
-                change = [drive.torque(r, o, at) - x for r, o, x in zip(self.free, self.other, before, strict=True)]
-                if any(np.any(c) for c in change):
-                    out.append(_scaled(kind, place, shape, j, [-c[:, :, None] for c in change]))
+        for k in range(max(map(len, probes), default=0)):  # a drive is its own joint's: all at once
+            at = base.copy()
+            for place, own in zip(places, probes, strict=True):
+                for i in drive.layout.of_effect(kind.name, place) if k < len(own) else ():
+                    at[i] = own[k].get(drive.layout.entries[i].field, at[i])
+            change = [drive.torque(r, o, at) - x for r, o, x in zip(self.free, self.other, before, strict=True)]
+            for j, (place, own) in enumerate(zip(places, probes, strict=True)):
+                if k < len(own) and any(np.any(c[:, j]) for c in change):
+                    out.append(_scaled(kind, place, own[k], j, [-(c * np.eye(n)[j])[:, :, None] for c in change]))
         return out
 
     def _bodies(self, kind: Any, theta: np.ndarray) -> list[Unit]:
@@ -345,6 +347,17 @@ def _led(r: Run, begins: int, linear: np.ndarray) -> LoopRun:
     own = {f.name: getattr(r, f.name) for f in fields(Run)}
     kept = slice(max(r.kept.start, begins), r.kept.stop, r.kept.step)
     return LoopRun(**own | {"u": mean_input(r.u, linear), "kept": kept})
+
+
+def _is_level(kind: type[Effect]) -> bool:
+    """Whether an effect is a level beyond which a command does not go: it shows at levels that this motion reaches."""
+    own = specs(kind)
+    return len(own) == 1 and all(s.log and float(s.value) >= ENDLESS for s in own.values())
+
+
+def _at_levels(kind: type[Effect], levels: np.ndarray) -> list[dict[str, float]]:
+    (field,) = specs(kind)
+    return [{field: float(x)} for x in levels if x > 0]
 
 
 def _probes(b: Binding, kind: type[Effect], place: int) -> list[dict[str, float]]:

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import abc
 from collections.abc import Sequence
-from functools import lru_cache
 from typing import Any
 
 import jax
@@ -17,6 +16,7 @@ from jaxid.dynamics.base_parameters import STANDARD, torque_columns
 from jaxid.dynamics.effect import JointEffect
 from jaxid.dynamics.parameter import specs
 from jaxid.dynamics.parameter_vector import Form
+from jaxid.numerics.kept import shared
 from jaxid.numerics.precision import float64
 from jaxid.problem.binding import Binding
 from jaxid.problem.torque_filter import drive_torque
@@ -135,22 +135,22 @@ class AnyPlant(Plant):
     def _missing(self, run: Run, theta: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         n, series = len(run.q), [run.padded(x) for x in (run.u, run.q, run.qd, run.qdd)]
         with float64():
-            missing, slope = _slopes(self.form, tuple(self.free))(theta, self.eps, run.step, *series)
+            program = shared("slopes", (self.form, *self.free), lambda: _slopes(self.form, tuple(self.free)))
+            missing, slope = program(theta, self.eps, run.step, *series)
         return np.asarray(missing)[:n], np.asarray(slope)[:n]
 
 
 def inverse_of(body: Any, run: Run) -> np.ndarray:
     """Torque [time n] that a mechanism takes along a run."""
     with float64():
-        return np.asarray(_inverse(body, *(run.padded(x) for x in (run.q, run.qd, run.qdd))))[: len(run.q)]
+        program = shared("inverse", jax.tree.structure(body), lambda: jax.jit(_inverse))
+        return np.asarray(program(body, *(run.padded(x) for x in (run.q, run.qd, run.qdd))))[: len(run.q)]
 
 
-@jax.jit
 def _inverse(body: Any, q: Any, qd: Any, qdd: Any) -> Any:
     return jax.vmap(body.inverse)(q, qd, qdd)
 
 
-@lru_cache(maxsize=32)
 def _slopes(form: Form, free: tuple[int, ...]) -> Any:
     """(missing torque [time n], its slope by the free numbers [time n free])."""
     from jaxid.dynamics.effect import Command
