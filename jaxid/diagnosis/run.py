@@ -200,16 +200,17 @@ def _diagnosed(question: Question, scatter: timing.Scatter | None = None) -> tup
         verdict, text = scatter.verdict(verdict, text)
         stamps = scatter.effects() if verdict in ("named", "partly") else ()
     named = (*stamps, *chosen.effects) if verdict in ("named", "partly") else ()
-    final = chosen if named else search.nominal
+    nominal, end = search.settled or (search.nominal, chosen)
+    final = end if named else nominal
     if progress:
         progress("how far", 0, 1, "report data")
 
     repeated = any(n.source == "repeatability" for n in binding.noise.values())
-    before, note = shrinking.model_before(binding, search.nominal.theta)
+    before, note = shrinking.model_before(binding, nominal.theta)
     alike = scatter.bench(bench) if scatter else bench
 
     def measure(verdict: str, after: np.ndarray) -> HowFar:
-        return shrinking.measure(bench, residual, before, search.nominal.theta, after, verdict, note, alike, question.still)
+        return shrinking.measure(bench, residual, before, nominal.theta, after, verdict, note, alike, question.still)
 
     how_far = measure(verdict, final.theta)
     if "validation" in question.still:
@@ -221,9 +222,9 @@ def _diagnosed(question: Question, scatter: timing.Scatter | None = None) -> tup
         # Unless the model follows the fit runs and what they leave open can account for it, where it is not better without; what
         # is `partly` there has to hold as it is.
         if judged == "named" and verdict != judged and far.gap_retuned > SEEN:
-            told = [knowledge(h.path) for h in (search.nominal, final)]
+            told = [knowledge(h.path) for h in (nominal, final)]
             follow = [None, final.path if final.fit_loss <= WHITE else None]
-            seen = held_out(bench, "report", [search.nominal.theta, final.theta], residual, told, follow)
+            seen = held_out(bench, "report", [nominal.theta, final.theta], residual, told, follow)
             gaps = [float(np.sqrt(max(held.loss, 0.0))) for held in seen]
             verdict, text = upheld(judged, judged_text, gaps[0], gaps[1], search.several, far.gap_before)
             if verdict == judged:
@@ -234,8 +235,8 @@ def _diagnosed(question: Question, scatter: timing.Scatter | None = None) -> tup
             if verdict == judged and far.gap_after >= min(far.gap_retuned, far.gap_before):
                 verdict, text = upheld(judged, judged_text, far.gap_retuned, far.gap_after, search.several, far.gap_before)
         if verdict == "unknown":
-            named, final = (), search.nominal
-            verdict, plain = judge(Search(final, final))
+            named, final = (), nominal
+            verdict, plain = judge(Search(search.nominal, search.nominal))
             if verdict == "none":  # the gap was one next to the noise
                 text = (
                     f"{plain} {' and '.join(map(str, chosen.effects))} would follow fit and validation data more closely, but "
@@ -260,7 +261,7 @@ def _diagnosed(question: Question, scatter: timing.Scatter | None = None) -> tup
         final_fit = _fit(bench, final, residual, seed, compile_time, time.perf_counter() - began)
     how_far = dataclasses.replace(how_far, per_joint=with_effects(nominal_fit.per_joint, final_fit.per_joint))
     mates = search.confusable if named else []
-    findings, pictures, rows = _where(bench, search.nominal, final, verdict, estimates, seed)
+    findings, pictures, rows = _where(bench, nominal, final, verdict, estimates, seed)
     ranking = (*(scatter.ranked(bench, residual, search.nominal) if scatter else ()), *_ranked(search))
     looked, pair, stopped = Look(), search.rivals, None
     if verdict in ("none", "unknown") and not question.still:
@@ -280,13 +281,13 @@ def _diagnosed(question: Question, scatter: timing.Scatter | None = None) -> tup
     found = Diagnosis(
         binding.chain.mechanism.name, binding.dataset.name, binding.dataset.sha256, seed, residual.name, findings, which,
         how_far, advised, time.perf_counter() - began,
-        nominal_fit, final_fit, _traces(bench, residual, search.nominal, final, named), pictures, rows,
+        nominal_fit, final_fit, _traces(bench, residual, nominal, final, named), pictures, rows,
         (*binding.dataset.notes, *_notes(binding, final_fit, compile_time)),
         looked.unseen, rivals,
     )  # fmt: skip
     if stopped:
         raise Interrupted(found) from stopped
-    return found, growth(bench, search.nominal.theta) if isinstance(residual, OutputError) else 0.0
+    return found, growth(bench, nominal.theta) if isinstance(residual, OutputError) else 0.0
 
 
 def _search(question: Question) -> tuple[Bench, Fit, Search, float]:

@@ -21,6 +21,7 @@ from jaxid.dynamics.effect import Effect
 from jaxid.dynamics.joint_readings import all_read
 from jaxid.fitting.assemble import assemble
 from jaxid.fitting.fitter import Minimum, Progress
+from jaxid.fitting.least_squares import Path
 from jaxid.fitting.problem_builder import Bench
 from jaxid.fitting.result import Fit
 from jaxid.problem.binding import bind, Binding
@@ -45,6 +46,10 @@ MEANING = (
 OTHER_WAY = (
     "the goals go {} from sample to sample here, not {} as the dataset has it: the re-tuned model follows them better so on data "
     "that were and were not fitted (state hold of the goals' channels where that is wrong)"
+)
+SETTLED = (
+    "numbers are fitted to the fit and validation runs together, once these have chosen the effects: errors on validation runs "
+    "are no longer held out, those on report runs are"
 )
 WORDS = {"zero": "held", "linear": "along straight lines"}
 
@@ -123,6 +128,8 @@ def diagnose_led(
             found = replace(again, which=replace(again.which, text=text, ranking=found.which.ranking))
     if doubts:
         notes.append(MEANING)
+    if study.of("validation"):
+        notes.append(SETTLED)
     notes.append(f"{found.nominal.evaluations} free runs were simulated under the law, in steps of {step:.2g} s at most")
     return replace(found, notes=(*found.notes, *notes), wall_time_s=time.perf_counter() - began)
 
@@ -142,13 +149,14 @@ def _decided(
     decider = Decider(bench, names, progress, 0, 1 + len(sets))
     theta, _ = as_vector(bench.binding, names, bare)
     nominal = decider.refit((), theta)
-    path = nominal.path
 
-    def fitted() -> Fit:
+    def fitted(path: Path = nominal.path) -> Fit:
         minimum = Minimum(path.z, path.loss, path.converged, path.stopped, decider.evaluations, [])
         spent = time.perf_counter() - began
         return assemble(bench, path.problem, minimum, OutputError(), "lm", seed, bench.compile_time(), spent)
 
     offer(fitted, Search(nominal, nominal))
     search = decider.decided(nominal, sets)
-    return fitted(), search
+    plain = decider.settled(search.nominal)
+    search.settled = plain, decider.settled(search.chosen) if search.chosen.effects else plain
+    return fitted(plain.path), search
