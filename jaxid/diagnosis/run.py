@@ -256,9 +256,8 @@ def _diagnosed(question: Question, scatter: timing.Scatter | None = None) -> tup
     estimates = _effect_estimates(binding, final, named)
     if verdict == "named" and (against := doubts(estimates)):
         verdict, text = "partly", f"{text} It is not to be believed as it stands: {'; '.join(against)}."
-    final_fit = nominal_fit
-    if named or question.search is None:
-        final_fit = _fit(bench, final, residual, seed, compile_time, time.perf_counter() - began)
+    assembled = lambda: _fit(bench, final, residual, seed, compile_time, time.perf_counter() - began)
+    final_fit = assembled() if named or question.search is None else nominal_fit
     how_far = dataclasses.replace(how_far, per_joint=with_effects(nominal_fit.per_joint, final_fit.per_joint))
     mates = search.confusable if named else []
     findings, pictures, rows = _where(bench, nominal, final, verdict, estimates, seed)
@@ -388,9 +387,8 @@ def _where(bench: Bench, nominal: Hypothesis, final: Hypothesis, verdict: str, n
     before = location.missing_forces(bench, nominal.theta, starts, seed)
     found, rows, pictures = [], [], []
     if before:
-        after = before
-        if final is not nominal:
-            after = location.missing_forces(bench, final.theta, _starts(bench, final), seed, draws=0)
+        also = lambda: location.missing_forces(bench, final.theta, _starts(bench, final), seed, draws=0)
+        after = before if final is nominal else also()
         forces = {j: location.supplied(before, after, joints.index(j)) for j in only}
         given = {j: force for j, force in forces.items() if force is not None}
         rows = location.table(before, joints, given)
@@ -417,17 +415,9 @@ def _ranked(search: Search) -> list[Ranked]:
         beside = f" beside {' and '.join(str(c) for c in h.effects[:-1])}" if len(h.effects) > 1 else ""
         share = shrinking.closed(nominal.validation.loss, h.validation.loss)
         words = "closes nothing of the gap" if not share else f"closes {percent(share)} of the gap"
-        out.append(
-            Ranked(
-                last.effect,
-                last.location,
-                gap,
-                float(h.bic),
-                float(evidence),
-                f"{last}{beside}: {words} on validation data",
-                tuple(str(c) for c in h.effects[:-1]),
-            )
-        )
+        sentence = f"{last}{beside}: {words} on validation data"
+        others = tuple(str(c) for c in h.effects[:-1])
+        out.append(Ranked(last.effect, last.location, gap, float(h.bic), float(evidence), sentence, others))
     return out
 
 
