@@ -181,7 +181,7 @@ def recorded(arm: Arm, kind: str, j: int, beside: dict[str, Any], u: np.ndarray,
     bias[j] = beside.get("bias", 0.0)
     if "clip" in beside:  # the drive gives less than the file says: a share of what this motion asks for
         free = recorded(arm, "none", j, {}, u, rng)
-        asked = arm.kp[j] * (u[:, j] - free[:, j])
+        asked = arm.kp[j] * (u[:, j] - free[:, j]) - arm.kv[j] * np.gradient(free[:, j], 1 / RATE)
         top = beside["clip"] * float(np.abs(asked).max())
         m.actuator_forcerange[j] = -top, top
     late = beside.get("delay", 0.0)

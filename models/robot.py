@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 from functools import lru_cache
 from pathlib import Path
 from types import SimpleNamespace
@@ -189,6 +190,19 @@ class Robot(Staged):
 
         return matched(self, dataset)
 
+    def nameless(self, signature):
+        names = {joint: f"joint {k + 1}" for k, joint in enumerate(self.joints)}
+        signature = signature.renamed(names)
+        law = None if self.drive_law is None else self.drive_law.nameless
+        changed = {
+            "joints": tuple(names.values()), "links": tuple(f"link {k + 1}" for k in range(len(self.links))), "tree": None,
+            "signatures": (signature,), "drive_law": law, "fitted": (),
+        }  # fmt: skip
+        out = object.__new__(type(self))  # static fields cannot be replaced otherwise
+        for f in dataclasses.fields(self):
+            object.__setattr__(out, f.name, changed.get(f.name, getattr(self, f.name)))
+        return out, signature
+
     # ---- what a fit may move
 
     def nominal_effects(self):
@@ -337,7 +351,7 @@ class Robot(Staged):
         tau = u[: q.shape[0]] if signature.inputs else jnp.zeros_like(q)
         if self.rides and signature.inputs:
             tau = tau - self._carried(u[-len(RIDE) :], q, qd)
-        return tau - self.cubic_damping * qd**3 if np.any(self.tree.tree.damping[:, 2]) else tau
+        return tau - self.cubic_damping * qd**3
 
     def _carried(self, ride: Any, q: Any, qd: Any) -> Any:
         """Joint torque that the base's motion takes beside that of the base at rest."""

@@ -9,6 +9,7 @@ import pytest
 from jaxid.dynamics.chain import Chain
 from jaxid.models import FlexibleLink, Pendulum, PlanarArm
 from jaxid.models.effects import Backlash, CoulombFriction, DeadZone, InputDelay, SensorLag
+from jaxid.numerics import kept as programs
 from jaxid.simulation import batch as engine
 from jaxid.simulation.rollout import simulate_lane
 from simulated import Simulator
@@ -16,17 +17,17 @@ from simulated import Simulator
 
 def test_programs_do_not_pile_up(monkeypatch):
     """What was put away is made anew, and gives the same bits."""
-    monkeypatch.setattr(engine, "KEPT", 2)
-    monkeypatch.setattr(engine, "_PROGRAMS", type(engine._PROGRAMS)())
+    monkeypatch.setattr(programs, "MOST", 2)
+    monkeypatch.setattr(programs, "_KEPT", type(programs._KEPT)())
     t = np.arange(200) / 100
     u = np.sin(3 * t)[:, None]
     sizes = [256, 512, 1024]
     runs = [Simulator(Chain(Pendulum()), t, u, step=1e-2, size=size) for size in sizes]
     before = [run.outputs([{}]) for run in runs]
-    assert len(engine._PROGRAMS) == 2
-    last = list(engine._PROGRAMS)[-1]
-    assert np.array_equal(runs[0].outputs([{}]), before[0]) and len(engine._PROGRAMS) == 2
-    assert last in engine._PROGRAMS and np.ptp(before[0]) > 0.1
+    assert len(programs._KEPT) == 2
+    last = list(programs._KEPT)[-1]
+    assert np.array_equal(runs[0].outputs([{}]), before[0]) and len(programs._KEPT) == 2
+    assert last in programs._KEPT and np.ptp(before[0]) > 0.1
 
 
 @pytest.mark.parametrize("model", [Pendulum, PlanarArm, FlexibleLink])

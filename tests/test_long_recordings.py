@@ -13,6 +13,7 @@ from jaxid.data import capacity, signals
 from jaxid.fitting.noise_model import autoregressions, Part, score_covariance
 from jaxid.fitting.problem_builder import Bench
 from jaxid.identification import regression as identification_rows
+from jaxid.numerics import kept as programs
 from jaxid.problem.binding import bind
 from jaxid.problem.objective import linearise
 from jaxid.problem.problem import rows
@@ -58,7 +59,7 @@ def test_windows_give_what_whole_records_give(monkeypatch, effects):
     monkeypatch.setattr(engine, "LONG", 100)
     monkeypatch.setattr("jaxid.problem.long_records.WINDOW", 256)
     monkeypatch.setattr(windows, "WINDOW", 256)
-    monkeypatch.setattr(engine, "_PROGRAMS", type(engine._PROGRAMS)())
+    monkeypatch.setattr(programs, "_KEPT", type(programs._KEPT)())
     parts, long = expansions(data, effects)
     assert long
     for key, value in whole.items():

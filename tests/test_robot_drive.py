@@ -307,12 +307,13 @@ def test_forces_that_a_model_lacks_become_its_free_run():
     t = np.arange(600) * h
     every = lambda x: np.full((len(t), 1, 1), x)
     force = np.sin(3 * t)[:, None, None] * np.array([1.0, -2.0])
-    x = loop_of(h, every(m), every(d), np.zeros((len(t), 1)), every(k)).free_run(force)
+    moves = np.ones((len(t), 1))
+    x = loop_of(h, every(m), every(d), np.zeros((len(t), 1)), every(k), moves).free_run(force)
     settled = (k - 9 * m + 3j * d) ** -1  # of a spring, a mass and a damper
     exact = (settled * np.exp(3j * t)).imag
     assert np.abs(x[300:, 0, 0] - exact[300:]).max() < 2e-3 * abs(settled)
     assert np.allclose(x[..., 1], -2 * x[..., 0])
-    held = loop_of(h, every(m), every(d), np.where(t < 1.5, 0.0, 1e6)[:, None], every(k)).free_run(force)[:, 0, 0]
+    held = loop_of(h, every(m), every(d), np.where(t < 1.5, 0.0, 1e6)[:, None], every(k), moves).free_run(force)[:, 0, 0]
     assert np.ptp(held[301:]) < 1e-3 * np.ptp(held[:300])  # dry friction that sticks keeps what there is
 
 

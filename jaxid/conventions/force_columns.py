@@ -12,6 +12,7 @@ import numpy as np
 from jaxid.dynamics.effect import Command
 from jaxid.dynamics.parameter_vector import Layout
 from jaxid.numerics.export_cache import key_of, Traced
+from jaxid.numerics.kept import shared
 from jaxid.numerics.precision import float64
 from jaxid.problem.binding import Binding
 
@@ -28,16 +29,14 @@ def force(chain: Any, q: Any, qd: Any, qdd: Any, u: Any) -> Any:
     return missing
 
 
-_PROGRAMS: dict[Any, Traced] = {}
-
-
 def _program(layout: Layout, free: tuple[int, ...] | None) -> Traced:
     """`force` by all numbers of a layout, one program for all chains of its structure: at sets of numbers [sets rows nq], or at
     one with its slopes by those that are `free` [rows nq], [rows nq free]."""
-    structure = jax.tree.structure(layout.chain), free
-    if structure not in _PROGRAMS:
-        key = key_of(force, layout.model(np.zeros(len(layout))), layout.names, *([] if free is None else [free]))
-        at = lambda theta, *sample: force(layout.model(theta), *sample)
+    form = layout.form
+
+    def made() -> Traced:
+        key = key_of(force, form.bare, *([] if free is None else [free]))
+        at = lambda theta, *sample: force(form.model(theta), *sample)
 
         def sets(theta, *motion):
             return jax.vmap(lambda own: jax.vmap(lambda *s: at(own, *s))(*motion))(theta)
@@ -48,8 +47,9 @@ def _program(layout: Layout, free: tuple[int, ...] | None) -> Traced:
             slopes, here = jax.vmap(lambda *s: jax.jacrev(by, has_aux=True)(theta[index], *s))(*motion)
             return here, slopes
 
-        _PROGRAMS[structure] = Traced(sets if free is None else with_slopes, key)
-    return _PROGRAMS[structure]
+        return Traced(sets if free is None else with_slopes, key)
+
+    return shared("forces", (form, free), made)
 
 
 class Forces:

@@ -167,6 +167,7 @@ class ForceFit:
         if not self.driven and self.free:  # without a drive nothing says how large the inertia is: one number is held
             self.free = self.free[1:]
         self.forces = Forces(binding, self.free, motion.thinned(FEW))
+        self._known: tuple[Any, ...] = ()
 
     def missing(self, theta: np.ndarray, m: Motion) -> np.ndarray:
         """Missing force [rows nq] at these numbers."""
@@ -186,9 +187,16 @@ class ForceFit:
         if self.binding.chain.direct and self.driven:
             size = np.sqrt(np.mean((m.u - (m.u.mean(0) if len(m.u) else 0)) ** 2, axis=0))
         else:
-            still = replace(m, mix=0 * m.mix)
-            size = np.sqrt(np.mean(self.missing(self.binding.theta, still) ** 2, axis=0))
+            size = self._needed(m)
         return np.maximum(size, 1e-3 * np.max(size) + 1e-300)
+
+    def _needed(self, m: Motion) -> np.ndarray:
+        """What a motion takes at start values [nq]; readings of the inputs leave it as it was."""
+        key = (m.q, m.qd, m.qdd)
+        if not self._known or any(a is not b for a, b in zip(self._known[0], key, strict=True)):
+            still = replace(m, mix=0 * m.mix)
+            self._known = key, np.sqrt(np.mean(self.missing(self.binding.theta, still) ** 2, axis=0))
+        return self._known[1]
 
     def laws(self, m: Motion) -> np.ndarray:
         """Forces [rows nq LAWS] that a model may lack at each joint, of unit size; those that brake or hold come negative."""

@@ -144,11 +144,13 @@ def _squares(residual: Sequence[np.ndarray]) -> float:
 
 
 def together(bench: Bench, split: str, paths: Sequence[Path], starts: np.ndarray) -> list[Path]:
-    """Models refitted to the free runs of fit and of a split at once, from where their fits ended; `starts` of the latter."""
+    """Models refitted to the free runs that they were fitted to and of a split at once, from where their fits ended; `starts` of
+    the latter."""
     jobs = []
     for path, own in zip(paths, starts, strict=True):
         theta = path.problem.theta(path.z)
-        p = bench.problem(OutputError(), f"fit+{split}", path.problem.free, theta)
+        before = dict.fromkeys(e.split for e in path.problem.runs.experiments)
+        p = bench.problem(OutputError(), "+".join((*before, split)), path.problem.free, theta)
         jobs.append((p, p.z(theta, np.concatenate([path.problem.starts(path.z), own]))))
     return descend(jobs, TOGETHER, 1e-6) if jobs else []
 

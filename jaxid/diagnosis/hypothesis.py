@@ -70,7 +70,8 @@ class Search:
 
     `rivals`: the two hypotheses between which further data should decide. `several`: more than one effect was chosen, and motions
     are simulated. `without`: what is left on validation data, in multiples of the noise, where one of several is taken out and
-    the rest refitted; what is missed most comes first.
+    the rest refitted; what is missed most comes first. `settled`: nominal and chosen, refitted to the runs that fitted and to
+    those that chose.
     """
 
     nominal: Hypothesis
@@ -80,6 +81,7 @@ class Search:
     rivals: tuple[Hypothesis, Hypothesis] | None = None
     several: bool = False
     without: tuple[tuple[Candidate, float], ...] = ()
+    settled: tuple[Hypothesis, Hypothesis] | None = None
 
 
 def without_each(h: Hypothesis, known: Mapping[frozenset[str], Hypothesis]) -> tuple[tuple[Candidate, float], ...]:

@@ -200,16 +200,17 @@ def _diagnosed(question: Question, scatter: timing.Scatter | None = None) -> tup
         verdict, text = scatter.verdict(verdict, text)
         stamps = scatter.effects() if verdict in ("named", "partly") else ()
     named = (*stamps, *chosen.effects) if verdict in ("named", "partly") else ()
-    final = chosen if named else search.nominal
+    nominal, end = search.settled or (search.nominal, chosen)
+    final = end if named else nominal
     if progress:
         progress("how far", 0, 1, "report data")
 
     repeated = any(n.source == "repeatability" for n in binding.noise.values())
-    before, note = shrinking.model_before(binding, search.nominal.theta)
+    before, note = shrinking.model_before(binding, nominal.theta)
     alike = scatter.bench(bench) if scatter else bench
 
     def measure(verdict: str, after: np.ndarray) -> HowFar:
-        return shrinking.measure(bench, residual, before, search.nominal.theta, after, verdict, note, alike, question.still)
+        return shrinking.measure(bench, residual, before, nominal.theta, after, verdict, note, alike, question.still)
 
     how_far = measure(verdict, final.theta)
     if "validation" in question.still:
@@ -221,9 +222,9 @@ def _diagnosed(question: Question, scatter: timing.Scatter | None = None) -> tup
         # Unless the model follows the fit runs and what they leave open can account for it, where it is not better without; what
         # is `partly` there has to hold as it is.
         if judged == "named" and verdict != judged and far.gap_retuned > SEEN:
-            told = [knowledge(h.path) for h in (search.nominal, final)]
+            told = [knowledge(h.path) for h in (nominal, final)]
             follow = [None, final.path if final.fit_loss <= WHITE else None]
-            seen = held_out(bench, "report", [search.nominal.theta, final.theta], residual, told, follow)
+            seen = held_out(bench, "report", [nominal.theta, final.theta], residual, told, follow)
             gaps = [float(np.sqrt(max(held.loss, 0.0))) for held in seen]
             verdict, text = upheld(judged, judged_text, gaps[0], gaps[1], search.several, far.gap_before)
             if verdict == judged:
@@ -234,8 +235,8 @@ def _diagnosed(question: Question, scatter: timing.Scatter | None = None) -> tup
             if verdict == judged and far.gap_after >= min(far.gap_retuned, far.gap_before):
                 verdict, text = upheld(judged, judged_text, far.gap_retuned, far.gap_after, search.several, far.gap_before)
         if verdict == "unknown":
-            named, final = (), search.nominal
-            verdict, plain = judge(Search(final, final))
+            named, final = (), nominal
+            verdict, plain = judge(Search(search.nominal, search.nominal))
             if verdict == "none":  # the gap was one next to the noise
                 text = (
                     f"{plain} {' and '.join(map(str, chosen.effects))} would follow fit and validation data more closely, but "
@@ -255,10 +256,11 @@ def _diagnosed(question: Question, scatter: timing.Scatter | None = None) -> tup
     estimates = _effect_estimates(binding, final, named)
     if verdict == "named" and (against := doubts(estimates)):
         verdict, text = "partly", f"{text} It is not to be believed as it stands: {'; '.join(against)}."
-    final_fit = _fit(bench, final, residual, seed, compile_time, time.perf_counter() - began)
+    assembled = lambda: _fit(bench, final, residual, seed, compile_time, time.perf_counter() - began)
+    final_fit = assembled() if named or question.search is None else nominal_fit
     how_far = dataclasses.replace(how_far, per_joint=with_effects(nominal_fit.per_joint, final_fit.per_joint))
     mates = search.confusable if named else []
-    findings, pictures, rows = _where(bench, search.nominal, final, verdict, estimates, seed)
+    findings, pictures, rows = _where(bench, nominal, final, verdict, estimates, seed)
     ranking = (*(scatter.ranked(bench, residual, search.nominal) if scatter else ()), *_ranked(search))
     looked, pair, stopped = Look(), search.rivals, None
     if verdict in ("none", "unknown") and not question.still:
@@ -278,13 +280,13 @@ def _diagnosed(question: Question, scatter: timing.Scatter | None = None) -> tup
     found = Diagnosis(
         binding.chain.mechanism.name, binding.dataset.name, binding.dataset.sha256, seed, residual.name, findings, which,
         how_far, advised, time.perf_counter() - began,
-        nominal_fit, final_fit, _traces(bench, residual, search.nominal, final, named), pictures, rows,
+        nominal_fit, final_fit, _traces(bench, residual, nominal, final, named), pictures, rows,
         (*binding.dataset.notes, *_notes(binding, final_fit, compile_time)),
         looked.unseen, rivals,
     )  # fmt: skip
     if stopped:
         raise Interrupted(found) from stopped
-    return found, growth(bench, search.nominal.theta) if residual.free_run else 0.0
+    return found, growth(bench, nominal.theta) if residual.free_run else 0.0
 
 
 def _search(question: Question) -> tuple[Bench, Fit, Search, float]:
@@ -385,7 +387,8 @@ def _where(bench: Bench, nominal: Hypothesis, final: Hypothesis, verdict: str, n
     before = location.missing_forces(bench, nominal.theta, starts, seed)
     found, rows, pictures = [], [], []
     if before:
-        after = location.missing_forces(bench, final.theta, _starts(bench, final), seed, draws=0)
+        also = lambda: location.missing_forces(bench, final.theta, _starts(bench, final), seed, draws=0)
+        after = before if final is nominal else also()
         forces = {j: location.supplied(before, after, joints.index(j)) for j in only}
         given = {j: force for j, force in forces.items() if force is not None}
         rows = location.table(before, joints, given)
@@ -412,17 +415,9 @@ def _ranked(search: Search) -> list[Ranked]:
         beside = f" beside {' and '.join(str(c) for c in h.effects[:-1])}" if len(h.effects) > 1 else ""
         share = shrinking.closed(nominal.validation.loss, h.validation.loss)
         words = "closes nothing of the gap" if not share else f"closes {percent(share)} of the gap"
-        out.append(
-            Ranked(
-                last.effect,
-                last.location,
-                gap,
-                float(h.bic),
-                float(evidence),
-                f"{last}{beside}: {words} on validation data",
-                tuple(str(c) for c in h.effects[:-1]),
-            )
-        )
+        sentence = f"{last}{beside}: {words} on validation data"
+        others = tuple(str(c) for c in h.effects[:-1])
+        out.append(Ranked(last.effect, last.location, gap, float(h.bic), float(evidence), sentence, others))
     return out
 
 

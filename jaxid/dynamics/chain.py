@@ -145,6 +145,13 @@ class Chain(eqx.Module):
         """The same model with dry friction smoothed as tanh(qd / smoothing_velocity); 0 restores true sticking."""
         return Chain(self.mechanism, self.effects, signature=self.signature, smoothing_velocity=smoothing_velocity)
 
+    def nameless(self) -> Chain:
+        """The same as programs are made of it: see `Mechanism.nameless`. Where numbers are told apart by name it is unchanged."""
+        if self.timed:
+            return self
+        mechanism, signature = self.mechanism.nameless(self.signature)
+        return Chain(mechanism, self.effects, signature=signature, smoothing_velocity=self.smoothing_velocity)
+
     # ---- numbers that change in time
 
     @property
@@ -365,17 +372,29 @@ class Chain(eqx.Module):
         qdd: Float[Array, " nq"],
     ) -> tuple[Float[Array, " nq"], tuple]:
         """Missing torque of a measured motion, drive(u) - (M qdd + bias + friction), and the effects' next states."""
+        left, minus, plus, z = self.balance(command, z, q, qd, qdd)
+        eps = self.smoothing_velocity
+        direction = jnp.sign(qd) if eps == 0 else jnp.tanh(qd / eps)
+        return left - jnp.where(direction > 0, plus, minus) * direction, z
+
+    def balance(
+        self,
+        command: Command,
+        z: tuple,
+        q: Float[Array, " nq"],
+        qd: Float[Array, " nq"],
+        qdd: Float[Array, " nq"],
+    ) -> tuple[Float[Array, " nq"], Float[Array, " nq"], Float[Array, " nq"], tuple]:
+        """What a measured motion leaves to dry friction, drive(u) - (M qdd + bias + smooth friction), the dry levels (minus,
+        plus), and the effects' next states."""
         if self.timed:
-            return self.present(command.t, command.h).inverse(command, z, q, qd, qdd)
+            return self.present(command.t, command.h).balance(command, z, q, qd, qdd)
         body = self.body()
         s = Signals(command.t, q, qd, jnp.zeros_like(q), command.h, command, qd)
         u, z = self.commanded(s, z)
         tau = body.drive(self.signature, u, q, qd)
         F, minus, plus, z = self.friction(s._replace(load=tau), z)
-        eps = self.smoothing_velocity
-        direction = jnp.sign(qd) if eps == 0 else jnp.tanh(qd / eps)
-        dry = jnp.where(direction > 0, plus, minus) * direction
-        return tau - body.inverse(q, qd, qdd) - F - dry, z
+        return tau - body.inverse(q, qd, qdd) - F, minus, plus, z
 
     def ode(self) -> ODE:
         """The model as dy/dt = f(t, y, (parameters, u)), for diffrax and other solvers: see `jaxid.dynamics.ode.ODE`.

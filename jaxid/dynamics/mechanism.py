@@ -9,6 +9,7 @@ compliance are then solved in one place for all of them.
 from __future__ import annotations
 
 import abc
+from collections.abc import Mapping
 from typing import Any, ClassVar, NamedTuple, TYPE_CHECKING
 
 import equinox as eqx
@@ -61,6 +62,18 @@ class Signature(NamedTuple):
         y = body.output(x, tau, rests)
         y = y[: len(self.outputs) - len(self.speeds)] if self.shown is None else y[np.array(self.shown, int)]
         return jnp.concatenate([y, body.port(x)[1][np.array(self.speeds)]]) if self.speeds else y
+
+    def renamed(self, names: Mapping[str, str]) -> Signature:
+        """The same with other names of joints, and channels called after these (`JOINT_cmd`) called after the new ones."""
+
+        def named(channel: str) -> str:
+            for old in sorted(names, key=len, reverse=True):
+                if channel == old or channel.startswith(f"{old}_"):
+                    return names[old] + channel[len(old) :]
+            return channel
+
+        ports = [tuple((named(name), unit) for name, unit in own) for own in (self.inputs, self.outputs)]
+        return self._replace(inputs=ports[0], outputs=ports[1], joints=tuple(map(named, self.joints)))
 
     def _reads_length(self, joint: int) -> bool:
         """Whether an output reads the joint's position in m, or its speed in m/s."""
@@ -132,6 +145,11 @@ class Mechanism(eqx.Module):
         """Names of numbers, its own and those of built-in effects, that a fit leaves as they are unless the dataset names them
         under [model.parameters]: what no motion determines beside the others."""
         return frozenset()
+
+    def nameless(self, signature: Signature) -> tuple[Mechanism, Signature]:
+        """The same, as programs are made of it, without what does not change a result: mechanisms of one shape are then equal but
+        for their numbers."""
+        return self, signature
 
     def number_name(self, field: str, place: int) -> str:
         """Printed name of one number of a field that has one for each joint or link."""

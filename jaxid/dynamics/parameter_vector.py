@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
+from functools import cached_property
 from typing import Any, NamedTuple
 
 import equinox as eqx
+import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
@@ -27,6 +29,45 @@ class Entry(NamedTuple):
     location: str
     spec: ParameterSpec
     unit: str
+
+
+class Form:
+    """A chain without names: chains of one shape, as the limbs of a robot, have equal forms, so that a program that takes the
+    numbers of one takes those of the other. Compares and hashes by its structure."""
+
+    def __init__(self, chain: Chain, leaves: Sequence[tuple[int, str, int]]):
+        self.chain, self._leaves = chain.nameless(), leaves
+        self._structure = jax.tree.structure(self.chain)
+
+    def __eq__(self, other: object) -> bool:
+        return isinstance(other, Form) and other._structure == self._structure
+
+    def __hash__(self) -> int:
+        return hash(self._structure)
+
+    @property
+    def bare(self) -> Chain:
+        """The chain with all numbers 0."""
+        return self.model(np.zeros(sum(width or 1 for _, _, width in self._leaves)))
+
+    def model(self, theta: Any) -> Chain:
+        """The chain with these numbers (works on tracers, and on numbers one by one)."""
+        return _with_numbers(self.chain, self._leaves, theta)
+
+
+def _with_numbers(chain: Chain, leaves: Sequence[tuple[int, str, int]], theta: Any) -> Chain:
+    values: list[Any] = []
+    position = 0
+    for _, _, width in leaves:
+        own = theta[position : position + (width or 1)]
+        values.append((jnp.stack(own) if isinstance(own, list) else own) if width else own[0])
+        position += width or 1
+
+    def replaced(chain: Chain) -> list[Any]:
+        owner_of = lambda i: chain.mechanism if i < 0 else chain.effects[i]
+        return [getattr(owner_of(owner), name) for owner, name, _ in leaves]
+
+    return eqx.tree_at(replaced, chain, values)
 
 
 class Layout:
@@ -53,20 +94,14 @@ class Layout:
     def __len__(self) -> int:
         return len(self.entries)
 
+    @cached_property
+    def form(self) -> Form:
+        """What programs of this model are made of."""
+        return Form(self.chain, self._leaves)
+
     def model(self, theta: Float[Array, " size"] | Float[np.ndarray, " size"] | Sequence[Any]) -> Chain:
         """The same chain with these numbers (works on tracers, and on numbers one by one)."""
-        values: list[Any] = []
-        position = 0
-        for owner, name, width in self._leaves:
-            own = theta[position : position + (width or 1)]
-            values.append((jnp.stack(own) if isinstance(own, list) else own) if width else own[0])
-            position += width or 1
-
-        def leaves(chain: Chain) -> list[Any]:
-            owner_of = lambda i: chain.mechanism if i < 0 else chain.effects[i]
-            return [getattr(owner_of(owner), name) for owner, name, _ in self._leaves]
-
-        return eqx.tree_at(leaves, self.chain, values)
+        return _with_numbers(self.chain, self._leaves, theta)
 
     def index(self, name: str) -> int:
         """Position of a parameter by its printed name."""

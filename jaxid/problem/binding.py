@@ -25,6 +25,7 @@ from jaxid.dynamics.parameter_vector import Layout
 from jaxid.dynamics.urdf_table import arm_table
 from jaxid.errors import nearest, UsageError
 from jaxid.numerics.export_cache import key_of, Traced
+from jaxid.numerics.kept import shared
 from jaxid.numerics.precision import float64
 from jaxid.problem import measured_motion
 from jaxid.problem.measured_motion import Motion
@@ -301,16 +302,11 @@ def inertia_torque(chain: Chain, q: Float[Array, "n nq"], qdd: Float[Array, "n n
     return jax.vmap(lambda q, a: body.inverse(q, still, a) - body.inverse(q, still, still))(q, qdd)
 
 
-_INERTIA: dict[Any, Traced] = {}
-
-
 def _inertia_program(layout: Layout) -> Traced:
     """`inertia_torque` by all numbers of a layout, one program for all chains of its structure."""
-    structure = jax.tree.structure(layout.chain)
-    if structure not in _INERTIA:
-        key = key_of(inertia_torque, layout.model(np.zeros(len(layout))), layout.names)
-        _INERTIA[structure] = Traced(lambda theta, q, qdd: inertia_torque(layout.model(theta), q, qdd), key)
-    return _INERTIA[structure]
+    form = layout.form
+    program = lambda theta, q, qdd: inertia_torque(form.model(theta), q, qdd)
+    return shared("inertia", form, lambda: Traced(program, key_of(inertia_torque, form.bare)))
 
 
 def _references(

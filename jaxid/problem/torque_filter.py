@@ -17,6 +17,7 @@ from jaxid.dynamics.effect import Command, Signals
 from jaxid.dynamics.parameter_vector import Layout
 from jaxid.errors import UsageError
 from jaxid.numerics.export_cache import key_of, Traced
+from jaxid.numerics.kept import shared
 from jaxid.numerics.precision import float64
 from jaxid.simulation.rollout import Lane, torque_lane
 from jaxid.simulation.sample_buffers import bucket, columns
@@ -156,7 +157,6 @@ def drive_gains(chain: Chain) -> np.ndarray:
     return np.prod(gains, 0) if gains else np.ones(max(1, len(chain.signature.inputs)))
 
 
-_DRIVES: dict[Any, Traced] = {}
 #: Length of a step in which nothing changes, s.
 MOMENT = 1e-9
 
@@ -167,14 +167,12 @@ def drive_torque(layout: Layout, theta: np.ndarray | None, u: np.ndarray, motion
     chain, nq = layout.chain, layout.chain.nq
     if chain.direct and not chain.signature.beside:
         return u * (drive_gains(chain) if theta is None else drive_gains(layout.model(theta)))
-    structure = jax.tree.structure(chain)
-    if structure not in _DRIVES:
-        key = key_of(_driven, layout.model(np.zeros(len(layout))), layout.names)
-        _DRIVES[structure] = Traced(lambda theta, *args: _driven(layout.model(theta), *args), key)
+    form = layout.form
+    made = lambda: Traced(lambda theta, *args: _driven(form.model(theta), *args), key_of(_driven, form.bare))
     room = bucket(len(u)) - len(u)  # runs of other lengths meet the same program
     args = [np.pad(a, ((0, room), (0, 0))) for a in (u, motion[:, :nq], motion[:, nq : 2 * nq])]
     with float64():
-        return np.asarray(_DRIVES[structure](layout.values if theta is None else theta, *args))[: len(u)]
+        return np.asarray(shared("drive", form, made)(layout.values if theta is None else theta, *args))[: len(u)]
 
 
 def _driven(chain: Chain, u: Any, q: Any, qd: Any) -> Any:

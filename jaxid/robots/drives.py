@@ -71,6 +71,12 @@ class Law:
         return "delay" in self.fit or any(self.delay)
 
     @property
+    def nameless(self) -> Law:
+        """The law without numbers and names: those are told to a program."""
+        none: tuple[float, ...] = ()
+        return Law("", self.kind, none, none, none, none, none, none, none, none, none)
+
+    @property
     def numbers(self) -> dict[str, np.ndarray]:
         """Fields of a `PositionLaw`."""
         return {k: np.array(getattr(self, k)) for k in ("kp", "kd", "ki", "gain", "lowest", "highest", "offset")}

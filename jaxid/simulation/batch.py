@@ -10,11 +10,10 @@ from __future__ import annotations
 
 import os
 import time
-from collections import deque, OrderedDict
+from collections import deque
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
 from functools import partial
-from threading import Lock
 from typing import Any, NamedTuple
 
 import jax
@@ -23,9 +22,10 @@ import numpy as np
 from jaxtyping import Array
 
 from jaxid.dynamics.effect import RecordEffect
-from jaxid.dynamics.parameter_vector import Layout
+from jaxid.dynamics.parameter_vector import Form, Layout
 from jaxid.numerics.batch_loop import over_lanes
 from jaxid.numerics.export_cache import key_of, Traced
+from jaxid.numerics.kept import shared
 from jaxid.numerics.precision import float64
 from jaxid.simulation.rollout import Lane, reach_of, WINDOWED
 from jaxid.simulation.sample_buffers import BLOCK, bucket, LONG, Record, Samples
@@ -63,28 +63,15 @@ class Programs(NamedTuple):
     ready: dict[tuple[str, int], Future | None]  # which are there, by width; what another thread makes ready, as its task
 
 
-#: So many kinds of programs are kept, those used last. A compiled one of the flexible link takes about 500 regions of memory, of
-#: which Linux gives a process 65530: a process that diagnoses one recording after the other would die of them.
-KEPT = 48
-_PROGRAMS: OrderedDict[Any, Programs] = OrderedDict()
-_LOCK = Lock()
-
-
 def programs_for(layout: Layout, lane: Lane, length: int, reach: int, burn: bool) -> Programs:
     """Programs shared by all engines of the same structure: numbers, data and lengths up to the bucket are arguments."""
-    key = (jax.tree.structure(layout.chain), lane, length, reach, burn)
-    with _LOCK:
-        if key not in _PROGRAMS:
-            _PROGRAMS[key] = _programs(layout, lane, length, reach, burn)
-        _PROGRAMS.move_to_end(key)
-        if len(_PROGRAMS) > KEPT:
-            _PROGRAMS.popitem(last=False)
-        return _PROGRAMS[key]
+    form = layout.form
+    return shared("lanes", (form, lane, length, reach, burn), lambda: _programs(form, lane, length, reach, burn))
 
 
-def _programs(layout: Layout, lane: Lane, length: int, reach: int, burn: bool) -> Programs:
+def _programs(form: Form, lane: Lane, length: int, reach: int, burn: bool) -> Programs:
     def predict(theta, start, where, samples, steps):
-        return lane(layout.model(theta), samples, where, start, steps, length, reach, burn)
+        return lane(form.model(theta), samples, where, start, steps, length, reach, burn)
 
     def tangent(theta, start, dtheta, dstart, where, samples, steps):
         f = lambda theta, start: predict(theta, start, where, samples, steps)
@@ -92,10 +79,10 @@ def _programs(layout: Layout, lane: Lane, length: int, reach: int, burn: bool) -
 
     batch = over_lanes(predict, (0, 0, 0, None, None))
     tangents = over_lanes(tangent, (0, 0, 0, 0, 0, None, None))
-    about = key_of(lane, layout.model(np.zeros(len(layout))), layout.names, length, reach, burn)
+    about = key_of(lane, form.bare, length, reach, burn)
     traced = lambda f, name: Traced(f, about and f"{name}\n{about}")
     whole = traced(batch, "outputs"), traced(tangents, "tangents")
-    parts = windowed(layout, lane, reach, burn)
+    parts = windowed(form, lane, reach, burn)
     part = traced(parts.outputs, "output windows"), traced(parts.tangents, "tangent windows")
     return Programs(predict, *whole, *part, parts.begins, {}, {})
 

@@ -197,12 +197,24 @@ def _torques(chain: Chain, samples: Samples, where: Array, reach: int) -> tuple[
     def step(z: tuple, k: Array) -> tuple[tuple, Array]:
         i = jnp.minimum(begin + k, last)
         command = command_at(samples, i, first, last, reach)
+        if not chain.direct:
+            command = _about(command, samples, jnp.maximum(i - 1, first))
         q, qd, qdd = samples.x[i, :nq], samples.x[i, nq : 2 * nq], samples.x[i, 2 * nq :]
         missing, z = chain.inverse(command, z, q, qd, qdd)
         return z, -missing
 
     z = chain.start(samples.x[begin, :nq], samples.x[begin, nq : 2 * nq], samples.u[begin]).z
     return z, step
+
+
+def _about(command: Command, samples: Samples, before: Array) -> Command:
+    """The command as a mean over a step about its moment, not from it on: what a law makes of a goal is then in phase with the
+    motion. `before` is the step before it."""
+    half = command.h / 2
+    mean = lambda a, now: (a[before] + now) / 2
+    return command._replace(
+        u=mean(samples.u, command.u), other=mean(samples.other, command.other), delayed=lambda d: command.delayed(d + half)
+    )
 
 
 def over_time(step: Callable, carry: Any, steps: Array, length: int, width: int, marked: bool = True) -> Array:

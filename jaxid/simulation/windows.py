@@ -15,7 +15,7 @@ from typing import Any, NamedTuple, TYPE_CHECKING
 import jax
 import numpy as np
 
-from jaxid.dynamics.parameter_vector import Layout
+from jaxid.dynamics.parameter_vector import Form
 from jaxid.numerics.batch_loop import over_lanes
 from jaxid.numerics.precision import float64
 from jaxid.simulation.rollout import Lane, WINDOWED
@@ -40,17 +40,17 @@ class WindowPrograms(NamedTuple):
     begins: Callable[..., Any]
 
 
-def windowed(layout: Layout, lane: Lane, reach: int, burn: bool) -> WindowPrograms:
+def windowed(form: Form, lane: Lane, reach: int, burn: bool) -> WindowPrograms:
     """Functions to compile; states go in and out as tuples of arrays."""
     window, begin = WINDOWED.get(lane, (None, None))
 
     def begins(theta, start, where, samples):
-        return begin(layout.model(theta), samples, where, start, reach, burn) if begin else ()
+        return begin(form.model(theta), samples, where, start, reach, burn) if begin else ()
 
     def predict(theta, start, carry, where, samples, at, steps):
         assert window is not None
         x = jax.tree.unflatten(jax.tree.structure(begins(theta, start, where, samples)), carry)
-        x, y = window(layout.model(theta), samples, where, start, at, x, steps, WINDOW, reach, burn)
+        x, y = window(form.model(theta), samples, where, start, at, x, steps, WINDOW, reach, burn)
         return tuple(jax.tree.leaves(x)), y
 
     def tangent(theta, start, carry, dtheta, dstart, dcarry, where, samples, at, steps):

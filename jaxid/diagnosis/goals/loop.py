@@ -64,13 +64,15 @@ def _passed(P: Any, Q: Any, R: Any, force: Any) -> Any:
     return jax.lax.scan(step, (zero, zero), (P, Q, R, force))[1]
 
 
-def loop_of(h: float, inertia: np.ndarray, damping: np.ndarray, sticking: np.ndarray, stiffness: np.ndarray) -> Loop:
-    """The loop of matrices [time n n] (`sticking`: slope of dry friction, [time n]) at steps h: by Newmark's constant mean
-    acceleration; dry friction implicitly, so that a joint that sticks stays where it is."""
+def loop_of(
+    h: float, inertia: np.ndarray, damping: np.ndarray, sticking: np.ndarray, stiffness: np.ndarray, moves: np.ndarray
+) -> Loop:
+    """The loop of matrices [time n n] (`sticking`: slope of dry friction, `moves`: share of a force that it leaves, [time n]) at
+    steps h: by Newmark's constant mean acceleration; dry friction implicitly, so that a joint that sticks stays where it is."""
     stick = np.eye(inertia.shape[1]) * sticking[:, None, :]
     A, half, quarter = inertia / h**2, damping / (2 * h), stiffness / 4
     inverse = np.linalg.inv(A + half + quarter + stick / h)
-    return Loop(inverse, inverse @ (2 * A - 2 * quarter + stick / h), -inverse @ (A - half + quarter))
+    return Loop(inverse * moves[:, None, :], inverse @ (2 * A - 2 * quarter + stick / h), -inverse @ (A - half + quarter))
 
 
 @dataclass(frozen=True, eq=False)

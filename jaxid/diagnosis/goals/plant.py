@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from functools import lru_cache
 from typing import Any
 
 import jax
@@ -13,8 +12,9 @@ import numpy as np
 from jaxid.diagnosis.goals.loop import Loop, loop_of
 from jaxid.diagnosis.torque.plant import AnyPlant
 from jaxid.diagnosis.torque.rows import Run
-from jaxid.dynamics.effect import Command, InputEffect, neutral, Signals
-from jaxid.dynamics.parameter_vector import Layout
+from jaxid.dynamics.effect import Command, InputEffect, JointEffect, neutral, Signals
+from jaxid.dynamics.parameter_vector import Form, Layout
+from jaxid.numerics.kept import shared
 from jaxid.numerics.precision import float64
 
 
@@ -23,13 +23,28 @@ MOVED, FASTER, CHANGED = 1e-5, 1e-4, 1e-4
 
 
 class LedPlant(AnyPlant):
-    """The missing force of a model that goals drive. Along the measured motion dry friction turns about within `turn`."""
+    """The missing force of a model that goals drive. Along the measured motion dry friction turns about within `eps`; a joint
+    that stands still is held by any force up to its dry friction, and nothing is missing there."""
 
-    def missing(self, run: Run, theta: np.ndarray, q: Any = 0.0, qd: Any = 0.0, qdd: Any = 0.0) -> np.ndarray:
-        """Force [time n] that the model lacks along the motion of a run, moved by so much."""
+    def balance(self, run: Run, theta: np.ndarray, q: Any = 0.0, qd: Any = 0.0, qdd: Any = 0.0) -> tuple[np.ndarray, ...]:
+        """Force [time n] that the motion of a run, moved by so much, leaves to dry friction, and its levels (minus, plus)."""
         series = [run.padded(x) for x in (run.u, run.q + q, run.qd + qd, run.qdd + qdd)]
         with float64():
-            return np.asarray(_missing(self.layout)(theta, run.step, *series))[: len(run.q)]
+            found = shared("balance", self.form, lambda: _balance(self.form))(theta, run.step, *series)
+        return tuple(np.asarray(x)[: len(run.q)] for x in found)
+
+    def friction(self, run: Run, theta: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """What the motion leaves to dry friction and what friction takes of it, [time n]."""
+        left, minus, plus = self.balance(run, theta)
+        way = np.tanh(run.qd / self.eps)
+        room = 1 - np.abs(way)
+        turned = np.where(way > 0, plus, minus) * way
+        return left, np.clip(left, turned - room * minus, turned + room * plus)
+
+    def missing(self, run: Run, theta: np.ndarray) -> np.ndarray:
+        """Force [time n] that the model lacks along the motion of a run."""
+        left, taken = self.friction(run, theta)
+        return left - taken
 
     def linearised(self, run, theta):
         at, out = self.missing(run, theta), self.columns(run, theta)
@@ -38,19 +53,36 @@ class LedPlant(AnyPlant):
     def columns(self, run: Run, theta: np.ndarray) -> np.ndarray:
         """Minus the derivatives of the missing force by the numbers that are fitted, [time n size]."""
         out = np.zeros((*run.q.shape, self.size))
-        for k, i in enumerate(self.free):
-            apart = CHANGED * float(self.binding.scale[i])
-            low, high = max(theta[i] - apart, self.binding.lower[i]), min(theta[i] + apart, self.binding.upper[i])
+        for group in self._alone():
+            at = [self.free[k] for k in group]
+            apart = CHANGED * self.binding.scale[at]
+            low, high = (
+                np.maximum(theta[at] - apart, self.binding.lower[at]),
+                np.minimum(theta[at] + apart, self.binding.upper[at]),
+            )
             ends = []
             for value in (low, high):
                 moved = theta.copy()
-                moved[i] = value
+                moved[at] = value
                 ends.append(self.missing(run, moved))
-            out[:, :, k] = (ends[0] - ends[1]) / (high - low)
+            slope = ends[0] - ends[1]
+            for k, width in zip(group, high - low, strict=True):
+                place = slice(None) if len(group) == 1 else self.binding.layout.entries[self.free[k]].place
+                out[:, place, k] = slope[:, place] / width
         return out
 
+    def _alone(self) -> list[list[int]]:
+        """Positions among the free numbers, those together that each act at their own joint alone."""
+        b, groups = self.binding, {}
+        for k, i in enumerate(self.free):
+            e = b.layout.entries[i]
+            effect = b.chain.effects[e.owner] if e.owner >= 0 else None
+            own = isinstance(effect, JointEffect | InputEffect) and not effect.couples
+            groups.setdefault((e.owner, e.field) if own else k, []).append(k)
+        return list(groups.values())
+
     def slopes(self, run: Run, theta: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Minus the derivatives of the missing force by accelerations, speeds and positions, each [time n n]."""
+        """Minus the derivatives of what is left to dry friction by accelerations, speeds and positions, each [time n n]."""
         n = run.q.shape[1]
         top = np.maximum(np.percentile(np.abs(run.qd), 99, axis=0), 1e-6)
         made: list[np.ndarray] = []
@@ -58,19 +90,19 @@ class LedPlant(AnyPlant):
             columns = []
             for j in range(n):
                 step = size[j] * np.eye(n)[j]
-                low, high = (self.missing(run, theta, **{field: s * step}) for s in (-1.0, 1.0))
+                low, high = (self.balance(run, theta, **{field: s * step})[0] for s in (-1.0, 1.0))
                 columns.append((low - high) / (2 * size[j]))
             made.append(np.stack(columns, 2))
         return made[0], made[1], made[2]
 
     def loop(self, run: Run, theta: np.ndarray) -> Loop:
-        """The free run to first order about the measured motion. The slope of dry friction is what the damping has of it where a
-        joint turns about."""
+        """The free run to first order about the measured motion; a joint that friction holds is moved by no force."""
         inertia, damping, stiffness = self.slopes(run, theta)
         level = self._dry(theta)
-        sticking = level / self.turn / np.cosh(np.clip(run.qd / self.turn, -300, 300)) ** 2
-        smooth = damping - sticking[:, :, None] * np.eye(len(level))
-        return loop_of(run.step, *(run.padded(x) for x in (inertia, smooth, sticking, stiffness)))
+        slow = 1 / np.cosh(np.clip(run.qd / self.eps, -300, 300)) ** 2
+        left, taken = self.friction(run, theta)
+        moves = np.where(left == taken, np.abs(np.tanh(run.qd / self.eps)), 1.0)
+        return loop_of(run.step, *(run.padded(x) for x in (inertia, damping, level / self.eps * slow, stiffness, moves)))
 
     def _dry(self, theta: np.ndarray) -> np.ndarray:
         """Level of the model's own dry friction [n]."""
@@ -92,31 +124,30 @@ def _command(h: Any, u: Any, other: Any, k: Any) -> Command:
     return Command(k * h, h, u[k], other[k], delayed)
 
 
-@lru_cache(maxsize=16)
-def _missing(layout: Layout) -> Any:
-    def missing(theta: Any, h: Any, u: Any, q: Any, qd: Any, qdd: Any) -> Any:
-        chain = layout.model(theta)
+def _balance(form: Form) -> Any:
+    def balance(theta: Any, h: Any, u: Any, q: Any, qd: Any, qdd: Any) -> Any:
+        chain = form.model(theta)
 
         def step(z: Any, now: Any) -> Any:
             k, q, qd, qdd = now
-            out, z = chain.inverse(_command(h, u, u, k), z, q, qd, qdd)
-            return z, out
+            left, minus, plus, z = chain.balance(_command(h, u, u, k), z, q, qd, qdd)
+            return z, (left, minus, plus)
 
         z, every = chain.start(q[0], qd[0], u[0]).z, (jnp.arange(u.shape[0]), q, qd, qdd)
         if jax.tree.leaves(z):
             return jax.lax.scan(step, z, every)[1]
         return jax.vmap(lambda *now: step(z, now)[1])(*every)
 
-    return jax.jit(missing)
+    return jax.jit(balance)
 
 
 class Drive:
     """The law with effects on its way, without the mechanism: the joint torque along a measured motion."""
 
     def __init__(self, plant: LedPlant, kinds: Sequence[Any]):
-        chain = plant.layout.chain
+        chain = plant.binding.chain
         law = [e for e in chain.effects if isinstance(e, InputEffect)]
-        self.plant, self.names = plant, plant.layout.names
+        self.plant, self.names = plant, plant.binding.layout.names
         self.chain = chain._with([*law, *(neutral(k) for k in kinds)])
         self.layout = Layout(self.chain)
 
@@ -129,13 +160,13 @@ class Drive:
         """[time n]; `other` [time nu] the inputs under the other hold."""
         series = [run.padded(x) for x in (run.u, other, run.q, run.qd)]
         with float64():
-            return np.asarray(_torque(self.layout)(theta, run.step, *series))[: len(run.q)]
+            program = shared("torque", self.layout.form, lambda: _torque(self.layout.form))
+            return np.asarray(program(theta, run.step, *series))[: len(run.q)]
 
 
-@lru_cache(maxsize=16)
-def _torque(layout: Layout) -> Any:
+def _torque(form: Form) -> Any:
     def torque(theta: Any, h: Any, u: Any, other: Any, q: Any, qd: Any) -> Any:
-        chain = layout.model(theta)
+        chain = form.model(theta)
         body = chain.body()
 
         def step(z: Any, now: Any) -> Any:

@@ -10,16 +10,18 @@ import numpy as np
 from jaxid.diagnosis.evidence import held_out, knowledge
 from jaxid.diagnosis.goals.propose import as_vector, Proposal
 from jaxid.diagnosis.hypothesis import Candidate, candidates, Hypothesis, Search
-from jaxid.diagnosis.selection import indistinct, significant
+from jaxid.diagnosis.selection import DECISIVE, GAIN, indistinct, significant
 from jaxid.diagnosis.verdict import judge, level
 from jaxid.fitting.fitter import Progress
 from jaxid.fitting.least_squares import descend, Path
-from jaxid.fitting.problem_builder import Bench
+from jaxid.fitting.problem_builder import Bench, estimate_starts
 from jaxid.problem.residual import OutputError
 
 
 #: Iterations and tolerance of a refit from the numbers that were read along the measured motion.
-NEAR = (12, 1e-4)
+NEAR = (12, 1e-3)
+#: An effect that is missed so many times as much as it has to be needs no simulation without it.
+SURELY = 4.0
 
 
 @dataclass
@@ -46,6 +48,17 @@ class Decider:
         theta = p.theta(path.z)
         splits = [held_out(self.bench, "validation", [theta], OutputError(), [knowledge(path)])]
         return Hypothesis(tuple(effects), theta, path, splits[0][0])
+
+    def settled(self, h: Hypothesis) -> Hypothesis:
+        """The same refitted to the fit and validation runs: once these have chosen, its numbers are those of all of them."""
+        bench, own = self.bench, h.path.problem
+        if not bench.binding.experiments("validation") or not np.isfinite(h.fit_loss):
+            return h
+        p = bench.problem(OutputError(), "fit+validation", own.free, h.theta)
+        starts = [own.starts(h.path.z), estimate_starts(bench, "validation", [h.theta])[0]]
+        path = descend([(p, p.z(h.theta, np.concatenate(starts)))], *NEAR)[0]
+        self.evaluations += path.linearisations * (1 + p.size)
+        return Hypothesis(h.effects, p.theta(path.z), path, h.validation)
 
     def decided(self, nominal: Hypothesis, sets: Sequence[Proposal]) -> Search:
         """Of the sets that were proposed the one that simulations bear out; its effects taken back where they are not missed.
@@ -79,6 +92,8 @@ class Decider:
             left = [e for e in chosen.effects if e is not c]
             if not left:
                 break
+            if self._surely(chosen, c):
+                continue
             theta = chosen.theta.copy()
             theta[list(c.index)] = self.bench.binding.theta[list(c.index)]
             self.total += 1
@@ -87,3 +102,20 @@ class Decider:
             if self._at_noise(less) or not significant(less, chosen):
                 chosen = less
         return chosen
+
+    def _surely(self, h: Hypothesis, c: Candidate) -> bool:
+        """Whether the fit runs alone would miss an effect by far more than it takes to be there, to second order about where the
+        fit stands: no simulation without it is needed to say so."""
+        p, H, b = h.path.problem, h.path.hessian, self.bench.binding
+        at = [k for k, i in enumerate(p.free) if i in c.index and not b.layout.log[i]]
+        if H is None or not at:
+            return False
+        others = [k for k in range(len(H)) if k not in at]
+        S = (
+            H[np.ix_(at, at)]
+            - H[np.ix_(at, others)] @ np.linalg.pinv(H[np.ix_(others, others)], hermitian=True) @ H[np.ix_(others, at)]
+        )
+        d = h.path.z[at] - b.theta[p.free[at]]
+        missed = float(d @ S @ d)
+        share = missed / h.path.count / max(h.fit_loss - 1.0, 1e-12)
+        return missed / h.fit_inflation > SURELY * (3 * DECISIVE + 2 * len(c.index)) and share > SURELY * GAIN

@@ -9,13 +9,14 @@ from typing import Any
 
 import numpy as np
 
+from jaxid.data.dataset import Experiment
 from jaxid.diagnosis.goals.loop import FINE, LoopRun, mean_input, RawRun, refined
 from jaxid.diagnosis.goals.plant import CHANGED, Drive, LedPlant
-from jaxid.diagnosis.torque.algebra import Weights
+from jaxid.diagnosis.torque.algebra import gram, solve, weighted, Weights
 from jaxid.diagnosis.torque.library import Unit, units
 from jaxid.diagnosis.torque.plant import inverse_of
 from jaxid.diagnosis.torque.rows import read_runs, Run, turning_speeds
-from jaxid.diagnosis.torque.study import Rows, SHARPER, Study
+from jaxid.diagnosis.torque.study import Rows, SHARPER, STEPS, Study
 from jaxid.dynamics.effect import Effect, InputEffect, neutral
 from jaxid.dynamics.joint_readings import joint_readings
 from jaxid.dynamics.parameter import resolve, specs, with_fields
@@ -25,6 +26,13 @@ from jaxid.simulation.sample_buffers import columns
 
 #: A shift of readings over which gravity's derivative is taken: what an encoder that is off does.
 OFF = 1e-4
+#: Damping of the descent to the nominal model (Marquardt's, a share of each number's own curvature): at first, by how much less
+#: and more it is after a step that led down and one that did not, and where it ends.
+FIRST, EASIER, HARDER, LAST = 1e-2, 5.0, 4.0, 1e3
+#: A step that gains less of the logarithm of the likelihood is the last one.
+ENOUGH = 0.1
+#: A number that is neutral from here on is a limit; shares of the time in which the drive stays below those that are asked for.
+ENDLESS, LEVELS = 1e9, (0.5, 0.7, 0.8, 0.9, 0.95, 0.98, 0.99, 0.995, 0.999)
 #: Coefficient below which an effect without a strength of its own is not there.
 PRESENT = 0.3
 
@@ -85,8 +93,9 @@ class LedStudy(Study):
         times = _times(b)
         self.sampling = float(np.median(np.concatenate([np.diff(e.t) for e in b.dataset.experiments])))
         # A part of a recording is smoothed with what went before it, and the loop has settled when it begins.
-        fine = replace(b.dataset, experiments=tuple(refined(e.whole, times, every) for e in b.dataset.experiments))
-        begins = {e.name: times * (0 if e.past is None else len(e.past.t)) for e in b.dataset.experiments}
+        known = [_settled(e) for e in b.dataset.experiments]
+        fine = replace(b.dataset, experiments=tuple(refined(e.whole, times, every) for e in known))
+        begins = {e.name: times * (0 if e.past is None else len(e.past.t)) for e in known}
         runs = read_runs(replace(b, dataset=fine), cutoff_hz)
         self.other = [mean_input(r.u, ~self.linear) for r in runs]
         return [_led(r, begins[r.experiment.name], self.linear) for r in runs]
@@ -98,13 +107,65 @@ class LedStudy(Study):
         return self.begin.copy()
 
     def _nominal(self) -> np.ndarray:
-        """On the fit runs alone."""
+        """On the fit runs alone; where that is known already (`begin`), as it is."""
+        if self.begin is not self.binding.theta:
+            self.linearise(self.begin)
+            return self.begin.copy()
+        return self.tuned(self.begin.copy())
+
+    def tuned(self, theta: np.ndarray) -> np.ndarray:
+        """The nominal model's numbers, from where they are."""
         every = self.runs
         self.runs = [r for r in every if r.split == "fit"]
-        theta = super()._nominal()
+        self.theta = self._descended(theta)
         self.runs = every
-        self.linearise(theta)
-        return theta
+        self.linearise(self.theta)
+        return self.theta
+
+    def _descended(self, theta: np.ndarray) -> np.ndarray:
+        """Levenberg and Marquardt: delay, damping and inertia stand in for each other, and first order jumps between them. Every
+        joint counts by what is left of it, which is the likelihood with its size unknown."""
+        rows = self.made(theta, [])
+        white = self._weights(rows, np.zeros(0, int), np.zeros(0))
+        white = self._weights(rows, *self._solved(rows, white))
+        here = self._judged(rows, white.memory)
+        damping = FIRST
+        for _ in range(STEPS):
+            loss, theta, rows, white = here
+            trial = self._moved(theta, *self._damped(rows, white, damping))
+            there = self._judged(self.made(trial, []), white.memory)
+            if there[0] < loss:
+                here, damping = there, damping / EASIER
+                if loss - there[0] < ENOUGH:
+                    break
+            elif (damping := damping * HARDER) > LAST:
+                break
+        return here[1]
+
+    def _judged(self, rows: Rows, memory: np.ndarray) -> tuple[float, np.ndarray, Rows, Weights]:
+        """Minus the logarithm of the likelihood of the numbers at which rows were made, these, the rows, and weights."""
+        own, theta = np.arange(self.plant.size), rows.theta[self.plant.free]
+        left = np.concatenate([rows.residual(k, own, theta) for k in self.of("fit")])
+        size = np.maximum(np.sqrt(np.mean(left**2, 0)), 1e-12)
+        loss = float(np.sum(len(left) / memory * np.log(size)))
+        for k, i in enumerate(self.plant.free):
+            if i in self.binding.priors:
+                mean, std = self.binding.priors[i]
+                loss += ((theta[k] - mean) / std) ** 2 / 2
+        return loss, rows.theta, rows, Weights(size, memory)
+
+    def _damped(self, rows: Rows, white: Weights, damping: float) -> tuple[np.ndarray, np.ndarray]:
+        """Columns and their numbers, those of the model pulled to where they are by a share of what the data say of each."""
+        size, p = rows.rows[0].shape[2] - 1, self.plant.size
+        g = gram(*self.some(rows, self.of("fit")), white, 1).total
+        known, pull = self.known(size, rows.theta), damping * np.diag(g)[:p]
+        told = np.diag(known.information)[:p]
+        mean = (told * known.mean[:p] + pull * rows.theta[self.plant.free]) / np.maximum(told + pull, 1e-300)
+        known.information[np.arange(p), np.arange(p)] += pull
+        known.mean[:p] = np.where(told + pull > 0, mean, known.mean[:p])
+        start, low, high = self.bounds(rows)
+        s = solve(g, np.arange(size), known, start, low, high)
+        return s.at, s.theta
 
     # ---- rows
 
@@ -145,11 +206,8 @@ class LedStudy(Study):
         """What a delay of each goal by one sample changes, [time n n]."""
         plant: LedPlant = self.plant  # type: ignore[assignment]
         n, h = run.q.shape[1], run.step
-        out = []
-        for j in range(n):
-            early, late = (replace(run, u=np.where(np.arange(run.u.shape[1]) == j, np.roll(run.u, k, 0), run.u)) for k in (-1, 1))
-            out.append((plant.missing(early, theta) - plant.missing(late, theta)) / (2 * h) * self.sampling)
-        made = np.stack(out, 2)
+        early, late = (plant.missing(replace(run, u=np.roll(run.u, k, 0)), theta) for k in (-1, 1))
+        made = ((early - late) / (2 * h) * self.sampling)[:, :, None] * np.eye(n)
         made[:2] = made[-2:] = 0.0
         return made
 
@@ -158,9 +216,13 @@ class LedStudy(Study):
         apart = [np.tanh(run.qd / (turn * wide)) - np.tanh(run.qd / turn) for wide in (1 / SHARPER, SHARPER)]
         return np.concatenate([x[:, :, None] * np.eye(x.shape[1]) for x in apart], 2)
 
-    def _without_torque(self, theta: np.ndarray):
+    def rows_with_effects(self, theta: np.ndarray, chosen: bool = False) -> tuple[Rows, Weights]:
+        """Rows with every unit, and the weights that the re-tuned model leaves: a free run with every law at once is no model."""
         self.linearise(theta)
-        return super()._without_torque(theta)
+        rows = self.made(theta, self.asked(self.kinds, theta))
+        left = [rows.residual(k, np.arange(self.plant.size), theta[self.plant.free]) for k in self.of("fit")]
+        which = [self.runs[k] for k in self.of("fit")]
+        return rows, weighted(left, [r.moves for r in which], [np.zeros((len(r.t), self.binding.chain.nq)) for r in which])
 
     def asked(self, kinds: Sequence[type[Effect]], theta: np.ndarray) -> list[Unit]:
         raw = [RawRun(**{f.name: getattr(r, f.name) for f in fields(Run)}) for r in self.free]
@@ -194,22 +256,25 @@ class LedStudy(Study):
         drive = Drive(plant, [kind])
         base = drive.theta(theta)
         before = [drive.torque(r, o, base) for r, o in zip(self.free, self.other, strict=True)]
+        places = b.chain.offers(kind)[:n]
+        levels = np.max([np.quantile(np.abs(x), LEVELS, axis=0) for x in before], 0) if _is_level(kind) else None
+        probes = [_probes(b, kind, j) if levels is None else _at_levels(kind, levels[:, j]) for j in range(len(places))]
         out = []
-        for j, place in enumerate(b.chain.offers(kind)[:n]):
-            for shape in _probes(b, kind, j):
-                at = base.copy()
-                for field, value in shape.items():
-                    (i,) = [k for k in drive.layout.of_effect(kind.name, place) if drive.layout.entries[k].field == field]
-                    at[i] = value
-                change = [drive.torque(r, o, at) - x for r, o, x in zip(self.free, self.other, before, strict=True)]
-                if any(np.any(c) for c in change):
-                    out.append(_scaled(kind, place, shape, j, [-c[:, :, None] for c in change]))
+        for k in range(max(map(len, probes), default=0)):  # a drive is its own joint's: all at once
+            at = base.copy()
+            for place, own in zip(places, probes, strict=True):
+                for i in drive.layout.of_effect(kind.name, place) if k < len(own) else ():
+                    at[i] = own[k].get(drive.layout.entries[i].field, at[i])
+            change = [drive.torque(r, o, at) - x for r, o, x in zip(self.free, self.other, before, strict=True)]
+            for j, (place, own) in enumerate(zip(places, probes, strict=True)):
+                if k < len(own) and any(np.any(c[:, j]) for c in change):
+                    out.append(_scaled(kind, place, own[k], j, [-(c * np.eye(n)[j])[:, :, None] for c in change]))
         return out
 
     def _bodies(self, kind: Any, theta: np.ndarray) -> list[Unit]:
         """What changes the mechanism, to first order in each of its numbers."""
         b, out, own = self.binding, [], specs(kind)
-        mechanism = b.layout.model(theta).mechanism
+        mechanism = b.layout.form.model(theta).mechanism
         for place in b.chain.offers(kind):
             j = b.chain.places(kind).index(place)
             reference = b.reference(kind, j)
@@ -256,6 +321,13 @@ class LedStudy(Study):
         return np.maximum(sigma * np.sqrt(min(1.0, 2 * run.cutoff_hz / rate)), 1e-12)
 
 
+def _settled(e: Experiment) -> Experiment:
+    """A run with no more of its past than it is long itself: in that the loop forgets how it began."""
+    if e.past is None or len(e.past.t) <= len(e.t):
+        return e
+    return replace(e, past=e.past.piece(len(e.past.t) - len(e.t), len(e.past.t), name=e.past.name, split=e.past.split))
+
+
 def _with_body(kind: Any, n: int, field: str, place: int, value: float) -> Any:
     """A body effect with one number at one place."""
     effect = neutral(kind)
@@ -275,6 +347,17 @@ def _led(r: Run, begins: int, linear: np.ndarray) -> LoopRun:
     own = {f.name: getattr(r, f.name) for f in fields(Run)}
     kept = slice(max(r.kept.start, begins), r.kept.stop, r.kept.step)
     return LoopRun(**own | {"u": mean_input(r.u, linear), "kept": kept})
+
+
+def _is_level(kind: type[Effect]) -> bool:
+    """Whether an effect is a level beyond which a command does not go: it shows at levels that this motion reaches."""
+    own = specs(kind)
+    return len(own) == 1 and all(s.log and float(s.value) >= ENDLESS for s in own.values())
+
+
+def _at_levels(kind: type[Effect], levels: np.ndarray) -> list[dict[str, float]]:
+    (field,) = specs(kind)
+    return [{field: float(x)} for x in levels if x > 0]
 
 
 def _probes(b: Binding, kind: type[Effect], place: int) -> list[dict[str, float]]:

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
-from functools import lru_cache
 from typing import Any
 
 import jax
@@ -18,6 +17,7 @@ from jaxid.dynamics.chain import Chain
 from jaxid.dynamics.effect import BodyEffect, Effect, JointEffect, neutral
 from jaxid.dynamics.parameter import resolve, specs, with_fields
 from jaxid.dynamics.rigid_body import INERTIA
+from jaxid.numerics.kept import shared
 from jaxid.numerics.precision import float64
 from jaxid.problem.binding import Binding
 
@@ -212,7 +212,6 @@ def _tilt(plant: ArmPlant, place: str, runs: Sequence[Run], theta: np.ndarray) -
     )
 
 
-@lru_cache(maxsize=64)
 def _slope(kind: type[BodyEffect], field: str, place: int) -> Any:
     def torque(value: Any, mechanism: Any, n: int, q: Any, qd: Any, qdd: Any) -> Any:
         effect: Any = neutral(kind)
@@ -236,12 +235,14 @@ def _derivatives(
     joints = b.chain.signature.joints
     fields = list(specs(kind))
     with float64():
-        mechanism = b.layout.model(theta).mechanism
+        mechanism = b.layout.form.model(theta).mechanism
+        structure = jax.tree.structure(mechanism)
+        program = lambda f, j: shared("slope", (kind, f, j, structure), lambda: _slope(kind, f, j))
         for place in places:
             columns, j = [], joints.index(place)
             for r in runs:
                 series = [r.padded(x) for x in (r.q, r.qd, r.qdd)]
-                made = [np.asarray(_slope(kind, f, j)(mechanism, *series))[: len(r.q)] for f in fields]
+                made = [np.asarray(program(f, j)(mechanism, *series))[: len(r.q)] for f in fields]
                 columns.append(r.rows(np.stack(made, -1)))
             if any(np.any(c) for c in columns):
                 out.append(_unit(kind, place, fields, {}, tuple(range(b.chain.nq)), columns, b))

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import abc
 from collections.abc import Sequence
-from functools import lru_cache
 from typing import Any
 
 import jax
@@ -16,7 +15,8 @@ from jaxid.diagnosis.torque.rows import Run
 from jaxid.dynamics.base_parameters import STANDARD, torque_columns
 from jaxid.dynamics.effect import JointEffect
 from jaxid.dynamics.parameter import specs
-from jaxid.dynamics.parameter_vector import Layout
+from jaxid.dynamics.parameter_vector import Form
+from jaxid.numerics.kept import shared
 from jaxid.numerics.precision import float64
 from jaxid.problem.binding import Binding
 from jaxid.problem.torque_filter import drive_torque
@@ -120,8 +120,8 @@ class AnyPlant(Plant):
 
     def __init__(self, binding: Binding, turn: np.ndarray):
         super().__init__(binding, turn)
-        eps = binding.chain.smoothing_velocity or float(np.min(turn))
-        self.layout = Layout(binding.chain.smoothed(eps))
+        stated = binding.chain.smoothing_velocity
+        self.form, self.eps = binding.layout.form, np.full(len(turn), stated) if stated else turn
 
     def linearised(self, run, theta):
         missing, slope = self._missing(run, theta)
@@ -130,51 +130,51 @@ class AnyPlant(Plant):
 
     def rigid(self, run, theta):
         with float64():
-            body = self.layout.model(theta).body()
-            return inverse_of(body, run)
+            return inverse_of(self.form.model(theta).body(), run)
 
     def _missing(self, run: Run, theta: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         n, series = len(run.q), [run.padded(x) for x in (run.u, run.q, run.qd, run.qdd)]
         with float64():
-            missing, slope = _slopes(self.layout, tuple(self.free))(theta, run.step, *series)
+            program = shared("slopes", (self.form, *self.free), lambda: _slopes(self.form, tuple(self.free)))
+            missing, slope = program(theta, self.eps, run.step, *series)
         return np.asarray(missing)[:n], np.asarray(slope)[:n]
 
 
 def inverse_of(body: Any, run: Run) -> np.ndarray:
     """Torque [time n] that a mechanism takes along a run."""
     with float64():
-        return np.asarray(_inverse(body, *(run.padded(x) for x in (run.q, run.qd, run.qdd))))[: len(run.q)]
+        program = shared("inverse", jax.tree.structure(body), lambda: jax.jit(_inverse))
+        return np.asarray(program(body, *(run.padded(x) for x in (run.q, run.qd, run.qdd))))[: len(run.q)]
 
 
-@jax.jit
 def _inverse(body: Any, q: Any, qd: Any, qdd: Any) -> Any:
     return jax.vmap(body.inverse)(q, qd, qdd)
 
 
-@lru_cache(maxsize=32)
-def _slopes(layout: Layout, free: tuple[int, ...]) -> Any:
+def _slopes(form: Form, free: tuple[int, ...]) -> Any:
     """(missing torque [time n], its slope by the free numbers [time n free])."""
     from jaxid.dynamics.effect import Command
 
-    def missing(numbers: Any, theta: Any, h: Any, u: Any, q: Any, qd: Any, qdd: Any) -> Any:
-        chain = layout.model(theta.at[jnp.array(free, int)].set(numbers) if free else theta)
+    def missing(numbers: Any, theta: Any, eps: Any, h: Any, u: Any, q: Any, qd: Any, qdd: Any) -> Any:
+        chain = form.model(theta.at[jnp.array(free, int)].set(numbers) if free else theta)
 
         def step(z: Any, now: Any) -> Any:
             u, q, qd, qdd = now
             command = Command(jnp.zeros(()), h, u, u, lambda d: u)
-            out, z = chain.inverse(command, z, q, qd, qdd)
-            return z, out
+            left, minus, plus, z = chain.balance(command, z, q, qd, qdd)
+            way = jnp.tanh(qd / eps)
+            return z, left - jnp.where(way > 0, plus, minus) * way
 
         z = chain.start(q[0], qd[0], u[0]).z
         if jax.tree.leaves(z):
             return jax.lax.scan(step, z, (u, q, qd, qdd))[1]
         return jax.vmap(lambda *now: step(z, now)[1])(u, q, qd, qdd)
 
-    def both(theta: Any, h: Any, *series: Any) -> Any:
+    def both(theta: Any, eps: Any, h: Any, *series: Any) -> Any:
         theta = jnp.asarray(theta)
         own = theta[jnp.array(free, int)] if free else jnp.zeros(0)
-        out = missing(own, theta, h, *series)
-        slope = jax.jacfwd(missing)(own, theta, h, *series) if free else jnp.zeros((*out.shape, 0))
+        out = missing(own, theta, eps, h, *series)
+        slope = jax.jacfwd(missing)(own, theta, eps, h, *series) if free else jnp.zeros((*out.shape, 0))
         return out, slope
 
     return jax.jit(both)
