@@ -18,7 +18,7 @@ from jaxid.conventions import runs, samples
 from jaxid.conventions.decide import judged
 from jaxid.conventions.finding import Checked, DataFinding
 from jaxid.conventions.mending import mended, Mending
-from jaxid.conventions.missing_force import ForceFit, measured
+from jaxid.conventions.missing_force import ForceFit, measured, NEIGHBOURS
 from jaxid.conventions.samples import Shown
 from jaxid.data.capacity import give_back
 from jaxid.data.dataset import Dataset
@@ -29,7 +29,7 @@ from jaxid.problem.binding import bind, Binding
 
 #: Evaluations of each of the two fits that confirm a finding, and the share of the gap that has to go.
 BUDGET, GONE = 400, 0.7
-#: Numbers of a model beyond which only readings of the joints that stand out are gone through, on few samples where it is linear.
+#: Numbers of a model beyond which readings are gone through on few samples where it is linear.
 MOST_NUMBERS = 30
 #: Kinds that a model tells, and that its simulation has to confirm.
 BY_MODEL = ("sign", "zero", "scale", "swapped_channels", "row_shift", "clock")
@@ -142,10 +142,10 @@ def _bound(model: object, data: Dataset, without: tuple[str, ...]) -> tuple[Bind
 def _by_model(binding: Binding, data: Dataset, as_recorded: bool, confirm: bool) -> tuple[list[DataFinding], Dataset]:
     """What the model tells, confirmed by a simulation, applied."""
     driven = bool(binding.dataset.inputs)  # along a free motion every reading fits with another scale
-    motion = measured(binding) if driven and binding.free else None
+    many = len(binding.free) > MOST_NUMBERS
+    motion = measured(binding, NEIGHBOURS if many else 1) if driven and binding.free else None
     if motion is None:
         return [], data
-    many = len(binding.free) > MOST_NUMBERS
     shown = list(judged(binding, ForceFit(binding, motion), motion, many))
     total = Mending()
     for s in shown:

@@ -40,8 +40,6 @@ CLEAR = 0.2
 #: What is missing is known to about that share of the drive: filters, friction near rest.
 FLOOR = 0.01
 MOST = 4
-#: Of a model with many numbers a joint is asked about where that share of its drive is not explained.
-STANDS_OUT = 0.25
 
 
 @dataclass(frozen=True)
@@ -58,7 +56,7 @@ class Judged:
 
 def judged(binding: Binding, fit: ForceFit, motion: Motion, many: bool = False) -> Iterator[Shown]:
     """Findings that need the model, one after another: each is looked for in what the decisive ones before it leave. `many`: the
-    model has so many numbers that only readings of joints whose drive it does not explain are asked for, and no times."""
+    model has so many numbers that readings are gone through on few samples first, where it is linear, and no times are asked for."""
     names, m = Names(binding), motion
     for _ in range(MOST):
         shown, changed = _next(binding, fit, m, names, many)
@@ -76,16 +74,12 @@ def judged(binding: Binding, fit: ForceFit, motion: Motion, many: bool = False) 
 def _next(binding: Binding, fit: ForceFit, m: Motion, names: Names, many: bool = False) -> tuple[Shown | None, Motion | None]:
     plain = fit.fit(m, laws=False)
     before = plain.worst + FLOOR
-    out = _standing_out(plain, m, names) if many else None
-    if out is not None and not out:
-        return None, None
-    laws = fit.fit(m)
-    if before <= 2 * FLOOR or before <= ALIKE * (fit.noise(plain, binding) + FLOOR):
-        return None, None
-    tried: list[Judged] = []
     quick = many and fit.forces.linear
     few = m.thinned(FEW) if quick else m
-    for readings in _readings(names, before, fit.driven) if out is None else _of(out, names):
+    if before <= 2 * FLOOR or before <= ALIKE * (fit.noise(plain, binding, few) + FLOOR):
+        return None, None
+    tried: list[Judged] = []
+    for readings in _readings(names, before, fit.driven):
         own = _tried(fit, few, readings, before)
         if quick:  # on all samples those that may come out on top
             own = [t for t in own if t.left <= min(ALIKE**2 * own[0].left, ALIKE * SHARE * before)]
@@ -95,6 +89,7 @@ def _next(binding: Binding, fit: ForceFit, m: Motion, names: Names, many: bool =
             break
     if not tried or tried[0].left > SHARE * before:
         return None, None
+    laws = fit.fit(m)
     best = tried[0]
     near = [t for t in tried[1:] if t.left <= ALIKE * best.left]
     same = [t for t in near if t.reading.kind == best.reading.kind]
@@ -118,7 +113,7 @@ def _next(binding: Binding, fit: ForceFit, m: Motion, names: Names, many: bool =
     if not decisive and (best.left > DECISIVE * before or not beyond):
         return None, None
     mending = mending_of(best.reading, value, {})
-    noise = max(fit.noise(left, binding), 1e-6)
+    noise = max(fit.noise(left, binding, few), 1e-6)
     alike = tuple(
         dict.fromkeys((t.reading.kind, c) for t in (near if others else same) for c in t.reading.channels
                       if (t.reading.kind, c) != (best.reading.kind, best.reading.channels[0])))  # fmt: skip
@@ -144,27 +139,11 @@ def _tried(fit: ForceFit, m: Motion, readings: list[Reading], before: float) -> 
     return sorted((t for t in found if np.isfinite(t.left)), key=lambda t: t.left)
 
 
-def _standing_out(plain: Fitted, m: Motion, names: Names) -> set[str]:
-    """Channels of the joints of whose drive a fit leaves most: a channel that says something else leaves its own joint's."""
-    left = np.sqrt(np.sum(plain.residual**2, 0) / np.maximum(1, np.count_nonzero(m.weight, 0)))
-    worst = np.flatnonzero(left > max(STANDS_OUT, SHARE * float(left.max())))
-    inputs = names.inputs if len(names.inputs) == len(names.joints) else []
-    return {channel[j] for j in worst for channel in (names.joints, inputs) if channel}
-
-
 def _readings(names: Names, before: float, driven: bool) -> Iterator[list[Reading]]:
     """Those that could close a gap of this size, the many last: a wrong unit leaves no small one."""
     yield [*(signs(names) if driven else ()), *(exchanges(names) if driven else ()), *zeros(names)]
     if before > 0.1:
         yield list(scales(names))
-
-
-def _of(channels: set[str], names: Names) -> Iterator[list[Reading]]:
-    """Readings of these channels, inputs first: they leave the motion as it is."""
-    own = [r for r in (*signs(names), *exchanges(names), *zeros(names)) if set(r.channels) & channels]
-    yield [r for r in own if set(r.channels) <= set(names.inputs)]
-    yield [r for r in own if not set(r.channels) <= set(names.inputs)]
-    yield [r for r in scales(names) if set(r.channels) & channels]
 
 
 def _refined(fit: ForceFit, m: Motion, best: Judged, names: Names):
