@@ -30,7 +30,7 @@ from jaxid.problem.binding import Binding
 
 
 #: A reading is looked at where it leaves that share of what is missing, and decisive where it leaves so much of it.
-SHARE, DECISIVE = 0.7, 0.5
+SHARE, DECISIVE = 0.7, 0.7
 #: Readings that leave nearly the same (by this factor) cannot be told apart.
 ALIKE = 1.15
 #: Beside any law that the model may lack at its joints, a reading still leaves that share of what is missing.
