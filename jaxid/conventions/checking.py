@@ -29,8 +29,8 @@ from jaxid.problem.binding import bind, Binding
 
 #: Evaluations of each of the two fits that confirm a finding, and the share of the gap that has to go.
 BUDGET, GONE = 400, 0.7
-#: Numbers of a model beyond which readings are gone through on few samples where it is linear.
-MOST_NUMBERS = 30
+#: Numbers of a model beyond which readings are gone through on few samples where it is linear, and nothing is simulated.
+MOST_NUMBERS = 15
 #: Kinds that a model tells, and that its simulation has to confirm.
 BY_MODEL = ("sign", "zero", "scale", "swapped_channels", "row_shift", "clock")
 

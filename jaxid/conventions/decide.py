@@ -17,6 +17,7 @@ from jaxid.conventions.readings import (
     mending_of,
     Names,
     nearest_convention,
+    nearest_factor,
     offset_joint,
     Reading,
     refinement,
@@ -56,7 +57,8 @@ class Judged:
 
 def judged(binding: Binding, fit: ForceFit, motion: Motion, many: bool = False) -> Iterator[Shown]:
     """Findings that need the model, one after another: each is looked for in what the decisive ones before it leave. `many`: the
-    model has so many numbers that readings are gone through on few samples first, where it is linear, and no times are asked for."""
+    model has so many numbers that readings are gone through on few samples first, where it is linear, and times are asked for where
+    one row more or less tells."""
     names, m = Names(binding), motion
     for _ in range(MOST):
         shown, changed = _next(binding, fit, m, names, many)
@@ -65,7 +67,9 @@ def judged(binding: Binding, fit: ForceFit, motion: Motion, many: bool = False) 
         if changed is None:
             break
         m = changed
-    if fit.driven and not many:
+    few = m.thinned(FEW) if many else m
+    if fit.driven and (not many or _late(fit, few)):
+        m = few
         yield from _timed(binding, fit, m, names)
         if (found := _unsigned(binding, fit, m, names)) is not None:
             yield found
@@ -168,9 +172,14 @@ def _refined(fit: ForceFit, m: Motion, best: Judged, names: Names):
     if best.reading.kind == "zero":
         j = names.joints.index(best.reading.channels[0])
         return value, ends, what, (lambda m: offset_joint(m, j, -value)), True
-    again = refinement(replace(best.reading, value=value), names)
-    assert again is not None
-    return value, ends, what, (lambda m: again[0](m, np.zeros(1))), True
+    known = nearest_factor(value)
+    for value, what in dict.fromkeys([known, (value, what)]):
+        again = refinement(replace(best.reading, value=value), names)
+        assert again is not None
+        change = lambda m, more=again[0]: more(m, np.zeros(1))
+        if (value, what) == own or fit.fit(change(m), laws=False).worst + FLOOR <= ALIKE * (fitted.worst + FLOOR):
+            break
+    return value, ends, what, change, True
 
 
 def _line(binding: Binding, reading: Reading, mending: Mending) -> str:
@@ -238,6 +247,13 @@ def _timed(binding: Binding, fit: ForceFit, m: Motion, names: Names) -> Iterator
         whole = round(rows)
         if whole and abs(whole) <= 3 and std <= KNOWN and abs(rows - whole) <= CLOSE and abs(rows) > SURE * std:
             yield _shifted(binding, names, k, whole, rows, std)
+
+
+def _late(fit: ForceFit, m: Motion) -> bool:
+    """Whether whole rows between inputs and motion close a share of the gap."""
+    before = fit.fit(m, laws=False).worst + FLOOR
+    moved = (fit.fit(replace(m, rows=m.rows + k), laws=False).worst + FLOOR for k in (-3, -2, -1, 1, 2, 3))
+    return before > 2 * FLOOR and min(moved) <= SHARE * before
 
 
 def _far_drift(fit: ForceFit, m: Motion, plain: Fitted) -> Motion | None:

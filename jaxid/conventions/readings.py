@@ -159,6 +159,12 @@ def refinement(reading: Reading, names: Names) -> tuple[Callable[[Motion, np.nda
     return None
 
 
+def nearest_factor(value: float) -> tuple[float, str]:
+    """The known factor next to a size, and its name."""
+    name, factor = min(FACTORS.items(), key=lambda item: abs(np.log(value / item[1])))
+    return factor, name
+
+
 def nearest_convention(kind: str, value: float, std: float, travel: float) -> tuple[float, str] | None:
     """The convention's own value that a fitted size stands for, and its name; None where it stays an effect."""
     if kind == "zero":
@@ -168,7 +174,7 @@ def nearest_convention(kind: str, value: float, std: float, travel: float) -> tu
             return (pi if abs(quarter) == pi else quarter), f"{abs(quarter) / (pi / 2):.0f} quarter turn"
         beyond = max(0.5, 0.5 * travel)  # what a tilted base and a sensor's bias may be
         return (wound, "an offset") if abs(wound) > beyond and std < 0.1 else None
-    name, factor = min(FACTORS.items(), key=lambda item: abs(np.log(value / item[1])))
+    factor, name = nearest_factor(value)
     if abs(np.log(value / factor)) <= max(0.03, 3 * std) and std < 0.2:
         return factor, name
     low, high = EFFECT_RANGE
