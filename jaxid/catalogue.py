@@ -235,7 +235,16 @@ def describe_effect(name: str) -> EffectInfo:
             unit = unit.replace(token, f"({text})" if unit != token else text)
         parameters.append(ParameterInfo(field, unit, spec.value, str(spec.lower), str(spec.upper), spec.meaning))
     return EffectInfo(
-        name, _text(kind), family, port, kind.equation, kind.signature, kind.excitation, kind.source, locations, tuple(parameters),
+        name,
+        _text(kind),
+        family,
+        port,
+        kind.equation,
+        kind.signature,
+        kind.excitation,
+        kind.source,
+        locations,
+        tuple(parameters),
         tuple(own),
     )
 

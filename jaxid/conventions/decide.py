@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
 from math import pi
 
@@ -32,6 +32,8 @@ from jaxid.problem.binding import Binding
 
 #: A reading is looked at where it leaves that share of what is missing, and decisive where it leaves so much of it.
 SHARE, DECISIVE = 0.7, 0.7
+#: Factors that are further apart (by their logarithm) are no two estimates of one.
+FAR = 0.3
 #: Readings that leave nearly the same (by this factor) cannot be told apart.
 ALIKE = 1.15
 #: Beside any law that the model may lack at its joints, a reading still leaves that share of what is missing.
@@ -57,8 +59,8 @@ class Judged:
 
 def judged(binding: Binding, fit: ForceFit, motion: Motion, many: bool = False) -> Iterator[Shown]:
     """Findings that need the model, one after another: each is looked for in what the decisive ones before it leave. `many`: the
-    model has so many numbers that readings are gone through on few samples first, where it is linear, and times are asked for where
-    one row more or less tells."""
+    model has so many numbers that readings are gone through on few samples first, where it is linear, and times are asked for
+    where one row more or less tells."""
     names, m = Names(binding), motion
     for _ in range(MOST):
         shown, changed = _next(binding, fit, m, names, many)
@@ -104,7 +106,7 @@ def _next(binding: Binding, fit: ForceFit, m: Motion, names: Names, many: bool =
     value, interval, what = best.reading.value, None, best.reading.what
     others = {t.reading.kind for t in near} - {best.reading.kind}
     change = best.reading.change
-    if (refined := _refined(fit, m, best, names)) is not None:
+    if (refined := _refined(fit, m, best, names, near)) is not None:
         value, interval, what, change, conventional = refined
         if not conventional:
             return None, None
@@ -150,8 +152,9 @@ def _readings(names: Names, before: float, driven: bool) -> Iterator[list[Readin
         yield list(scales(names))
 
 
-def _refined(fit: ForceFit, m: Motion, best: Judged, names: Names):
-    """Size with interval, words, change, and whether it is a convention's own value; None for what has no size."""
+def _refined(fit: ForceFit, m: Motion, best: Judged, names: Names, near: list[Judged]):
+    """Size with interval, words, change, and whether it is a convention's own value; None for what has no size. A known factor is
+    one where it leaves as little as any other and none of those that come `near` is far from it."""
     found = refinement(best.reading, names)
     if found is None:
         return None
@@ -161,25 +164,32 @@ def _refined(fit: ForceFit, m: Motion, best: Judged, names: Names):
     moved = replace(m)
     _, std = fit.spread(fitted, moved, len(fit.free))
     value = size(x)
-    ends = (size(x - 1.96 * std), size(x + 1.96 * std)) if np.isfinite(std) else None
+    ends = (size(x - 1.96 * std), size(x + 1.96 * std)) if std < 1 else None
     travel = float(np.max(np.ptp(m.q, axis=0)))
     if best.reading.kind == "zero":
         travel = float(np.ptp(m.q[:, names.joints.index(best.reading.channels[0])]))
-    own = nearest_convention(best.reading.kind, value, std, travel)
+    if best.reading.kind == "scale":
+        factor, what = nearest_factor(value, names.unit(best.reading.channels[0]))
+        change = _scaled(replace(best.reading, value=factor), names)
+        alike = fit.fit(change(m), laws=False).worst + FLOOR <= ALIKE * (fitted.worst + FLOOR)
+        if alike and not any(
+            t.reading.channels == best.reading.channels and abs(np.log(t.reading.value / factor)) > FAR for t in near
+        ):
+            return factor, ends, what, change, True
+    own = nearest_convention(best.reading.kind, names.unit(best.reading.channels[0]), value, std, travel)
     if own is None:
         return value, ends, "", best.reading.change, False
     value, what = own
     if best.reading.kind == "zero":
         j = names.joints.index(best.reading.channels[0])
         return value, ends, what, (lambda m: offset_joint(m, j, -value)), True
-    known = nearest_factor(value)
-    for value, what in dict.fromkeys([known, (value, what)]):
-        again = refinement(replace(best.reading, value=value), names)
-        assert again is not None
-        change = lambda m, more=again[0]: more(m, np.zeros(1))
-        if (value, what) == own or fit.fit(change(m), laws=False).worst + FLOOR <= ALIKE * (fitted.worst + FLOOR):
-            break
-    return value, ends, what, change, True
+    return value, ends, what, _scaled(replace(best.reading, value=value), names), True
+
+
+def _scaled(reading: Reading, names: Names) -> Callable[[Motion], Motion]:
+    again = refinement(reading, names)
+    assert again is not None
+    return lambda m: again[0](m, np.zeros(1))
 
 
 def _line(binding: Binding, reading: Reading, mending: Mending) -> str:

@@ -28,6 +28,7 @@ NEIGHBOURS, WIDTH = 5, 0.5
 #: Share of the usual speed below which a joint counts as standing still: its friction may take any value.
 STILL = 0.08
 BLOCKS, EDGE = 10, 4
+PER_ROW = "since", "weight", "held", "block"
 LAWS = 5  # of each joint: offset, spring, viscous, dry, quadratic
 
 
@@ -89,7 +90,7 @@ class Motion:
             first += len(s.at)
         take = lambda name, kept: getattr(self, name)[kept]
         return replace(
-            self, **{k: take(k, samples) for k in ("q", "qd", "qdd")}, **{k: take(k, rows) for k in ("since", "weight", "held", "block")},
+            self, **{k: take(k, samples) for k in ("q", "qd", "qdd")}, **{k: take(k, rows) for k in PER_ROW},
             sources=tuple(sources),
         )  # fmt: skip
 
@@ -319,8 +320,8 @@ class ForceFit:
 
 
 def _noise_motion(binding: Binding, runs: Sequence[Any], rng: Any, m: Motion) -> list[np.ndarray]:
-    """Position, velocity and acceleration [samples nq] of white noise as the sensors', through the filters of the motion: the same
-    over a row."""
+    """Position, velocity and acceleration [samples nq] of white noise as the sensors', through the filters of the motion: the
+    same over a row."""
     chain = binding.chain
     _, iy = columns(binding.dataset, chain)
     e = max(runs, key=len)

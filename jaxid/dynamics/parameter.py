@@ -151,11 +151,9 @@ class SettingSpec(NamedTuple):
         return type(self.default)(value)
 
 
-def setting(
-    default: int | bool | str, lower: int = 0, upper: int = 1, *, meaning: str, words: tuple[str, ...] = ()
-) -> Any:
-    """A field that decides the structure of a model (a number of elements, a term taken or not) or which of some `words` an effect
-    is. A dataset states a model's among its constants, an effect's stands in its id: `load_dependent_friction(load=drive)`.
+def setting(default: int | bool | str, lower: int = 0, upper: int = 1, *, meaning: str, words: tuple[str, ...] = ()) -> Any:
+    """A field that decides the structure of a model (a number of elements, a term taken or not) or which of some `words` an
+    effect is. A dataset states a model's among its constants, an effect's stands in its id: `load_dependent_friction(load=drive)`.
     Another value is another compiled program."""
     return eqx.field(static=True, default=default, metadata={"setting": SettingSpec(default, lower, upper, meaning, words)})
 

@@ -164,7 +164,8 @@ class LoadDependentFriction(JointEffect):
     )  # fmt: skip
     load: str = setting("combined", words=("drive", "transmitted", "combined"), meaning="the torque that friction grows with")
     probes: ClassVar[tuple[dict[str, Quantity | float], ...]] = tuple(
-        {"mu": mu, "drive_share": share} for mu, share in ((0.02, 1.0), (0.1, 1.0), (0.3, 1.0), (0.02, 0.0), (0.1, 0.0), (0.3, 0.0))
+        {"mu": mu, "drive_share": share}
+        for mu, share in ((0.02, 1.0), (0.1, 1.0), (0.3, 1.0), (0.02, 0.0), (0.1, 0.0), (0.3, 0.0))
     )
 
     def start(self, q):

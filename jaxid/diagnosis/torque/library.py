@@ -155,9 +155,7 @@ def _shared(plant: Plant, kind: Any, places: Sequence[str], runs: Sequence[Run],
     return out
 
 
-def _driven(
-    plant: Plant, kind: type[Effect], places: Sequence[str], runs: Sequence[Run], theta: np.ndarray
-) -> list[Unit]:
+def _driven(plant: Plant, kind: type[Effect], places: Sequence[str], runs: Sequence[Run], theta: np.ndarray) -> list[Unit]:
     """What a drive makes of its command, seen from the torque that the model needs: the measured one would explain itself."""
     b, n = plant.binding, plant.binding.chain.nq
     names = [name for name, _ in b.chain.signature.inputs]

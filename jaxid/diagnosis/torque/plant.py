@@ -23,8 +23,8 @@ from jaxid.problem.torque_filter import drive_torque
 
 
 class Beside(NamedTuple):
-    """What is known to stand between the drive and the links of a run beside the model's rotors: friction [time n], and inertia [n]
-    that the model has in its links."""
+    """What is known to stand between the drive and the links of a run beside the model's rotors: friction [time n], and inertia
+    [n] that the model has in its links."""
 
     friction: np.ndarray
     rotor: np.ndarray

@@ -264,8 +264,8 @@ class Study:
     # ---- noise
 
     def settle(self, theta: np.ndarray, found: Sequence[tuple[Unit, np.ndarray]] = ()) -> None:
-        """Sets to within what rows are known, their noise, and the friction, that of the numbers theta and of units with theirs: a
-        joint that stands still, or turns about, holds anything up to what is dry of it."""
+        """Sets to within what rows are known, their noise, and the friction, that of the numbers theta and of units with theirs:
+        a joint that stands still, or turns about, holds anything up to what is dry of it."""
         n = self.binding.chain.nq
         effects = [e for e in self.binding.layout.model(theta).effects if isinstance(e, JointEffect)]
         kinds = {k.name: k for k in self.kinds}
