@@ -153,7 +153,7 @@ class SettingSpec(NamedTuple):
 
 def setting(default: int | bool | str, lower: int = 0, upper: int = 1, *, meaning: str, words: tuple[str, ...] = ()) -> Any:
     """A field that decides the structure of a model (a number of elements, a term taken or not) or which of some `words` an
-    effect is. A dataset states a model's among its constants, an effect's stands in its id: `load_dependent_friction(load=drive)`.
+    effect is. A dataset states a model's among its constants, an effect's stands in its id: `NAME(load=drive)`.
     Another value is another compiled program."""
     return eqx.field(static=True, default=default, metadata={"setting": SettingSpec(default, lower, upper, meaning, words)})
 
