@@ -18,7 +18,7 @@ from jaxid.conventions import runs, samples
 from jaxid.conventions.decide import judged
 from jaxid.conventions.finding import Checked, DataFinding
 from jaxid.conventions.mending import mended, Mending
-from jaxid.conventions.missing_force import ForceFit, measured, NEIGHBOURS
+from jaxid.conventions.missing_force import ForceFit, LONGEST, measured, NEIGHBOURS
 from jaxid.conventions.samples import Shown
 from jaxid.data.capacity import give_back
 from jaxid.data.dataset import Dataset
@@ -133,10 +133,23 @@ RUN_LOOKS: tuple[Callable, ...] = (
 
 
 def _bound(model: object, data: Dataset, without: tuple[str, ...]) -> tuple[Binding | None, str]:
+    """The model on as much of each run as is looked at."""
     try:
-        return bind(model, data, without=without), ""
+        return bind(model, _beginnings(data.with_splits()), without=without), ""
     except UsageError as error:
         return None, f"the model was not asked: {error}"
+
+
+def _beginnings(data: Dataset) -> Dataset:
+    if all(len(e.t) <= LONGEST for e in data.experiments):
+        return data
+    part = slice(0, LONGEST)
+    cut = lambda x: None if x is None else x[part]
+    return replace(data, experiments=tuple(
+        replace(e, t=e.t[part], u=e.u[part], y=e.y[part], auxiliary={k: v[part] for k, v in e.auxiliary.items()}, past=None,
+                scatter=cut(e.scatter), left_out=cut(e.left_out))
+        for e in data.experiments
+    ))  # fmt: skip
 
 
 def _by_model(binding: Binding, data: Dataset, as_recorded: bool, confirm: bool) -> tuple[list[DataFinding], Dataset]:
