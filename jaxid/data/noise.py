@@ -133,8 +133,8 @@ def quantisation_step(series: Sequence[np.ndarray]) -> float | None:
 
 
 def _grid_of(values: np.ndarray) -> tuple[float, bool, float] | None:
-    """Smallest distance of distinct values, whether there are values enough to call it a step, and the share of distances that are
-    multiples of it; None where there are too few."""
+    """Smallest distance of distinct values, whether there are values enough to call it a step, and the share of distances that
+    are multiples of it; None where there are too few."""
     distinct = np.unique(values)
     if len(distinct) < 3:
         return None
