@@ -164,31 +164,49 @@ def found(r: Recording, simulate: bool = False) -> list[Any]:
     return list(checking.run_check(r.plant.model, data, confirm=simulate).findings)
 
 
-def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--seed", type=int, default=5)
-    parser.add_argument("--simulate", action="store_true")
-    args = parser.parse_args()
-    right = wrong = count = 0
+#: The seed of the kept result: taken once, for it alone.
+FRESH = 31
+
+
+def main(seed: int = FRESH, simulate: bool = False) -> dict[str, Any]:
+    """Of each model how many were found, and where they were not or something else was claimed."""
+    rows = []
     for model in MODELS:
+        counted: dict[str, list[str]] = {"found": [], "missed": [], "something else claimed": []}
         for kind in KINDS:
             if kind == "swapped_channels" and PLANTS[model].n == 1:
                 continue
             for effect in ("", "drag"):
-                rng = np.random.default_rng([args.seed, KINDS.index(kind), len(model)])
-                r, channel, value = broken(kind, recording(model, args.seed, effect), rng)
-                findings = found(r, args.simulate)
+                rng = np.random.default_rng([seed, KINDS.index(kind), len(model)])
+                r, channel, value = broken(kind, recording(model, seed, effect), rng)
+                findings = found(r, simulate)
                 own = [f for f in findings if f.kind == kind and channel in (f.channel, *(c for _, c in f.same_as))]
                 rest = [f for f in findings if f not in own and f.decisive]
-                count, right, wrong = count + 1, right + bool(own), wrong + bool(rest)
+                counted["found" if own else "missed"].append(kind)
+                counted["something else claimed"] += [f"{f.kind} of {f.channel}, where {kind} is broken" for f in rest]
                 size = "" if not own else f"{own[0].value} (true {value}) {'decisive' if own[0].decisive else 'question'}"
                 print(f"{model:11} {kind:17} {effect or '-':5} {'found' if own else 'MISSED':6} {size}", end="")
-                print("".join(f"  ALSO {f.kind} of {f.channel} {f.value}" for f in rest))
-    print(f"{right} of {count} found; in {wrong} something else was claimed")
+                print("".join(f"  ALSO {f.kind} of {f.channel} {f.value}" for f in rest), flush=True)
+        right, count = len(counted["found"]), len(counted["found"]) + len(counted["missed"])
+        listed = lambda key, own=counted: ", ".join(dict.fromkeys(own[key])) or "-"
+        rows.append(
+            {"model": model, "found": f"{right} of {count}"} | {k: listed(k) for k in ("missed", "something else claimed")}
+        )
+    text = (
+        "Recordings with one convention broken, 15 kinds on three models, with and without a drag that the model lacks; seed "
+        f"{seed}, run once. What all inputs or outputs share (a clock, a row, a start in motion) is one finding, at the first of "
+        "them: counted as missed and as something else where the last one is at fault. What is wrapped is four times too large as "
+        "well. The tracker has no gravity, so that its numbers take in zeros and scales."
+    )
+    return {"title": "Broken conventions", "text": text, "rows": rows}
 
 
 if __name__ == "__main__":
     from jaxid import runtime
 
     runtime.prepare()
-    main()
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--seed", type=int, default=5)
+    parser.add_argument("--simulate", action="store_true")
+    arguments = parser.parse_args()
+    print(*main(arguments.seed, arguments.simulate)["rows"], sep="\n")

@@ -1,4 +1,4 @@
-"""Memory and time of long recordings: `fit` and `diagnose` of a pendulum, `identify` of an arm with seven joints.
+"""Memory and time of long recordings: `check`, `fit` and `diagnose` of a pendulum, `identify` of an arm with seven joints.
 
 Each row is a process of its own that runs the command on recordings at 1 kHz; memory is the most that was resident at a time.
 `before` is the code of a revision that is given (`--before FOLDER`: a checkout of it), whose figures are kept from run to run.
@@ -30,7 +30,7 @@ RATE = 1000.0
 ROWS = (10_000, 100_000, 1_000_000, 3_600_000)
 #: Effects that the diagnosis chooses among: with all of them the largest recordings take hours.
 FEW = "dead_zone,input_delay"
-COMMANDS = {"fit": (), "identify": (), "diagnose": ("--effects", FEW)}
+COMMANDS = {"check": (), "fit": (), "identify": (), "diagnose": ("--effects", FEW)}
 #: What does not end within so many seconds of processor time is ended, and said.
 LONGEST = 1800
 

@@ -35,6 +35,13 @@ class ModelInfo(NamedTuple):
     constant_info: tuple[ParameterInfo, ...]
 
 
+class EffectSetting(NamedTuple):
+    name: str
+    default: str
+    values: str
+    meaning: str
+
+
 class EffectInfo(NamedTuple):
     name: str
     text: str
@@ -46,6 +53,7 @@ class EffectInfo(NamedTuple):
     source: str
     locations: str
     parameters: tuple[ParameterInfo, ...]
+    settings: tuple[EffectSetting, ...] = ()
 
 
 class FitterInfo(NamedTuple):
@@ -79,20 +87,23 @@ def _effects() -> dict[str, type]:
 
 
 def enrolled(effect: Any) -> str:
-    """The name of an effect given as such (it may go on with `@LOCATION`), as its class, or as one of the user's own, which is
-    known by it from then on.
+    """The name of an effect given as such (it may go on with `@LOCATION`), as its class, as one with other settings, or as one of
+    the user's own, which is known by it from then on.
 
     Raises `UsageError` for what is no effect, and for one of the user's own that takes the name of another one.
     """
     from jaxid.dynamics.effect import Effect
+    from jaxid.dynamics.parameter import kind_with, settings
 
     if isinstance(effect, str):
         return effect
     kind = effect if isinstance(effect, type) else type(effect)
     if not issubclass(kind, Effect):
         raise UsageError(f"an effect is an id (`dead_zone@tau`), a class or one of an effect, not {kind.__name__}")
+    if not isinstance(effect, type):
+        kind = kind_with(kind, tuple((k, getattr(effect, k)) for k in settings(kind)))
     library = _effects()
-    if library.get(kind.name) is not kind:
+    if library.get(kind.name) is not kind and library.get(kind.name.partition("(")[0]) not in kind.__mro__:
         if kind.name in library:
             raise UsageError(f"{kind.__name__} has the name {kind.name!r} of an effect of the library: give it another one")
         _OWN_EFFECTS[kind.name] = kind
@@ -130,7 +141,17 @@ def model_class(name: str) -> Any:
 
 
 def effect_class(name: str) -> Any:
-    return _pick("effect", {**_effects(), **_OWN_EFFECTS}, name)
+    """The class of an effect, with the settings that its id states: `load_dependent_friction(load=drive)`."""
+    from jaxid.dynamics.parameter import kind_with
+
+    plain, bracket, stated = name.partition("(")
+    kind = _pick("effect", {**_effects(), **_OWN_EFFECTS}, plain)
+    if not bracket:
+        return kind
+    pairs = [p.partition("=") for p in stated.removesuffix(")").split(",")]
+    if not stated.endswith(")") or not all(sign for _, sign, _ in pairs):
+        raise UsageError(f"{name!r}: settings are written as in `load_dependent_friction(load=drive)`")
+    return kind_with(kind, tuple((k.strip(), v.strip().strip("'\"")) for k, _, v in pairs))
 
 
 def fitter_class(name: str) -> Any:
@@ -191,9 +212,13 @@ _PORTS = {
 
 
 def describe_effect(name: str) -> EffectInfo:
-    from jaxid.dynamics.parameter import specs
+    from jaxid.dynamics.parameter import settings, specs
 
     kind = effect_class(name)
+    own = [
+        EffectSetting(k, str(s.default), ", ".join(s.words) or f"{s.lower} to {s.upper}", f"{s.meaning}; {kind.name}({k}=…)")
+        for k, s in settings(kind).items()
+    ]
     family, port, locations = next(_PORTS[b.__name__] for b in kind.__mro__ if b.__name__ in _PORTS)
     units = {
         "{F}": "N m or N",
@@ -210,7 +235,17 @@ def describe_effect(name: str) -> EffectInfo:
             unit = unit.replace(token, f"({text})" if unit != token else text)
         parameters.append(ParameterInfo(field, unit, spec.value, str(spec.lower), str(spec.upper), spec.meaning))
     return EffectInfo(
-        name, _text(kind), family, port, kind.equation, kind.signature, kind.excitation, kind.source, locations, tuple(parameters)
+        name,
+        _text(kind),
+        family,
+        port,
+        kind.equation,
+        kind.signature,
+        kind.excitation,
+        kind.source,
+        locations,
+        tuple(parameters),
+        tuple(own),
     )
 
 

@@ -347,6 +347,10 @@ class Robot(Staged):
         tau = dynamics.inverse_dynamics(plan, body, E, base, qd, qdd)
         return self._leading(tau + self.armature * qdd + self._spring(q))
 
+    def rotors(self):
+        own = jnp.asarray(self.armature)
+        return own if self.coupling is None else jnp.asarray(np.array(self.coupling).T ** 2) @ own
+
     def drive(self, signature, u, q, qd):
         tau = u[: q.shape[0]] if signature.inputs else jnp.zeros_like(q)
         if self.rides and signature.inputs:

@@ -192,6 +192,9 @@ class AbstractArm(Staged):
         Ia = jnp.asarray(self.Ia).reshape(-1, *(1,) * (qdd.ndim - 1))
         return inverse_dynamics(self.placements(q), self.prismatic, self.inertia(), self.free_fall(), qd, qdd) + Ia * qdd
 
+    def rotors(self):
+        return jnp.asarray(self.Ia)
+
 
 _DEFAULT = modified_dh(  # an upright elbow arm with a spherical wrist
     a=[0, 0, 0.5, 0, 0, 0],

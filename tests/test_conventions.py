@@ -215,12 +215,15 @@ def recorded_arm() -> jaxid.Dataset:
         (Mending({"tau2": {"scale": -1.0}}), "sign", "scale = -13.26"),
         (Mending({"q3": {"scale": -1.0}}), "sign", "scale = -1"),
         (Mending({"q2": {"scale": 180 / pi}}), "scale", 'unit = "deg"'),
+        (Mending({"q3": {"scale": pi / 180}}), "scale", "scale = 57.2958"),
+        (Mending({"tau3": {"scale": 1000.0}}), "scale", 'unit = "mN m"'),
+        (Mending({"q2": {"offset": pi / 2}}), "zero", "offset = -1.5708"),
         (Mending(exchanged=(("tau4", "tau5"),)), "swapped_channels", 'column = "i5"  # of tau4\ncolumn = "i4"  # of tau5'),
     ],
 )
 @pytest.mark.filterwarnings("ignore::jaxid.errors.DatasetWarning")
 def test_faults_of_an_arm_with_many_numbers(recorded_arm, fault, kind, line):
-    """Six joints, 58 numbers: by the torque of the joints that stand out, in about a second each."""
+    """Six joints, 58 numbers, in a few seconds each."""
     findings = [f for f in jaxid.check(None, mended(recorded_arm, fault)).findings if f.kind != "glitch"]
     assert [f.kind for f in findings] == ([kind] if kind else [])
     assert not kind or (findings[0].decisive and findings[0].line == line and findings[0].channel in line + str(fault))
@@ -246,7 +249,7 @@ def test_columns_are_made_once_and_give_the_force():
 
 @pytest.mark.parametrize(("error", "noted"), [(UsageError("too short"), True), (ValueError("a slip"), False)])
 def test_only_what_the_data_do_not_allow_becomes_a_note(monkeypatch, error, noted):
-    def fails(binding):
+    def fails(*_):
         raise error
 
     monkeypatch.setattr(checking, "measured", fails)

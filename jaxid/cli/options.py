@@ -16,7 +16,9 @@ from jaxid.cli.output import writable_folder
 
 def names(_ctx, _param, value: str | None) -> tuple[str, ...] | None:
     """A list written with commas."""
-    return None if value is None else tuple(name for name in (part.strip() for part in value.split(",")) if name)
+    from jaxid.fitting.settings import split_outside_brackets
+
+    return None if value is None else tuple(name for name in (part.strip() for part in split_outside_brackets(value)) if name)
 
 
 def output_options(command: Callable) -> Callable:

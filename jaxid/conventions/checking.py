@@ -18,7 +18,7 @@ from jaxid.conventions import runs, samples
 from jaxid.conventions.decide import judged
 from jaxid.conventions.finding import Checked, DataFinding
 from jaxid.conventions.mending import mended, Mending
-from jaxid.conventions.missing_force import ForceFit, measured
+from jaxid.conventions.missing_force import ForceFit, LONGEST, measured, NEIGHBOURS
 from jaxid.conventions.samples import Shown
 from jaxid.data.capacity import give_back
 from jaxid.data.dataset import Dataset
@@ -29,8 +29,8 @@ from jaxid.problem.binding import bind, Binding
 
 #: Evaluations of each of the two fits that confirm a finding, and the share of the gap that has to go.
 BUDGET, GONE = 400, 0.7
-#: Numbers of a model beyond which only readings of the joints that stand out are gone through, on few samples where it is linear.
-MOST_NUMBERS = 30
+#: Numbers of a model beyond which readings are gone through on few samples where it is linear, and nothing is simulated.
+MOST_NUMBERS = 15
 #: Kinds that a model tells, and that its simulation has to confirm.
 BY_MODEL = ("sign", "zero", "scale", "swapped_channels", "row_shift", "clock")
 
@@ -133,19 +133,32 @@ RUN_LOOKS: tuple[Callable, ...] = (
 
 
 def _bound(model: object, data: Dataset, without: tuple[str, ...]) -> tuple[Binding | None, str]:
+    """The model on as much of each run as is looked at."""
     try:
-        return bind(model, data, without=without), ""
+        return bind(model, _beginnings(data.with_splits()), without=without), ""
     except UsageError as error:
         return None, f"the model was not asked: {error}"
+
+
+def _beginnings(data: Dataset) -> Dataset:
+    if all(len(e.t) <= LONGEST for e in data.experiments):
+        return data
+    part = slice(0, LONGEST)
+    cut = lambda x: None if x is None else x[part]
+    return replace(data, experiments=tuple(
+        replace(e, t=e.t[part], u=e.u[part], y=e.y[part], auxiliary={k: v[part] for k, v in e.auxiliary.items()}, past=None,
+                scatter=cut(e.scatter), left_out=cut(e.left_out))
+        for e in data.experiments
+    ))  # fmt: skip
 
 
 def _by_model(binding: Binding, data: Dataset, as_recorded: bool, confirm: bool) -> tuple[list[DataFinding], Dataset]:
     """What the model tells, confirmed by a simulation, applied."""
     driven = bool(binding.dataset.inputs)  # along a free motion every reading fits with another scale
-    motion = measured(binding) if driven and binding.free else None
+    many = len(binding.free) > MOST_NUMBERS
+    motion = measured(binding, NEIGHBOURS if many else 1) if driven and binding.free else None
     if motion is None:
         return [], data
-    many = len(binding.free) > MOST_NUMBERS
     shown = list(judged(binding, ForceFit(binding, motion), motion, many))
     total = Mending()
     for s in shown:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
 from math import pi
 
@@ -17,6 +17,7 @@ from jaxid.conventions.readings import (
     mending_of,
     Names,
     nearest_convention,
+    nearest_factor,
     offset_joint,
     Reading,
     refinement,
@@ -30,7 +31,9 @@ from jaxid.problem.binding import Binding
 
 
 #: A reading is looked at where it leaves that share of what is missing, and decisive where it leaves so much of it.
-SHARE, DECISIVE = 0.7, 0.5
+SHARE, DECISIVE = 0.7, 0.7
+#: Factors that are further apart (by their logarithm) are no two estimates of one.
+FAR = 0.3
 #: Readings that leave nearly the same (by this factor) cannot be told apart.
 ALIKE = 1.15
 #: Beside any law that the model may lack at its joints, a reading still leaves that share of what is missing.
@@ -40,8 +43,6 @@ CLEAR = 0.2
 #: What is missing is known to about that share of the drive: filters, friction near rest.
 FLOOR = 0.01
 MOST = 4
-#: Of a model with many numbers a joint is asked about where that share of its drive is not explained.
-STANDS_OUT = 0.25
 
 
 @dataclass(frozen=True)
@@ -58,7 +59,8 @@ class Judged:
 
 def judged(binding: Binding, fit: ForceFit, motion: Motion, many: bool = False) -> Iterator[Shown]:
     """Findings that need the model, one after another: each is looked for in what the decisive ones before it leave. `many`: the
-    model has so many numbers that only readings of joints whose drive it does not explain are asked for, and no times."""
+    model has so many numbers that readings are gone through on few samples first, where it is linear, and times are asked for
+    where one row more or less tells."""
     names, m = Names(binding), motion
     for _ in range(MOST):
         shown, changed = _next(binding, fit, m, names, many)
@@ -67,7 +69,9 @@ def judged(binding: Binding, fit: ForceFit, motion: Motion, many: bool = False) 
         if changed is None:
             break
         m = changed
-    if fit.driven and not many:
+    few = m.thinned(FEW) if many else m
+    if fit.driven and (not many or _late(fit, few)):
+        m = few
         yield from _timed(binding, fit, m, names)
         if (found := _unsigned(binding, fit, m, names)) is not None:
             yield found
@@ -76,16 +80,12 @@ def judged(binding: Binding, fit: ForceFit, motion: Motion, many: bool = False) 
 def _next(binding: Binding, fit: ForceFit, m: Motion, names: Names, many: bool = False) -> tuple[Shown | None, Motion | None]:
     plain = fit.fit(m, laws=False)
     before = plain.worst + FLOOR
-    out = _standing_out(plain, m, names) if many else None
-    if out is not None and not out:
-        return None, None
-    laws = fit.fit(m)
-    if before <= 2 * FLOOR or before <= ALIKE * (fit.noise(plain, binding) + FLOOR):
-        return None, None
-    tried: list[Judged] = []
     quick = many and fit.forces.linear
     few = m.thinned(FEW) if quick else m
-    for readings in _readings(names, before, fit.driven) if out is None else _of(out, names):
+    if before <= 2 * FLOOR or before <= ALIKE * (fit.noise(plain, binding, few) + FLOOR):
+        return None, None
+    tried: list[Judged] = []
+    for readings in _readings(names, before, fit.driven):
         own = _tried(fit, few, readings, before)
         if quick:  # on all samples those that may come out on top
             own = [t for t in own if t.left <= min(ALIKE**2 * own[0].left, ALIKE * SHARE * before)]
@@ -95,6 +95,7 @@ def _next(binding: Binding, fit: ForceFit, m: Motion, names: Names, many: bool =
             break
     if not tried or tried[0].left > SHARE * before:
         return None, None
+    laws = fit.fit(m)
     best = tried[0]
     near = [t for t in tried[1:] if t.left <= ALIKE * best.left]
     same = [t for t in near if t.reading.kind == best.reading.kind]
@@ -105,7 +106,7 @@ def _next(binding: Binding, fit: ForceFit, m: Motion, names: Names, many: bool =
     value, interval, what = best.reading.value, None, best.reading.what
     others = {t.reading.kind for t in near} - {best.reading.kind}
     change = best.reading.change
-    if (refined := _refined(fit, m, best, names)) is not None:
+    if (refined := _refined(fit, m, best, names, near)) is not None:
         value, interval, what, change, conventional = refined
         if not conventional:
             return None, None
@@ -118,7 +119,7 @@ def _next(binding: Binding, fit: ForceFit, m: Motion, names: Names, many: bool =
     if not decisive and (best.left > DECISIVE * before or not beyond):
         return None, None
     mending = mending_of(best.reading, value, {})
-    noise = max(fit.noise(left, binding), 1e-6)
+    noise = max(fit.noise(left, binding, few), 1e-6)
     alike = tuple(
         dict.fromkeys((t.reading.kind, c) for t in (near if others else same) for c in t.reading.channels
                       if (t.reading.kind, c) != (best.reading.kind, best.reading.channels[0])))  # fmt: skip
@@ -144,14 +145,6 @@ def _tried(fit: ForceFit, m: Motion, readings: list[Reading], before: float) -> 
     return sorted((t for t in found if np.isfinite(t.left)), key=lambda t: t.left)
 
 
-def _standing_out(plain: Fitted, m: Motion, names: Names) -> set[str]:
-    """Channels of the joints of whose drive a fit leaves most: a channel that says something else leaves its own joint's."""
-    left = np.sqrt(np.sum(plain.residual**2, 0) / np.maximum(1, np.count_nonzero(m.weight, 0)))
-    worst = np.flatnonzero(left > max(STANDS_OUT, SHARE * float(left.max())))
-    inputs = names.inputs if len(names.inputs) == len(names.joints) else []
-    return {channel[j] for j in worst for channel in (names.joints, inputs) if channel}
-
-
 def _readings(names: Names, before: float, driven: bool) -> Iterator[list[Reading]]:
     """Those that could close a gap of this size, the many last: a wrong unit leaves no small one."""
     yield [*(signs(names) if driven else ()), *(exchanges(names) if driven else ()), *zeros(names)]
@@ -159,16 +152,9 @@ def _readings(names: Names, before: float, driven: bool) -> Iterator[list[Readin
         yield list(scales(names))
 
 
-def _of(channels: set[str], names: Names) -> Iterator[list[Reading]]:
-    """Readings of these channels, inputs first: they leave the motion as it is."""
-    own = [r for r in (*signs(names), *exchanges(names), *zeros(names)) if set(r.channels) & channels]
-    yield [r for r in own if set(r.channels) <= set(names.inputs)]
-    yield [r for r in own if not set(r.channels) <= set(names.inputs)]
-    yield [r for r in scales(names) if set(r.channels) & channels]
-
-
-def _refined(fit: ForceFit, m: Motion, best: Judged, names: Names):
-    """Size with interval, words, change, and whether it is a convention's own value; None for what has no size."""
+def _refined(fit: ForceFit, m: Motion, best: Judged, names: Names, near: list[Judged]):
+    """Size with interval, words, change, and whether it is a convention's own value; None for what has no size. A known factor is
+    one where it leaves as little as any other and none of those that come `near` is far from it."""
     found = refinement(best.reading, names)
     if found is None:
         return None
@@ -178,20 +164,32 @@ def _refined(fit: ForceFit, m: Motion, best: Judged, names: Names):
     moved = replace(m)
     _, std = fit.spread(fitted, moved, len(fit.free))
     value = size(x)
-    ends = (size(x - 1.96 * std), size(x + 1.96 * std)) if np.isfinite(std) else None
+    ends = (size(x - 1.96 * std), size(x + 1.96 * std)) if std < 1 else None
     travel = float(np.max(np.ptp(m.q, axis=0)))
     if best.reading.kind == "zero":
         travel = float(np.ptp(m.q[:, names.joints.index(best.reading.channels[0])]))
-    own = nearest_convention(best.reading.kind, value, std, travel)
+    if best.reading.kind == "scale":
+        factor, what = nearest_factor(value, names.unit(best.reading.channels[0]))
+        change = _scaled(replace(best.reading, value=factor), names)
+        alike = fit.fit(change(m), laws=False).worst + FLOOR <= ALIKE * (fitted.worst + FLOOR)
+        if alike and not any(
+            t.reading.channels == best.reading.channels and abs(np.log(t.reading.value / factor)) > FAR for t in near
+        ):
+            return factor, ends, what, change, True
+    own = nearest_convention(best.reading.kind, names.unit(best.reading.channels[0]), value, std, travel)
     if own is None:
         return value, ends, "", best.reading.change, False
     value, what = own
     if best.reading.kind == "zero":
         j = names.joints.index(best.reading.channels[0])
         return value, ends, what, (lambda m: offset_joint(m, j, -value)), True
-    again = refinement(replace(best.reading, value=value), names)
+    return value, ends, what, _scaled(replace(best.reading, value=value), names), True
+
+
+def _scaled(reading: Reading, names: Names) -> Callable[[Motion], Motion]:
+    again = refinement(reading, names)
     assert again is not None
-    return value, ends, what, (lambda m: again[0](m, np.zeros(1))), True
+    return lambda m: again[0](m, np.zeros(1))
 
 
 def _line(binding: Binding, reading: Reading, mending: Mending) -> str:
@@ -259,6 +257,13 @@ def _timed(binding: Binding, fit: ForceFit, m: Motion, names: Names) -> Iterator
         whole = round(rows)
         if whole and abs(whole) <= 3 and std <= KNOWN and abs(rows - whole) <= CLOSE and abs(rows) > SURE * std:
             yield _shifted(binding, names, k, whole, rows, std)
+
+
+def _late(fit: ForceFit, m: Motion) -> bool:
+    """Whether whole rows between inputs and motion close a share of the gap."""
+    before = fit.fit(m, laws=False).worst + FLOOR
+    moved = (fit.fit(replace(m, rows=m.rows + k), laws=False).worst + FLOOR for k in (-3, -2, -1, 1, 2, 3))
+    return before > 2 * FLOOR and min(moved) <= SHARE * before
 
 
 def _far_drift(fit: ForceFit, m: Motion, plain: Fitted) -> Motion | None:

@@ -18,15 +18,18 @@ from jaxid.simulation.sample_buffers import columns
 
 Change = Callable[[Motion], Motion]
 
-#: Factors by which a channel is off where its unit, or a constant, was forgotten.
-FACTORS = {
+#: Factors by which an angle or its rate, and anything else, is off where its unit, or a constant, was forgotten.
+ANGLES = {
     "degrees read as radians": 180 / pi, "radians read as degrees": pi / 180, "turns read as radians": 1 / (2 * pi),
     "radians read as turns": 2 * pi, "rad/s read as rpm": pi / 30, "rpm read as rad/s": 30 / pi,
-    "thousandths read as the unit": 1000.0, "the unit read as thousandths": 1e-3, "gram-force metres per N m": 1 / 9.80665,
-    "kilogram-force read as newtons": 1 / 9.80665, "newtons read as kilogram-force": 9.80665,
     **{f"counts of {n} per turn read as radians": n / (2 * pi) for n in (1000, 1024, 2000, 2048, 4000, 4096, 8192, 16384, 65536)},
 }  # fmt: skip
+OTHERS = {
+    "thousandths read as the unit": 1000.0, "the unit read as thousandths": 1e-3,
+    "kilogram-force read as newtons": 1 / 9.80665, "newtons read as kilogram-force": 9.80665,
+}  # fmt: skip
 #: Where a channel's factor is looked for; which one it is, is found from there.
+TURNING = "rad", "rad/s"
 TURNS = 180 / pi, pi / 180, 2 * pi, 1 / (2 * pi), 4096 / (2 * pi), 0.03, 15.0, 30.0, 100.0, 200.0
 SIZES = 1000.0, 1e-3, 9.80665, 1 / 9.80665, 50.0, 0.02
 #: What sensor_scale and torque_scale may be: a factor in it stays theirs.
@@ -94,6 +97,10 @@ class Names:
         self.joints = list(binding.chain.signature.joints)
         self.joint_units = [outputs.get(j, binding.chain.signature.unit("{X}", k)) for k, j in enumerate(self.joints)]
 
+    def unit(self, channel: str) -> str:
+        """Of an input or a joint."""
+        return dict(zip((*self.inputs, *self.joints), (*self.input_units, *self.joint_units), strict=True))[channel]
+
 
 def signs(names: Names) -> Iterator[Reading]:
     """Inputs or outputs negated, one by one and together."""
@@ -128,7 +135,7 @@ def scales(names: Names) -> Iterator[Reading]:
         for j, unit in enumerate(units):
             if unit == "1":
                 continue
-            for factor in TURNS if unit in ("rad", "rad/s") else SIZES:
+            for factor in TURNS if unit in TURNING else SIZES:
                 yield Reading("scale", (group[j],), factor, lambda m, j=j, f=factor, s=scale: s(m, j, 1 / f))
 
 
@@ -159,7 +166,13 @@ def refinement(reading: Reading, names: Names) -> tuple[Callable[[Motion, np.nda
     return None
 
 
-def nearest_convention(kind: str, value: float, std: float, travel: float) -> tuple[float, str] | None:
+def nearest_factor(value: float, unit: str) -> tuple[float, str]:
+    """The known factor next to a size, and its name."""
+    name, factor = min((ANGLES if unit in TURNING else OTHERS).items(), key=lambda item: abs(np.log(value / item[1])))
+    return factor, name
+
+
+def nearest_convention(kind: str, unit: str, value: float, std: float, travel: float) -> tuple[float, str] | None:
     """The convention's own value that a fitted size stands for, and its name; None where it stays an effect."""
     if kind == "zero":
         wound = (value + pi) % (2 * pi) - pi
@@ -168,7 +181,7 @@ def nearest_convention(kind: str, value: float, std: float, travel: float) -> tu
             return (pi if abs(quarter) == pi else quarter), f"{abs(quarter) / (pi / 2):.0f} quarter turn"
         beyond = max(0.5, 0.5 * travel)  # what a tilted base and a sensor's bias may be
         return (wound, "an offset") if abs(wound) > beyond and std < 0.1 else None
-    name, factor = min(FACTORS.items(), key=lambda item: abs(np.log(value / item[1])))
+    factor, name = nearest_factor(value, unit)
     if abs(np.log(value / factor)) <= max(0.03, 3 * std) and std < 0.2:
         return factor, name
     low, high = EFFECT_RANGE

@@ -39,7 +39,7 @@ def lateness(fit: ForceFit, m: Motion) -> tuple[list[Late], Motion]:
         own = _own_laws(m) * weight[..., None]
         parts = [fitted.slopes[..., :size]]
         for j in range(nq):
-            laws = np.zeros((*m.q.shape, own.shape[2]))
+            laws = np.zeros((*weight.shape, own.shape[2]))
             laws[:, j] = own[:, j]
             parts.append(laws)
         columns = []
@@ -74,4 +74,4 @@ def together(values: np.ndarray, stds: np.ndarray) -> tuple[float, float] | None
 def _own_laws(m: Motion) -> np.ndarray:
     """Any force of the joint's own motion [rows nq laws], whatever its sign."""
     parts = [np.ones_like(m.q), m.q, m.qd, m.qdd, np.sign(m.qd), m.qd * np.abs(m.qd), np.sin(m.q), np.cos(m.q)]
-    return np.stack([a / max(1e-300, float(np.sqrt(np.mean(a**2)))) for a in parts], -1)
+    return np.stack([a / max(1e-300, float(np.sqrt(np.mean(a**2)))) for a in map(m.mean, parts)], -1)

@@ -269,6 +269,7 @@ def _samples(document: Document, readings: list[Reading], open_table: OpenTable,
     unit = document.header.time_unit if document.header is not None else None
     units = {r.name: r.conversion for r in readings}
     harvests = []
+    last = {entry.file: index for index, entry in document.experiments.items()}
     for index, entry in document.experiments.items():
         table = open_table(index, entry)
         if isinstance(table, Problem):
@@ -285,6 +286,8 @@ def _samples(document: Document, readings: list[Reading], open_table: OpenTable,
             continue
         problems += harvest.problems
         harvests.append(harvest)
+        if last[entry.file] == index:
+            table.release()  # before the next file comes into memory
     return harvests
 
 

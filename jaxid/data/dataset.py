@@ -18,6 +18,9 @@ if TYPE_CHECKING:
 
 
 def _frozen(values: Any, dtype: type = float) -> np.ndarray:
+    owned = isinstance(values, np.ndarray) and values.flags.owndata and not values.flags.writeable
+    if owned and values.dtype == dtype:
+        return values
     array = np.array(values, dtype=dtype)
     array.setflags(write=False)
     return array

@@ -95,12 +95,15 @@ def sensor_noise(series: Sequence[np.ndarray]) -> float:
 
 
 def _from_differences(series: Sequence[np.ndarray], order: int) -> float:
-    variances: list[float] = []
+    variances: list[np.ndarray] = []
     for y in series:
-        d = np.diff(y, order) / sqrt(comb(2 * order, order))
-        blocks = np.array_split(d, max(1, len(d) // BLOCK)) if len(d) else []
-        variances += [float(np.mean(block**2)) / _median_of_variance(len(block), order) for block in blocks]
-    return sqrt(float(np.median(variances))) if variances else 0.0
+        squares = (np.diff(y, order) / sqrt(comb(2 * order, order))) ** 2
+        count = max(1, len(squares) // BLOCK)
+        length, longer = divmod(len(squares), count)  # the first blocks take what is left over
+        at = longer * (length + 1)
+        blocks = squares[:at].reshape(longer, length + 1), squares[at:].reshape(count - longer, length)
+        variances += [b.mean(1) / _median_of_variance(b.shape[1], order) for b in blocks if b.size]
+    return sqrt(float(np.median(np.concatenate(variances)))) if variances else 0.0
 
 
 def _median_of_variance(count: int, order: int) -> float:
@@ -121,9 +124,24 @@ def _beside(series: Sequence[np.ndarray], scatter: Sequence[np.ndarray]) -> floa
     return sqrt(variance)
 
 
+#: So many values of a long series show whether it may be quantised at all, and the share of distances on a grid that they need.
+FIRST, MAYBE = 20_000, 0.3
+
+
 def quantisation_step(series: Sequence[np.ndarray]) -> float | None:
     """The step of a quantised signal, or None: every distance of distinct values is then a multiple of one step."""
     values = np.concatenate([np.asarray(y, dtype=float) for y in series]) if len(series) else np.zeros(0)
+    if len(values) > 4 * FIRST and (first := _grid_of(values[:FIRST])) is not None and first[2] < MAYBE:
+        return None
+    if (found := _grid_of(values)) is None:
+        return None
+    step, enough, on_grid = found
+    return step if enough and on_grid > 0.99 else None
+
+
+def _grid_of(values: np.ndarray) -> tuple[float, bool, float] | None:
+    """Smallest distance of distinct values, whether there are values enough to call it a step, and the share of distances that
+    are multiples of it; None where there are too few."""
     distinct = np.unique(values)
     if len(distinct) < 3:
         return None
@@ -138,8 +156,8 @@ def quantisation_step(series: Sequence[np.ndarray]) -> float | None:
     multiple = spacing / step
     on_grid = np.abs(multiple - np.round(multiple)) < 0.05
     # Repeated values speak for a step; so do many distances of several steps (one step each is but steady motion).
-    enough = len(distinct) <= len(values) / 2 or np.count_nonzero(multiple > 1.5) >= 12
-    return step if enough and on_grid.mean() > 0.99 else None
+    enough = bool(len(distinct) <= len(values) / 2 or np.count_nonzero(multiple > 1.5) >= 12)
+    return step, enough, float(on_grid.mean())
 
 
 def repeats(runs: Sequence[Experiment]) -> list[list[Experiment]]:

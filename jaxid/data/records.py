@@ -182,7 +182,9 @@ def _span(table: Table, index: np.ndarray) -> str:
 
 def _stack(columns: dict[str, np.ndarray], readings: Sequence[Reading], role: str, count: int) -> np.ndarray:
     chosen = [columns[r.name] for r in readings if r.entry.role == role]
-    return np.stack(chosen, axis=1) if chosen else np.zeros((count, 0))
+    out = np.stack(chosen, axis=1) if chosen else np.zeros((count, 0))
+    out.setflags(write=False)  # so that a run takes it as it is
+    return out
 
 
 def _selected(table: Table, entry: ExperimentEntry, harvest: Harvest) -> np.ndarray | None:

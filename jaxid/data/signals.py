@@ -222,17 +222,25 @@ def _ends_text(t: np.ndarray, cutoff_hz: float) -> str:
     return f"; {count} samples at each end left out ({count * np.median(np.diff(t)):.3g} s)"
 
 
+#: Segments of a spectrum that are longer have a length for which there is a fast transform.
+LONG = 1 << 15
+
+
 def content_cutoff(t: np.ndarray, y: np.ndarray, noise: float) -> float:
     """Frequency in Hz up to which a recorded position rises above its white noise; motion is smoothed there.
 
     At least 8 periods of the record, at most a fifth of the sampling frequency.
     """
+    from scipy.fft import next_fast_len
     from scipy.signal import welch
 
     rate = 1 / float(np.median(np.diff(t)))
     grid = np.interp(np.linspace(t[0], t[-1], t.size), t, y)
     second = np.diff(grid, 2)  # whitens the steep spectrum of a position, so that windows do not leak
-    f, power = welch(second, rate, nperseg=min(second.size, max(256, second.size // 8)))
+    segment = min(second.size, max(256, second.size // 8))
+    if segment > LONG:  # a length of large prime factors takes many times as long
+        segment = next_fast_len(segment, real=True)
+    f, power = welch(second, rate, nperseg=segment)
     floor = 2 * noise**2 / rate * (2 - 2 * np.cos(2 * np.pi * f / rate)) ** 2
     above = np.flatnonzero((power > 4 * floor) & (f > 0))
     top = f[above[-1]] if above.size else 0.0

@@ -85,6 +85,11 @@ class Table:
             self._numbers[column] = _as_numbers(self.columns[column])
         return self._numbers[column]
 
+    def release(self) -> None:
+        """Gives the memory of the samples back: of a table that is read no more."""
+        self._numbers.clear()
+        object.__setattr__(self, "columns", {})
+
     def equal(self, column: str, value: str | bool | int | float) -> np.ndarray:
         """Where a column holds `value`, for `where`; text compares as text, numbers as numbers."""
         cells = self.columns[column]
@@ -117,10 +122,12 @@ def _cell(text: Any) -> tuple[float, str | None]:
 def _as_numbers(cells: Any) -> Numbers:
     array = np.asarray(cells) if not isinstance(cells, list) else None
     if array is not None and array.dtype.kind in "biuf":
-        values = array.astype(float)
+        values = array.astype(float, copy=False)
         bad = np.flatnonzero(~np.isfinite(values))
         faults = {int(i): "missing" if np.isnan(values[i]) else "infinite" for i in bad}
-        values[bad] = np.nan
+        if faults:
+            values = values.copy()
+            values[bad] = np.nan
         return Numbers(values, faults)
     if array is not None and array.dtype.kind in "Mm":
         return Numbers(np.full(len(array), np.nan), {i: "a date, not a number" for i in range(len(array))})
@@ -181,15 +188,22 @@ def _read_parquet(file: str, content: bytes) -> Table:
     if not content:
         return _broken(file, None, "the file is empty", "Write a header row and samples")
     try:
-        table = pq.ParquetFile(pa.BufferReader(content)).read()
-        named, twice = distinct(table.column_names, [_arrow_column(table.column(i)) for i in range(table.num_columns)])
+        whole = pq.ParquetFile(pa.BufferReader(content))
+        names, rows = whole.schema_arrow.names, whole.metadata.num_rows
+        if len(set(names)) == whole.metadata.num_columns and not any("." in n for n in names):  # one at a time, for memory's sake
+            read = [_arrow_column(whole.read(columns=[n]).column(0)) for n in names]
+        else:
+            table = whole.read()
+            read = [_arrow_column(table.column(i)) for i in range(table.num_columns)]
+        named, twice = distinct(names, read)
         columns = with_list_elements(named)
+        pa.default_memory_pool().release_unused()
     except (pa.ArrowException, OSError, ValueError, NotImplementedError) as error:
         reason = str(error).strip().splitlines()[0][:120] if str(error).strip() else type(error).__name__
         return _broken(file, None, f"not readable as Parquet ({reason})", "Write the file again, or give CSV")
-    if table.num_rows == 0:
+    if rows == 0:
         return _broken(file, 1, "a header without samples", "Give at least 20 samples")
-    return Table(file, columns, table.num_rows, np.arange(table.num_rows) + 2, twice=twice)
+    return Table(file, columns, rows, np.arange(rows) + 2, twice=twice)
 
 
 def _arrow_column(column: Any) -> Any:

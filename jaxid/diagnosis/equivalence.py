@@ -106,7 +106,7 @@ def equivalences(model: str, without: Sequence[str] = ()) -> Equivalences:
     base = np.concatenate([part.r.ravel() for part in parts])
     remaining = Retuning(parts, p.size).remaining
     pool = candidates(bench, tuple(k.name for k in library))
-    shapes, thetas, owner = binding.layout.log, [], []
+    shapes, thetas, owner = binding.layout.shapes, [], []
     for k, c in enumerate(pool):
         for full in probes_of(bench, c, theta):
             weak = np.where(shapes, full, theta + WEAK * (full - theta))

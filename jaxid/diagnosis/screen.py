@@ -43,14 +43,14 @@ def screened(bench: Bench, p: Problem, z: np.ndarray, theta0: np.ndarray, pool: 
         power = float(d @ d)
         if power <= 1e-12 * max(total, 1.0) * 1e-6 or power < 1e-6:
             continue  # the data do not react to this effect
-        entries, lower = bench.binding.layout.entries, bench.binding.lower
-        both = all(lower[i] < 0 for i in c.index if not entries[i].spec.log)  # an effect of either sign
+        shapes, lower = bench.binding.layout.shapes, bench.binding.lower
+        both = all(lower[i] < 0 for i in c.index if not shapes[i])  # an effect of either sign
         scale = float(np.clip(-(r0 @ d) / power, -4.0 if both else 0.0, 4.0))
         gain = float(-2 * scale * (r0 @ d) - scale**2 * power)
         strength = max(scale, 0.05) if scale >= 0 else min(scale, -0.05)
         start = theta0 + strength * (theta - theta0)
-        for i in c.index:  # a shape parameter has no zero to be scaled from
-            if bench.binding.layout.entries[i].spec.log:
+        for i in c.index:
+            if shapes[i]:
                 start[i] = theta[i]
         tuned = start.copy()  # and with what re-tuning then does to the other numbers
         moved = z + np.clip(retuning.step(before + strength * change), -0.2 * (p.upper - p.lower), 0.2 * (p.upper - p.lower))

@@ -251,11 +251,11 @@ class Looker:
 
     def _sized(self, full: np.ndarray, size: float) -> np.ndarray:
         """Parameters with a share of a probe; shapes stay as they are."""
-        return np.where(self.bench.binding.layout.log, full, self.theta + size * (full - self.theta))
+        return np.where(self.bench.binding.layout.shapes, full, self.theta + size * (full - self.theta))
 
     def _room(self, c: Candidate, full: np.ndarray) -> float:
         """How many times as large as a probe an effect may be."""
-        b, at = self.bench.binding, [i for i in c.index if not self.bench.binding.layout.log[i] and full[i] != self.theta[i]]
+        b, at = self.bench.binding, [i for i in c.index if not self.bench.binding.layout.shapes[i] and full[i] != self.theta[i]]
         way = full[at] - self.theta[at]
         room = np.where(way > 0, b.upper[at] - self.theta[at], self.theta[at] - b.lower[at]) / np.abs(way)
         return float(np.min(room, initial=np.inf)) if at else 1.0

@@ -35,9 +35,11 @@ def first_command(command: Command, n: int) -> Command:
 
 
 class Carry(NamedTuple):
-    """State of a simulation between steps: mechanism, effects, and two predictors (dry torque, acceleration)."""
+    """State of a simulation between steps: mechanism, effects, and predictors: dry torque, acceleration, and where an effect asks
+    for what is transmitted the net joint torque."""
 
     x: Any
     z: tuple[Any, ...]
     lam: Float[Array, " nq"]
     acc: Float[Array, " nq"]
+    net: Any = ()

@@ -206,6 +206,11 @@ class Chain(eqx.Module):
             mechanism = e(mechanism)
         return mechanism
 
+    @property
+    def transmits(self) -> bool:
+        """Whether an effect looks at the torque that the gears transmit."""
+        return any(e.transmits for _, e in self.at(JointEffect))
+
     def has_states(self) -> bool:
         """Whether an effect, or the mechanism beside its joints, remembers the motion before a record."""
         return self.mechanism.hidden_states or any(self.stateful())
@@ -234,7 +239,8 @@ class Chain(eqx.Module):
         z = [first_state(e, q, u, y, rate) for e in self.effects]
         for i, e in self.at(InputEffect):
             z[i] = e.settled(z[i], u, q, lambda: body.inverse(q, jnp.zeros_like(q), jnp.zeros_like(q)))
-        return Carry(x, tuple(z), jnp.zeros_like(q), jnp.zeros_like(q))
+        net = body.inverse(q, qd, jnp.zeros_like(q)) if self.transmits else ()
+        return Carry(x, tuple(z), jnp.zeros_like(q), jnp.zeros_like(q), net)
 
     def sensed_anew(self, z: tuple, fresh: tuple, here: Array) -> tuple:
         """States z, with those of the sensors as in `fresh` where `here`."""
@@ -310,12 +316,14 @@ class Chain(eqx.Module):
         if self.timed:
             now = self.present(command.t, command.h)
             return now.advance(now.body().prepare(None), carry, command)
-        x, z, lam, acc = carry
+        x, z, lam, acc, net = carry
         h, eps = command.h, self.smoothing_velocity
         q, v = body.port(x)
         s = Signals(command.t + h / 2, q + h / 2 * v, v + h / 2 * acc, jnp.zeros_like(q), h, command, v)
         u, after = self.commanded(s, z)
         s = s._replace(load=body.drive(self.signature, u, s.q, s.qd))
+        if self.transmits:  # that of the last step: what is transmitted depends on the friction that it makes
+            s = s._replace(transmitted=net - body.rotors() * acc)
 
         def law(qd):
             now = s._replace(qd=qd)
@@ -342,7 +350,8 @@ class Chain(eqx.Module):
         moved = body.port(body.close(h, x, free, correction, w, shift))[0] - q
         x = body.close(h, x, free, correction, w, shift - jnp.where(sticks & (v == 0), moved, 0.0))
         _, _, _, z = self.friction(s._replace(qd=(v + w) / 2), after)
-        return Carry(x, z, dry, (w - v) * (1 / h)), correction - F - lam
+        net = correction - F - lam
+        return Carry(x, z, dry, (w - v) * (1 / h), net if self.transmits else ()), net
 
     def _linearised(self, law: Callable, qd: Float[Array, " nq"]) -> tuple[Array, Array, Array, Array]:
         """The law at qd, and its slope: [nq] where each joint's torque depends on its own speed alone, else [nq nq]."""
@@ -393,8 +402,9 @@ class Chain(eqx.Module):
         s = Signals(command.t, q, qd, jnp.zeros_like(q), command.h, command, qd)
         u, z = self.commanded(s, z)
         tau = body.drive(self.signature, u, q, qd)
-        F, minus, plus, z = self.friction(s._replace(load=tau), z)
-        return tau - body.inverse(q, qd, qdd) - F, minus, plus, z
+        needed = body.inverse(q, qd, qdd)
+        F, minus, plus, z = self.friction(s._replace(load=tau, transmitted=needed - body.rotors() * qdd), z)
+        return tau - needed - F, minus, plus, z
 
     def ode(self) -> ODE:
         """The model as dy/dt = f(t, y, (parameters, u)), for diffrax and other solvers: see `jaxid.dynamics.ode.ODE`.

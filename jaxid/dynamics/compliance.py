@@ -65,6 +65,9 @@ class Adjusted(Rigid):
     def output(self, x, tau, rests):
         return self.inner.output(x, tau, rests)
 
+    def rotors(self):
+        return self.inner.rotors() + self.inertia
+
     def matrices(self, q, qd):
         M, bias = self.inner.matrices(q + self.angle, qd)
         return M + jnp.diag(self.inertia), bias
@@ -106,6 +109,9 @@ class WithInertia(Mechanism):
 
     def inverse(self, q, qd, qdd):
         return self.inner.inverse(q, qd, qdd) + self.inertia * qdd
+
+    def rotors(self):
+        return self.inner.rotors() + self.inertia
 
     def vector_field(self, t, x, tau):
         rate = lambda tau: jax.jvp(self.inner.port, (x[0],), (self.inner.vector_field(t, x[0], tau),))[1][1]
@@ -165,6 +171,9 @@ class Compliant(Mechanism):
     @property
     def present(self) -> Bool[Array, " nq"]:
         return self.compliance > 0
+
+    def rotors(self):
+        return jnp.where(self.present, self.motor, self.base.rotors())
 
     def _spring(self) -> tuple[Vector, Vector]:
         """Stiffness, and damping of the fully pressed spring."""

@@ -31,11 +31,12 @@ class Signals(NamedTuple):
     t: Array
     q: Float[Array, " nq"]
     qd: Float[Array, " nq"]
-    load: Float[Array, " nq"]  # torque that arrives at the joint
+    load: Float[Array, " nq"]  # torque that the drive makes at the joint
     h: Array
     command: Command
     qd0: Float[Array, " nq"]  # joint speed at the step's beginning
     beside: Any = ()  # inputs that are no commands of joints, [k]
+    transmitted: Any = 0.0  # torque that what hangs on the joint takes, friction and rotors excluded, [nq], where an effect asks
 
 
 class Effect(eqx.Module):
@@ -123,6 +124,8 @@ class JointEffect(Effect):
 
     location: ClassVar[str] = "joint"
 
+    #: Whether it looks at the transmitted torque, which a chain works out for such effects alone.
+    transmits: ClassVar[bool] = False
     #: Start values (field -> number) read off the force that a measured motion (q, qd, force, each [samples]) lacks at its joint;
     #: None: the probes are start enough.
     read_off: ClassVar[Callable[[np.ndarray, np.ndarray, np.ndarray], dict[str, float]] | None] = None

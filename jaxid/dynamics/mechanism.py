@@ -197,6 +197,10 @@ class Mechanism(eqx.Module):
         """State at the end of the step, given the torque correction `dtau`, the final joint velocity `qd`, and the `shift`
         of the joint position of a joint that stopped or reversed inside the step."""
 
+    def rotors(self) -> Array | float:
+        """Inertia [nq] of what turns before the gears and is no load to them."""
+        return 0.0
+
     @abc.abstractmethod
     def inverse(self, q: Float[Array, " nq"], qd: Float[Array, " nq"], qdd: Float[Array, " nq"]) -> Float[Array, " nq"]:
         """Joint torque that this motion needs (friction excluded)."""

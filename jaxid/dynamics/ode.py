@@ -142,11 +142,20 @@ def rates(chain: Chain, body: Mechanism, t: Any, x: Any, z: tuple, command: Comm
         s = Signals(jnp.asarray(t), q, qd, jnp.zeros_like(q), h, now, qd)
         u, after = chain.commanded(s, z)
         tau = body.drive(chain.signature, u, q, qd)
-        F, minus, plus, after = chain.friction(s._replace(load=tau), after)
-        dry = jnp.zeros_like(qd)
-        if chain.smoothing_velocity > 0:
-            dry = jnp.where(qd > 0, plus, minus) * jnp.tanh(qd / chain.smoothing_velocity)
-        return tau - F - dry, after
+
+        def net(transmitted: Any) -> tuple[Array, tuple]:
+            F, minus, plus, new = chain.friction(s._replace(load=tau, transmitted=transmitted), after)
+            dry = jnp.zeros_like(qd)
+            if chain.smoothing_velocity > 0:
+                dry = jnp.where(qd > 0, plus, minus) * jnp.tanh(qd / chain.smoothing_velocity)
+            return tau - F - dry, new
+
+        through: Any = tau
+        for _ in range(ROUNDS if chain.transmits else 0):  # what is transmitted depends on the friction that it makes
+            total, _ = net(through)
+            qdd = jax.jvp(body.port, (x,), (body.vector_field(t, x, total),))[1][1]
+            through = total - body.rotors() * qdd
+        return net(through)
 
     if not jax.tree.leaves(z):
         tau, _ = over(jnp.zeros(()))
@@ -181,5 +190,7 @@ def dry_effects(chain: Chain) -> list[str]:
     return found
 
 
+#: Rounds in which the transmitted torque and the friction that it makes are brought together.
+ROUNDS = 8
 #: Length of the step at which an effect's rate is taken, s: short against every time constant, and not 0, by which some divide.
 SHORT = 1e-9

@@ -8,7 +8,8 @@ from __future__ import annotations
 
 import dataclasses
 from collections.abc import Callable, Mapping
-from typing import Any, NamedTuple, TypeVar
+from functools import lru_cache
+from typing import Any, ClassVar, NamedTuple, TypeVar
 
 import equinox as eqx
 import numpy as np
@@ -99,6 +100,7 @@ class ParameterSpec(NamedTuple):
     meaning: str
     log: bool
     fixed: bool
+    only: tuple[str, str] | None = None  # the setting, and its value, that the parameter belongs to
 
 
 def param(
@@ -110,16 +112,17 @@ def param(
     meaning: str = "",
     scale: Bound | None = None,
     log: bool = False,
+    only: tuple[str, str] | None = None,
 ) -> Any:
     """A field that can be fitted.
 
     `value` is where a fit starts (the neutral value for an effect: the effect is then exactly the identity), `scale` a
     typical change (default: a tenth of the value, or of the bounds), `log` searches the logarithm (positive quantities
-    that may lie anywhere in several decades).
+    that may lie anywhere in several decades), `only` a setting and its value without which the field is a constant.
     """
     if scale is None:
         scale = 0.1 * abs(value) if value else (upper * 0.1)
-    return _field(ParameterSpec(value, lower, upper, scale, unit, meaning, log, False))
+    return _field(ParameterSpec(value, lower, upper, scale, unit, meaning, log, False, only))
 
 
 def constant(value: float, *, unit: str, meaning: str = "") -> Any:
@@ -128,18 +131,31 @@ def constant(value: float, *, unit: str, meaning: str = "") -> Any:
 
 
 class SettingSpec(NamedTuple):
-    """What a model is built with: a whole number between bounds, or yes and no."""
+    """What a model or an effect is built with: a whole number between bounds, yes and no, or one of some words."""
 
-    default: int | bool
+    default: int | bool | str
     lower: int
     upper: int
     meaning: str
+    words: tuple[str, ...] = ()
+
+    def check(self, name: str, value: Any) -> Any:
+        """The value as the setting holds it; raises `UsageError` for one that it cannot have."""
+        if self.words:
+            if value not in self.words:
+                raise UsageError(f"{name} = {value!r}: it is one of {', '.join(self.words)}")
+            return value
+        if not isinstance(value, int | float) or not self.lower <= value <= self.upper or value != int(value):
+            kind = "true or false" if isinstance(self.default, bool) else f"a whole number from {self.lower} to {self.upper}"
+            raise UsageError(f"{name} = {value!r}: it is {kind}")
+        return type(self.default)(value)
 
 
-def setting(default: int | bool, lower: int = 0, upper: int = 1, *, meaning: str) -> Any:
-    """A field that decides the structure of a model (a number of elements, a term taken or not). A dataset states it among
-    the model's constants; another value is another compiled program."""
-    return eqx.field(static=True, default=default, metadata={"setting": SettingSpec(default, lower, upper, meaning)})
+def setting(default: int | bool | str, lower: int = 0, upper: int = 1, *, meaning: str, words: tuple[str, ...] = ()) -> Any:
+    """A field that decides the structure of a model (a number of elements, a term taken or not) or which of some `words` an
+    effect is. A dataset states a model's among its constants, an effect's stands in its id: `NAME(load=drive)`.
+    Another value is another compiled program."""
+    return eqx.field(static=True, default=default, metadata={"setting": SettingSpec(default, lower, upper, meaning, words)})
 
 
 def settings(owner: Any) -> dict[str, SettingSpec]:
@@ -152,15 +168,7 @@ def with_settings(owner: M, values: Mapping[str, Any]) -> M:
 
     Raises `UsageError` for a value out of bounds.
     """
-    chosen = {}
-    for name, spec in settings(owner).items():
-        if name not in values:
-            continue
-        value = values[name]
-        if not spec.lower <= value <= spec.upper or value != int(value):
-            kind = "true or false" if isinstance(spec.default, bool) else f"a whole number from {spec.lower} to {spec.upper}"
-            raise UsageError(f"{name} = {value!r}: it is {kind}")
-        chosen[name] = type(spec.default)(value)
+    chosen = {name: spec.check(name, values[name]) for name, spec in settings(owner).items() if name in values}
     return dataclasses.replace(owner, **chosen) if chosen else owner  # type: ignore[type-var]
 
 
@@ -175,7 +183,40 @@ def _number(value: Any) -> Any:
 
 def specs(owner: Any) -> dict[str, ParameterSpec]:
     """Field name -> specification of a class or instance that declares parameters."""
-    return {f.name: f.metadata["parameter"] for f in dataclasses.fields(owner) if "parameter" in f.metadata}
+    fields = {f.name: f for f in dataclasses.fields(owner)}
+    chosen = lambda name: fields[name].default if isinstance(owner, type) else getattr(owner, name)
+    found = {name: f.metadata["parameter"] for name, f in fields.items() if "parameter" in f.metadata}
+    return {name: spec for name, spec in found.items() if spec.only is None or chosen(spec.only[0]) == spec.only[1]}
+
+
+@lru_cache(maxsize=64)
+def kind_with(kind: type[M], values: tuple[tuple[str, Any], ...]) -> type[M]:
+    """The class of a module with other defaults of its settings, named by them: `load_dependent_friction(load=drive)`.
+
+    Raises `UsageError` for a setting that it does not have, or a value that it cannot have.
+    """
+    own, chosen = settings(kind), {}
+    for name, value in values:
+        if name not in own:
+            has = f"; it has {', '.join(own)}" if own else ", nor any other"
+            raise UsageError(f"{kind.name} has no setting {name!r}{has}")  # pyright: ignore[reportAttributeAccessIssue]
+        chosen[name] = own[name].check(name, value)
+    told = {k: v for k, v in chosen.items() if v != own[k].default}
+    if not told:
+        return kind
+    body: dict[str, Any] = {"__annotations__": {}, "__doc__": kind.__doc__, "__module__": kind.__module__}
+    for name, value in told.items():
+        spec = own[name]
+        body[name] = setting(value, spec.lower, spec.upper, meaning=spec.meaning, words=spec.words)
+        body["__annotations__"][name] = type(value)
+    plain: str = kind.name  # pyright: ignore[reportAttributeAccessIssue]
+    body |= {"name": f"{plain}({', '.join(f'{k}={v}' for k, v in told.items())})", "contains": (plain,)}
+    body["__annotations__"] |= {"name": ClassVar[str], "contains": ClassVar[tuple[str, ...]]}
+    made = type(kind)(kind.__name__, (kind,), body)
+    numbers = specs(made)
+    probes = [{k: v for k, v in p.items() if k in numbers} for p in kind.probes]  # pyright: ignore[reportAttributeAccessIssue]
+    made.probes = tuple(p for i, p in enumerate(probes) if p not in probes[:i])  # pyright: ignore[reportAttributeAccessIssue]
+    return made
 
 
 def with_fields(owner: Any, values: dict[str, Any]) -> Any:

@@ -90,6 +90,8 @@ class Layout:
         for i, effect in enumerate(chain.effects):
             self._leaves += [(i, name, len(chain.places(effect))) for name in specs(effect)]
         self.log = np.array([e.spec.log for e in self.entries])
+        #: Which numbers say how something acts, not how strongly: they have no zero to be scaled from.
+        self.shapes = np.array([e.spec.log or (e.owner >= 0 and e.spec.value != 0) for e in self.entries], bool)
 
     def __len__(self) -> int:
         return len(self.entries)

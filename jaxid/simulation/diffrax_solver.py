@@ -98,4 +98,4 @@ def solved_step(solver: Diffrax, chain: Chain, body: Mechanism, carry: Carry, co
     q, _ = body.port(carry.x)
     y, sensed = chain.sense(body, carry, tau, jnp.zeros(q.shape, bool), command)
     pairs = zip(chain.effects, z, sensed, strict=True)
-    return Carry(x, tuple(b if isinstance(e, OutputEffect) else a for e, a, b in pairs), carry.lam, carry.acc), y
+    return carry._replace(x=x, z=tuple(b if isinstance(e, OutputEffect) else a for e, a, b in pairs)), y

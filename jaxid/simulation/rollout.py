@@ -115,7 +115,8 @@ def _stepping(
             z = chain.sensed_anew(carry.z, initial.z, k == lead)  # what was measured has gone through the sensors
             x = jax.tree.map(lambda a, b: jnp.where(k <= lead, a, b), x, carry.x)
             anew = lambda a, b: jnp.where(k == lead, a, b)
-            carry = Carry(x, z, anew(initial.lam, carry.lam), anew(initial.acc, carry.acc))
+            predictors = ((initial.lam, initial.acc, initial.net), (carry.lam, carry.acc, carry.net))
+            carry = Carry(x, z, *jax.tree.map(anew, *predictors))
         command = command_at(samples, i, first, last, reach)
         carry, y = chain.step(body, carry, command) if advance is None else advance(chain, body, carry, command)
         return carry, y if wanted is None else jnp.stack([y[i] if i in wanted else jnp.zeros(()) for i in range(len(y))])

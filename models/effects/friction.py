@@ -8,7 +8,7 @@ import jax.numpy as jnp
 from jaxtyping import Array
 
 from jaxid.dynamics.effect import JointEffect
-from jaxid.dynamics.parameter import ANGLE, DURATION, param, Quantity, SPEED, TORQUE
+from jaxid.dynamics.parameter import ANGLE, DURATION, param, Quantity, setting, SPEED, TORQUE
 from jaxid.numerics.fast_math import sincos
 
 
@@ -133,12 +133,23 @@ class StribeckFriction(JointEffect):
 
 
 class LoadDependentFriction(JointEffect):
-    """Dry friction that grows with the torque that passes the gear."""
+    """Dry friction that grows with the torque that passes the gear: the drive's, that which goes on to what hangs on the joint
+    (gravity and inertia forces, without friction and rotor), or both, in a proportion that the data tell.
+
+    While it holds a load both are the same; they part with friction, and with what the rotor takes.
+    """
 
     name: ClassVar[str] = "load_dependent_friction"
-    equation: ClassVar[str] = "f = mu |load| sign(qd), load the drive torque at the joint"
+    transmits: ClassVar[bool] = True
+    equation: ClassVar[str] = (
+        "f = mu |load| sign(qd); load = drive: the drive torque at the joint; transmitted: M qdd + bias without the rotor; "
+        "combined: drive_share drive + (1 - drive_share) transmitted"
+    )
     signature: ClassVar[str] = "a step at reversal whose height follows the load"
-    source: ClassVar[str] = "load-dependent models of geared servos (Duclusaud et al., arXiv 2410.08650)"
+    source: ClassVar[str] = (
+        "load-dependent models of geared servos (Duclusaud et al., arXiv 2410.08650; combined: their directional model, "
+        "|K_m tau_m - K_e tau_e| with K_m = mu drive_share, K_e = mu (1 - drive_share))"
+    )
     excitation: ClassVar[str] = "the same motion under two or three payloads or poses"
     axis: ClassVar[str] = "load"
     seen: ClassVar[str] = "whenever it moves under load"
@@ -146,14 +157,23 @@ class LoadDependentFriction(JointEffect):
     check: ClassVar[str] = (
         "Compare the same motion with and without load; look at the efficiency of the gear (worm and screw drives)."
     )
-    mu: Array = param(0.0, 0.0, 0.9, scale=0.03, unit="1", meaning="dry friction per torque transmitted")
-    probes: ClassVar[tuple[dict[str, Quantity | float], ...]] = ({"mu": 0.02}, {"mu": 0.1}, {"mu": 0.3})
+    mu: Array = param(0.0, 0.0, 0.9, scale=0.03, unit="1", meaning="dry friction per torque that passes the gear")
+    drive_share: Array = param(
+        1.0, 0.0, 1.0, scale=0.3, unit="1", meaning="share of the drive's torque in the load, the rest being what is transmitted",
+        only=("load", "combined"),
+    )  # fmt: skip
+    load: str = setting("combined", words=("drive", "transmitted", "combined"), meaning="the torque that friction grows with")
+    probes: ClassVar[tuple[dict[str, Quantity | float], ...]] = tuple(
+        {"mu": mu, "drive_share": share}
+        for mu, share in ((0.02, 1.0), (0.1, 1.0), (0.3, 1.0), (0.02, 0.0), (0.1, 0.0), (0.3, 0.0))
+    )
 
     def start(self, q):
         return ()
 
     def __call__(self, s, z):
-        level = self.mu * jnp.abs(s.load)
+        both = self.drive_share * s.load + (1 - self.drive_share) * s.transmitted
+        level = self.mu * jnp.abs({"drive": s.load, "transmitted": s.transmitted, "combined": both}[self.load])
         return 0.0, level, level, z
 
 

@@ -24,7 +24,7 @@ def ceiling(
 ) -> float:
     """Share of the gap of `base` on the runs `judge` that free laws close, fitted to `fit`, as firm as suits `choose`."""
     edges = _edges(study)
-    load = [np.abs(study.plant.rigid(r, rows.theta)) for r in study.runs]
+    load = [np.abs(study.plant.load(r, rows.theta).transmitted) for r in study.runs]
     needed = {*fit, *choose, *judge}
     made = {
         k: r.rows(_bumps(r, f, edges, study.plant.turn))

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from functools import lru_cache
-from typing import Any
+from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -24,29 +24,40 @@ from jaxid.numerics.precision import float64
 GRID, BEYOND = 7, 2.0
 
 
-def force(effect: JointEffect, run: Run, load: np.ndarray, turn: np.ndarray) -> np.ndarray:
-    """Opposing force [time n] of an effect whose numbers are [n], under a transmitted load [time n]; sign(qd) goes over smoothly
-    within the speeds `turn` [n]."""
-    series = [run.padded(x) for x in (run.q, run.qd, load)]
+class Load(NamedTuple):
+    """Torque [time n] at the gears along a motion: what the drive makes, and what goes on to the links."""
+
+    drive: np.ndarray
+    transmitted: np.ndarray
+
+
+def unloaded(run: Run) -> Load:
+    return Load(0 * run.q, 0 * run.q)
+
+
+def force(effect: JointEffect, run: Run, load: Load, turn: np.ndarray) -> np.ndarray:
+    """Opposing force [time n] of an effect whose numbers are [n], under a load; sign(qd) goes over smoothly within the speeds
+    `turn` [n]."""
+    series = [run.padded(x) for x in (run.q, run.qd, *load)]
     with float64():
         return np.asarray(_force(effect, run.step, turn, *series))[: len(run.q)]
 
 
 @jax.jit
-def _force(effect: JointEffect, h: Any, turn: Any, q: Any, qd: Any, load: Any) -> Any:
+def _force(effect: JointEffect, h: Any, turn: Any, q: Any, qd: Any, drive: Any, transmitted: Any) -> Any:
     u = jnp.zeros(q.shape[1])
     command = Command(jnp.zeros(()), h, u, u, lambda d: u)
 
-    def at(z: Any, now: tuple[Any, Any, Any]) -> tuple[Any, Any]:
-        q, qd, load = now
-        smooth, minus, plus, z = effect(Signals(command.t, q, qd, load, h, command, qd), z)
+    def at(z: Any, now: tuple[Any, ...]) -> tuple[Any, Any]:
+        q, qd, load, on = now
+        smooth, minus, plus, z = effect(Signals(command.t, q, qd, load, h, command, qd, transmitted=on), z)
         way = jnp.tanh(qd / turn)
         return z, smooth + jnp.where(way > 0, plus, minus) * way + 0 * q
 
     z = effect.start(q[0])
     if jax.tree.leaves(z):
-        return jax.lax.scan(at, z, (q, qd, load))[1]
-    return jax.vmap(lambda now: at(z, now)[1])((q, qd, load))
+        return jax.lax.scan(at, z, (q, qd, drive, transmitted))[1]
+    return jax.vmap(lambda now: at(z, now)[1])((q, qd, drive, transmitted))
 
 
 def with_numbers(effect: JointEffect, numbers: Mapping[str, Any], n: int) -> JointEffect:
@@ -65,7 +76,7 @@ def strengths(kind: type[JointEffect], n: int, room: int) -> tuple[str, ...]:
 
     def of(name: str, value: float) -> np.ndarray:
         with float64():
-            return np.asarray(_force(with_numbers(effect, {name: value}, n), 0.15, np.full(n, 0.01), q, qd, np.abs(q)))
+            return np.asarray(_force(with_numbers(effect, {name: value}, n), 0.15, np.full(n, 0.01), q, qd, np.abs(q), np.abs(q)))
 
     linear = []
     for name, spec in specs(effect).items():
@@ -91,7 +102,7 @@ def shapes(kind: type[JointEffect], reference: Reference, linear: Sequence[str])
 
 
 def at_every_joint(
-    kind: type[JointEffect], grids: Sequence[Sequence[Mapping[str, float]]], runs: Sequence[Run], load: Sequence[np.ndarray],
+    kind: type[JointEffect], grids: Sequence[Sequence[Mapping[str, float]]], runs: Sequence[Run], load: Sequence[Load],
     turn: np.ndarray,
 ) -> list[dict[str, list[np.ndarray]]]:  # fmt: skip
     """For each point of the joints' grids and each strength: its force along each run, [time n] for each."""
@@ -105,7 +116,7 @@ def at_every_joint(
     return out
 
 
-def coupled(kind: type[JointEffect], shape: Mapping[str, float], place: int, run: Run, load: np.ndarray, turn: np.ndarray):
+def coupled(kind: type[JointEffect], shape: Mapping[str, float], place: int, run: Run, load: Load, turn: np.ndarray):
     """[time n strengths] of an effect at one place that acts on several joints."""
     n, effect = len(turn), neutral(kind)
     names = strengths(kind, n, run.room)
@@ -113,4 +124,4 @@ def coupled(kind: type[JointEffect], shape: Mapping[str, float], place: int, run
     return np.stack([force(with_numbers(effect, {**shape, name: here}, n), run, load, turn) for name in names], -1)
 
 
-__all__ = ["at_every_joint", "coupled", "force", "shapes", "strengths", "with_numbers"]
+__all__ = ["Load", "at_every_joint", "coupled", "force", "shapes", "strengths", "unloaded", "with_numbers"]

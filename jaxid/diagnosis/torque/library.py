@@ -3,15 +3,15 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 
-from jaxid.diagnosis.torque.forces import at_every_joint, coupled, shapes, strengths, with_numbers
-from jaxid.diagnosis.torque.plant import ArmPlant, Plant
+from jaxid.diagnosis.torque.forces import at_every_joint, coupled, Load, shapes, strengths, with_numbers
+from jaxid.diagnosis.torque.plant import ArmPlant, Beside, Plant
 from jaxid.diagnosis.torque.rows import Run
 from jaxid.dynamics.chain import Chain
 from jaxid.dynamics.effect import BodyEffect, Effect, JointEffect, neutral
@@ -26,7 +26,7 @@ from jaxid.problem.binding import Binding
 DRIVES = ("torque_scale", "input_delay")
 #: What a body at a link adds: a mass, then its first moments and inertia about the origin of the link's frame.
 BODY = ("mass", "mx", "my", "mz", *INERTIA[:6])
-#: Tilt (rad) over which the derivative of gravity is taken.
+#: Tilt (rad) over which the derivative of gravity is taken, and inertia (kg m^2, kg) over which that of a load.
 TILT = 1e-3
 
 
@@ -63,10 +63,13 @@ def shows(kind: type[Effect], chain: Chain) -> bool:
     return kind.name in DRIVES and chain.direct
 
 
-def units(plant: Plant, kinds: Iterable[type[Effect]], runs: Sequence[Run], theta: np.ndarray, payloads: bool) -> list[Unit]:
-    """All units of these effects, along what the model takes with the numbers theta; `payloads`: whether bodies at the links of
-    an arm can be told from the arm's own, because its own are known."""
-    load = [plant.rigid(r, theta) for r in runs]
+def units(
+    plant: Plant, kinds: Iterable[type[Effect]], runs: Sequence[Run], theta: np.ndarray, payloads: bool,
+    beside: Sequence[Beside] | None = None,
+) -> list[Unit]:  # fmt: skip
+    """All units of these effects, along what the model takes with the numbers theta and beside what is known of each run's gears;
+    `payloads`: whether bodies at the links of an arm can be told from the arm's own, because its own are known."""
+    load = [plant.load(r, theta, None if beside is None else beside[k]) for k, r in enumerate(runs)]
     out: list[Unit] = []
     for kind in kinds:
         places = plant.binding.chain.offers(kind)
@@ -75,7 +78,7 @@ def units(plant: Plant, kinds: Iterable[type[Effect]], runs: Sequence[Run], thet
         elif issubclass(kind, BodyEffect):
             out += _bodies(plant, kind, places, runs, theta, payloads)
         else:
-            out += _driven(plant, kind, places, runs, load)
+            out += _driven(plant, kind, places, runs, theta)
     return out
 
 
@@ -97,7 +100,7 @@ def _placed(x: np.ndarray, joint: int, n: int) -> np.ndarray:
     return out
 
 
-def _laws(plant: Plant, kind: Any, places: Sequence[str], runs: Sequence[Run], load: Sequence[np.ndarray]) -> list[Unit]:
+def _laws(plant: Plant, kind: Any, places: Sequence[str], runs: Sequence[Run], load: Sequence[Load]) -> list[Unit]:
     """A law of each joint's own motion, at every point of its grid."""
     b, n = plant.binding, plant.binding.chain.nq
     joints = [b.chain.signature.joints.index(p) for p in places]
@@ -106,15 +109,35 @@ def _laws(plant: Plant, kind: Any, places: Sequence[str], runs: Sequence[Run], l
     grids = [shapes(kind, b.references[j], linear) for j in range(n)]
     out = []
     for k, made in enumerate(at_every_joint(kind, grids, runs, load, plant.turn)):
+        room = _rotor(kind, grids, k, runs, load, plant.turn) if kind.transmits else {}
+        made |= room
         rows = [np.stack([r.rows(made[f][i]) for f in made], -1) for i, r in enumerate(runs)]
         for j, place in zip(joints, places, strict=True):
             if k < len(grids[j]):
                 own = [_placed(x[:, j], j, n) for x in rows]
-                out.append(_unit(kind, place, list(made), grids[j][k], [j], own, b))
+                unit = _unit(kind, place, list(made), grids[j][k], [j], own, b)
+                free = np.array([f in room for f in made])
+                out.append(replace(unit, least=np.where(free, -np.inf, unit.least), hidden=tuple(room)))
     return out
 
 
-def _shared(plant: Plant, kind: Any, places: Sequence[str], runs: Sequence[Run], load: Sequence[np.ndarray]) -> list[Unit]:
+def _rotor(
+    kind: Any, grids: Sequence[Sequence[dict[str, float]]], k: int, runs: Sequence[Run], load: Sequence[Load], turn: np.ndarray
+) -> dict[str, list[np.ndarray]]:
+    """Room [time n] of each run for what of an inertia is the rotor's, which a motion alone does not tell from the link's; none
+    where a law looks at the drive alone."""
+    one = [[g[min(k, len(g) - 1)]] for g in grids]
+
+    def at(inertia: float) -> list[np.ndarray]:
+        moved = [f._replace(transmitted=f.transmitted - inertia * r.qdd) for r, f in zip(runs, load, strict=True)]
+        ((made,),) = (found.values() for found in at_every_joint(kind, one, runs, moved, turn))
+        return made
+
+    slopes = [(b - a) / TILT for a, b in zip(at(-TILT / 2), at(TILT / 2), strict=True)]
+    return {"rotor": slopes} if any(np.any(x) for x in slopes) else {}
+
+
+def _shared(plant: Plant, kind: Any, places: Sequence[str], runs: Sequence[Run], load: Sequence[Load]) -> list[Unit]:
     """A gear that a joint shares with the next: its friction, and the inertia of what turns with both."""
     b = plant.binding
     linear, out = strengths(kind, b.chain.nq, runs[0].room), []
@@ -132,13 +155,12 @@ def _shared(plant: Plant, kind: Any, places: Sequence[str], runs: Sequence[Run],
     return out
 
 
-def _driven(
-    plant: Plant, kind: type[Effect], places: Sequence[str], runs: Sequence[Run], load: Sequence[np.ndarray]
-) -> list[Unit]:
+def _driven(plant: Plant, kind: type[Effect], places: Sequence[str], runs: Sequence[Run], theta: np.ndarray) -> list[Unit]:
     """What a drive makes of its command, seen from the torque that the model needs: the measured one would explain itself."""
     b, n = plant.binding, plant.binding.chain.nq
     names = [name for name, _ in b.chain.signature.inputs]
-    series = [-f if kind.name == "torque_scale" else np.gradient(f, r.step, axis=0) for r, f in zip(runs, load, strict=True)]
+    rigid = [plant.rigid(r, theta) for r in runs]
+    series = [-f if kind.name == "torque_scale" else np.gradient(f, r.step, axis=0) for r, f in zip(runs, rigid, strict=True)]
     rows = [r.rows(x) for r, x in zip(runs, series, strict=True)]
     field = next(iter(specs(kind)))
     return [

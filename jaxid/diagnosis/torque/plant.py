@@ -4,13 +4,13 @@ from __future__ import annotations
 
 import abc
 from collections.abc import Sequence
-from typing import Any
+from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 
-from jaxid.diagnosis.torque.forces import force, with_numbers
+from jaxid.diagnosis.torque.forces import force, Load, unloaded, with_numbers
 from jaxid.diagnosis.torque.rows import Run
 from jaxid.dynamics.base_parameters import STANDARD, torque_columns
 from jaxid.dynamics.effect import JointEffect
@@ -20,6 +20,14 @@ from jaxid.numerics.kept import shared
 from jaxid.numerics.precision import float64
 from jaxid.problem.binding import Binding
 from jaxid.problem.torque_filter import drive_torque
+
+
+class Beside(NamedTuple):
+    """What is known to stand between the drive and the links of a run beside the model's rotors: friction [time n], and inertia
+    [n] that the model has in its links."""
+
+    friction: np.ndarray
+    rotor: np.ndarray
 
 
 class Plant(abc.ABC):
@@ -45,6 +53,14 @@ class Plant(abc.ABC):
     @abc.abstractmethod
     def rigid(self, run: Run, theta: np.ndarray) -> np.ndarray:
         """Torque [time n] that the mechanism takes without friction."""
+
+    def load(self, run: Run, theta: np.ndarray, beside: Beside | None = None) -> Load:
+        """What passes the gears: the measured torque would explain itself."""
+        friction, rotor = beside or Beside(np.zeros(1), np.zeros(1))
+        rigid = self.rigid(run, theta)
+        with float64():
+            rotors = np.asarray(self.binding.layout.model(theta).body().rotors())
+        return Load(rigid + friction, rigid - (rotors + rotor) * run.qdd)
 
     def exact(self) -> bool:
         """Whether the torque is linear in the free numbers, so that one linearisation is enough."""
@@ -102,7 +118,7 @@ class ArmPlant(Plant):
         at = theta.copy()
         at[[self.free[k] for k in self.laws if self._strength(self.free[k])]] = 0.0
         used = [e for _, e in self._effects(at) if any(np.any(getattr(e, f)) for f, s in specs(e).items() if s.value == 0)]
-        return sum((force(e, run, 0 * run.q, self.turn) for e in used), np.zeros_like(run.q))
+        return sum((force(e, run, unloaded(run), self.turn) for e in used), np.zeros_like(run.q))
 
     def _strength(self, i: int) -> bool:
         return self.binding.layout.entries[i].spec.value == 0
@@ -112,7 +128,7 @@ class ArmPlant(Plant):
         own = {f: theta[[i for i, e in enumerate(self.binding.layout.entries) if e.owner == entry.owner and e.field == f]]
                for f in specs(effect)}  # fmt: skip
         shape = {f: v for f, v in own.items() if specs(effect)[f].value != 0}
-        return force(with_numbers(effect, {**shape, entry.field: 1.0}, run.q.shape[1]), run, 0 * run.q, self.turn)
+        return force(with_numbers(effect, {**shape, entry.field: 1.0}, run.q.shape[1]), run, unloaded(run), self.turn)
 
 
 class AnyPlant(Plant):

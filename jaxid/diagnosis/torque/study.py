@@ -10,9 +10,9 @@ import numpy as np
 from jaxid.data.signals import zero_phase
 from jaxid.diagnosis.torque.algebra import BLOCKS, gram, Known, Solution, solve, weighted, Weights
 from jaxid.diagnosis.torque.choose import Chooser, Enough
-from jaxid.diagnosis.torque.forces import force, with_numbers
+from jaxid.diagnosis.torque.forces import force, Load, with_numbers
 from jaxid.diagnosis.torque.library import DRIVES, Unit, units
-from jaxid.diagnosis.torque.plant import Plant, plant_of
+from jaxid.diagnosis.torque.plant import Beside, Plant, plant_of
 from jaxid.diagnosis.torque.rows import read_runs, Run, turning_speeds
 from jaxid.dynamics.effect import Effect, JointEffect, neutral
 from jaxid.dynamics.joint_readings import joint_motion, stated_positions
@@ -66,6 +66,7 @@ class Study:
         self._plain: tuple[Rows, Weights, Solution] | None = None
         self.noise = np.ones(binding.chain.nq)
         self.unsure = [np.zeros((len(r.t), binding.chain.nq)) for r in self.runs]
+        self.beside = [Beside(0 * r.q, np.zeros(binding.chain.nq)) for r in self.runs]
         self.theta = self._nominal()
         self.measured = self._noise()
         self.settle(self.theta)
@@ -82,7 +83,7 @@ class Study:
 
     def asked(self, kinds: Sequence[type[Effect]], theta: np.ndarray) -> list[Unit]:
         """All units of these effects, along what the model takes with the numbers theta."""
-        return units(self.plant, kinds, self.runs, theta, self.payloads)
+        return units(self.plant, kinds, self.runs, theta, self.payloads, self.beside)
 
     def _unasked(self, run: Run) -> np.ndarray:
         """Columns of which nothing is asked [samples n 3n]: how else dry friction may turn about with a joint's motion, and that
@@ -263,22 +264,31 @@ class Study:
     # ---- noise
 
     def settle(self, theta: np.ndarray, found: Sequence[tuple[Unit, np.ndarray]] = ()) -> None:
-        """Sets to within what rows are known, and their noise: a joint that stands still, or turns about, holds anything up to
-        its dry friction, that of the numbers theta and of units with theirs."""
+        """Sets to within what rows are known, their noise, and the friction, that of the numbers theta and of units with theirs:
+        a joint that stands still, or turns about, holds anything up to what is dry of it."""
         n = self.binding.chain.nq
         effects = [e for e in self.binding.layout.model(theta).effects if isinstance(e, JointEffect)]
         kinds = {k.name: k for k in self.kinds}
+        rotor = self.beside[0].rotor.copy()
         for u, numbers in found:
             if (kind := kinds.get(u.effect)) is not None and issubclass(kind, JointEffect):
                 own = {f: v * np.eye(n)[u.joints[0]] for f, v in zip(u.fields, numbers, strict=True) if f in specs(kind)}
                 effects.append(with_numbers(neutral(kind), {**u.shape, **own}, n))
-        self.unsure = [r.rows(self._dry(effects, r, theta) * r.still(self.plant.turn)).clip(0) for r in self.runs]
+                if "rotor" in u.hidden and numbers[0] > 0:
+                    rotor[u.joints[0]] += numbers[u.fields.index("rotor")] / numbers[0]
+        load = [self.plant.load(r, theta, b) for r, b in zip(self.runs, self.beside, strict=True)]
+        self.unsure = [
+            r.rows(self._dry(effects, r, f) * r.still(self.plant.turn)).clip(0) for r, f in zip(self.runs, load, strict=True)
+        ]
+        if any(k.transmits for k in self.kinds if issubclass(k, JointEffect)):
+            every = [[force(e, r, f, self.plant.turn) for e in effects] for r, f in zip(self.runs, load, strict=True)]
+            self.beside = [Beside(sum(own, 0 * r.q), rotor) for own, r in zip(every, self.runs, strict=True)]
         fit = [self.unsure[k] for k in self.of("fit") or range(len(self.runs))]
         self.noise = np.hypot(self.measured, np.sqrt(np.mean(np.concatenate(fit) ** 2, axis=0)))
 
-    def _dry(self, effects: Sequence[JointEffect], run: Run, theta: np.ndarray) -> np.ndarray:
+    def _dry(self, effects: Sequence[JointEffect], run: Run, load: Load) -> np.ndarray:
         """Dry friction [time n] at the speed nothing along a run."""
-        load, creep = self.plant.rigid(run, theta), 1e-3 * self.plant.turn
+        creep = 1e-3 * self.plant.turn
         ways = [replace(run, qd=np.broadcast_to(way * creep, run.qd.shape)) for way in (1.0, -1.0)]
         both = (force(e, ways[0], load, 1e-3 * creep) - force(e, ways[1], load, 1e-3 * creep) for e in effects)
         return np.abs(sum(both, np.zeros_like(run.q))) / 2
