@@ -21,9 +21,10 @@ if TYPE_CHECKING:
 @OUT
 @MODEL
 @click.option(
-    "--method", type=click.Choice(("ls", "wls", "iv", "rls", "tls", "constrained")), default="wls", show_default=True,
-    metavar="M",
-    help="ls, wls, iv, rls (recursive), tls or constrained (bodies that can exist, friction that brakes).",
+    "--method", type=click.Choice(("ls", "wls", "iv", "rls", "tls", "constrained", "paper001", "algorithm1", "algorithm2")),
+    default="wls", show_default=True, metavar="M",
+    help="ls, wls, iv, rls (recursive), tls, constrained (bodies that can exist, friction that brakes); with --reference "
+    "paper001, algorithm1, algorithm2: the payload as in paper 001.",
 )  # fmt: skip
 @click.option(
     "--friction", type=click.Choice(("auto", "linear", "power", "stribeck")), default="auto", show_default=True, metavar="LAW",

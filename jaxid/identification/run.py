@@ -20,6 +20,7 @@ from jaxid.dynamics.parameter_vector import Layout
 from jaxid.errors import nearest, UsageError
 from jaxid.identification import estimators as solve, regression
 from jaxid.identification.estimators import Estimate
+from jaxid.identification.paper001 import as_printed, by_algorithm, P0, PAPER, unloaded, XI
 from jaxid.identification.payload import payload_by_difference, read_reference
 from jaxid.identification.regression import (
     every_row,
@@ -43,7 +44,7 @@ from jaxid.robots.arms import as_arm
 from jaxid.robots.origin import origin_on
 
 
-METHODS = ("ls", "wls", "iv", "rls", "tls", "constrained")
+METHODS = ("ls", "wls", "iv", "rls", "tls", "constrained", *PAPER)
 #: Variance of a parameter that nothing is known of, in units of the square of what one unit of noise in every row makes of it.
 UNKNOWN = 1e10
 #: Sampling rate for which paper 001 states its stopping rule.
@@ -67,7 +68,8 @@ def identify(
     """Base parameters and friction of a serial arm from recorded motion and torque.
 
     `method` is ls, wls, iv, rls (wls sample by sample; with a reference it also says after which time the payload has
-    converged), tls or constrained; `friction` linear, power, stribeck, or auto: the simplest that no richer law beats on every
+    converged), tls, constrained, or one of paper 001's: paper001 (its recursion as printed), algorithm1, algorithm2, which find
+    the payload of a `reference` (see `jaxid.identification.paper001`); `friction` linear, power, stribeck, or auto: the simplest that no richer law beats on every
     held-out run. Torque and columns are low-passed at `cutoff_hz`, positions at `motion_hz` (twice that) before they are
     differentiated. `reference`, the identification of the unloaded arm (or its JSON), gives the payload; `gain_std` is the
     relative standard deviation of the drive gains, which moves payload and torque alike. Decisive findings of `jaxid.check`
@@ -98,7 +100,16 @@ def identify(
 
     before = None if reference is None else read_reference(reference)
     tried = [friction] if friction != "auto" else list(LAWS)
-    solved = {name: _solve(LAWS[name], runs, by, method, chain, base) for name in tried}
+    if method in PAPER:
+        known = unloaded(before, method, base, chain.nq)
+    if method == "paper001":  # the friction law of the unloaded arm, its exponents kept
+        tried = [known[0].name]
+        theta, P, met = as_printed(runs, *known, base)
+        plain = _solve(known[0], runs, None, "wls", chain, base, known[1])
+        P = np.pad(P, (0, chain.nq * known[0].nonlinear))  # of the exponents, which are kept
+        solved = {known[0].name: (theta, known[1], plain[2], None, replace(plain[4], theta=theta, covariance=P))}
+    else:
+        solved = {name: _solve(LAWS[name], runs, by, method, chain, base) for name in tried}
     scores, predicted = _scored(runs, [(LAWS[name], *solved[name][:2]) for name in tried])
     trials = [_trial(LAWS[name], own) for name, own in zip(tried, scores, strict=True)]
     chosen = _choose(trials)
@@ -130,6 +141,11 @@ def identify(
     if method == "rls":
         after = converged_after(runs, law, exponent, result, before, base, weights)
         payload = replace(payload, converged_after_s=after)
+    elif method == "paper001":
+        payload = replace(payload, converged_after_s=met)
+    elif method in PAPER:
+        spread = np.array(before["covariance"], float)[: len(known[2]), : len(known[2])]
+        payload = by_algorithm(method, runs, arm, *known, spread, gain_std)
     return Identification(**{**result.__dict__, "payload": payload})
 
 
@@ -145,12 +161,21 @@ def _stated(chain: Chain, dataset: Dataset) -> Chain:
     return layout.model(theta)
 
 
-def _solve(law: Law, runs: Sequence[Run], by: Sequence[Run] | None, method: str, chain: Chain, base: BaseParameters):
-    """(theta, exponents, weights per run, standard parameters or None, covariance and condition) of one law."""
+def _solve(
+    law: Law,
+    runs: Sequence[Run],
+    by: Sequence[Run] | None,
+    method: str,
+    chain: Chain,
+    base: BaseParameters,
+    kept: np.ndarray | None = None,
+):
+    """(theta, exponents, weights per run, standard parameters or None, covariance and condition) of one law; `kept` exponents
+    are not searched."""
     arm: Any = chain.mechanism
     n = len(arm.prismatic)
     fit = [r for r in runs if r.split == "fit"]
-    exponent = np.ones(n)
+    exponent = np.ones(n) if kept is None else kept
     phi0 = np.array([float(np.asarray(getattr(arm, name.rstrip("0123456789")))[int(name[-1]) - 1]) for name in base.standard])
     prior = np.concatenate([base.values(phi0), np.zeros(len(law.parameters) * n)])
 
@@ -159,7 +184,7 @@ def _solve(law: Law, runs: Sequence[Run], by: Sequence[Run] | None, method: str,
 
     blocks = blocks_of(fit, exponent)
     theta, weights = solve.weighted(blocks, prior)
-    if law.nonlinear:
+    if law.nonlinear and kept is None:
         for _ in range(3):
             old, exponent = exponent, _exponents(fit, law, blocks, weights, len(base.kept), n, exponent, method == "constrained")
             blocks = blocks_of(fit, exponent)
@@ -181,7 +206,7 @@ def _solve(law: Law, runs: Sequence[Run], by: Sequence[Run] | None, method: str,
         levels = np.array([p in ("F_c", "F_v") for p, _ in law.parameters for _ in range(n)])
         theta, phi = solve.constrained(*solve.stacked(blocks, weights), base, phi0.reshape(n, 11), levels, arm.motor_side)
     slopes = None
-    if law.nonlinear:
+    if law.nonlinear and kept is None:
         slopes = [exponent_slopes(r, law, theta, exponent) for r in fit]
     return theta, exponent, weights, phi, solve.estimate(blocks, weights, theta, instrument, slopes)
 
@@ -315,6 +340,9 @@ def _units(chain: Chain, base: BaseParameters, law: Law) -> Iterable[str]:
 
 
 def _notes(found: Estimate, names: Sequence[str], method: str, law: Law) -> list[str]:
+    if method == "paper001":
+        return ["the recursion of paper 001 as printed, over the recorded rows: standard deviations are those of its P, which takes "
+                f"xi = {XI:g} for the torque's noise and P0 = {P0:g} for what the load may change; exponents are the reference's"]  # fmt: skip
     how = "white" if found.white else f"coloured (memory {found.memory} rows)"
     notes = [f"residuals are {how}: standard deviations from the sandwich covariance of the estimator"]
     lost = [n for n, seen in zip(names, found.identifiable, strict=False) if not seen]
