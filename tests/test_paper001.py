@@ -16,7 +16,7 @@ from jaxid.identification.regression import every_row, LAWS, read_run  # noqa: E
 from jaxid.identification.run import identify  # noqa: E402
 from jaxid.problem.binding import resolve_model  # noqa: E402
 from jaxid.problem.torque_filter import drive_gains  # noqa: E402
-from tests.test_identification import LOAD, NOISE, recording, torque  # noqa: E402
+from test_identification import excitation, LOAD, NOISE, recording, torque  # noqa: E402
 
 
 def rows_of(data: Dataset, law: str, exponent: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -83,6 +83,23 @@ def test_algorithm_2_on_static_poses(empty):
     assert abs(found.com()[2][0] - LOAD[8] / LOAD[9]) < 4 * found.com()[2][1] + 0.02
 
 
+def test_exponents_are_fitted_where_asked_for(empty):
+    """A fit holds them and says so; named, they are fitted."""
+    import jaxid
+
+    data = recording(None, 0.02, 1)
+    start = {f"exponent{j + 1}": 1.0 for j in range(6)}
+    chain = resolve_model("ur10", data)
+    held = jaxid.problem.binding.bind(chain, data)
+    assert not any("exponent" in held.layout.names[i] for i in held.free)
+    assert any("held and not fitted: exponent1" in text for text in held.said)
+    one = jaxid.problem.binding.bind(chain, data, effects=["power_law_friction@q3"])
+    assert [held.layout.names[i] for i in one.free if i not in held.free] == ["exponent3"]
+    every = jaxid.problem.binding.bind(chain, data, effects=["power_law_friction"])
+    assert {every.layout.names[i] for i in every.free if i not in held.free} == set(start)
+    assert not any("held and not fitted" in text for text in every.said)
+
+
 def test_what_they_need(empty, loaded):
     with pytest.raises(UsageError, match="--reference"):
         identify(None, loaded, method="paper001")
@@ -97,9 +114,53 @@ def test_the_command(empty, tmp_path, capsys):
     save_dataset(poses(LOAD, 3), tmp_path / "loaded")
     assert main(["identify", str(tmp_path / "empty"), "--friction", "power", "--quiet", "--out", str(tmp_path / "a")]) == 0
     reference = ["--reference", str(tmp_path / "a" / "identification.json")]
-    assert main(["identify", str(tmp_path / "loaded"), "--method", "algorithm2", *reference, "--json", "--out", str(tmp_path / "b")]) == 0
+    assert (
+        main(["identify", str(tmp_path / "loaded"), "--method", "algorithm2", *reference, "--json", "--out", str(tmp_path / "b")])
+        == 0
+    )
     told = json.loads(capsys.readouterr().out)["payload"]
     assert told["mass"]["value"] == pytest.approx(LOAD[9], abs=0.3)
     assert told["inertia"][0]["value"] is None  # gravity does not show it
 
 
+def test_a_fourier_series_keeps_the_harmonics():
+    """Acceleration of a line close to the cutoff: exact by its harmonic, damped by a low-pass there."""
+    from jaxid.data.signals import differentiate
+    from jaxid.identification.fourier import harmonic_motion
+
+    t = np.arange(1001) / 100.0
+    w = 2 * np.pi * np.array([0.1, 0.7, 9.0])
+    size = np.array([0.5, 0.3, 0.01])
+    q = (np.sin(np.outer(t, w)) * size).sum(1)[:, None]
+    qdd = -(np.sin(np.outer(t, w)) * size * w**2).sum(1)
+    rng = np.random.default_rng(0)
+    read = q + 1e-6 * rng.standard_normal(q.shape)
+    inside = slice(100, 900)
+    rms = lambda x: float(np.sqrt(np.mean((x - qdd)[inside] ** 2)) / np.std(qdd))
+    assert rms(harmonic_motion(t, read, 10.0)[2][:, 0]) < 1e-3
+    assert rms(differentiate(t, read, 10.0)[2][:, 0]) > 0.1
+    with pytest.raises(UsageError, match="whole periods"):
+        harmonic_motion(t[:860], read[:860], 10.0)
+    with pytest.raises(UsageError, match="whole periods"):
+        harmonic_motion(t, read, 5.0)  # a line above it
+
+
+def test_identification_by_the_harmonics(tmp_path):
+    """Runs of whole periods: the base parameters come back, and no run is cut in the middle of one."""
+    from test_identification import truth
+
+    rng = np.random.default_rng(2)
+    t, q, qd, qdd = excitation(3)
+    step = t[1] - t[0]
+    t, q, qd, qdd = np.append(t, t[-1] + step), *(np.concatenate([x, x[:1]]) for x in (q, qd, qdd))
+    tau = torque((t, q, qd, qdd)) + 0.02 * NOISE * rng.normal(size=q.shape)
+    names = lambda k: [f"{k}{j + 1}" for j in range(6)]
+    read = q + 1e-5 * rng.normal(size=q.shape)
+    data = Dataset.from_arrays(
+        t, dict(zip(names("tau"), tau.T, strict=True)), dict(zip(names("q"), read.T, strict=True)), model="ur10", split="fit"
+    )
+    found = identify(None, data, motion="fourier", friction="power")
+    base = resolve_model("ur10", data).mechanism.base()  # type: ignore[attr-defined]
+    error = np.abs(found.theta[:40] - truth(base))
+    assert np.all(error < 0.05 + 0.05 * np.abs(truth(base)))
+    assert "harmonics of each run" in found.filter and len(found.experiments) == 1

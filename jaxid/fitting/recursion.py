@@ -1,10 +1,11 @@
 """A fit while data arrive: `jaxid fit --window N`, `--forgetting L`.
 
-The runs to fit come in blocks (`in_blocks`). With a window each recursion fits the last N blocks anew. Without one it fits the new
-block alone, beside what the blocks before it say of the parameters, which is carried on as R and e of |R (theta - mean) + e|^2 and
-counts `forgetting` times less with every block (the square-root information filter: Bierman, Factorization Methods for Discrete
-Sequential Estimation, 1977). Either way a recursion costs the same, however long the recording. Of a model that is linear in its
-parameters that is recursive least squares, exactly; of another one earlier blocks are known by their slopes where they were fitted.
+The runs to fit come in blocks (`in_blocks`). With a window each recursion fits the last N blocks anew. Without one it fits the
+new block alone, beside what the blocks before it say of the parameters, which is carried on as R and e of |R (theta - mean) +
+e|^2 and counts `forgetting` times less with every block (the square-root information filter: Bierman, Factorization Methods for
+Discrete Sequential Estimation, 1977). Either way a recursion costs the same, however long the recording. Of a model that is
+linear in its parameters that is recursive least squares, exactly; of another one earlier blocks are known by their slopes where
+they were fitted.
 """
 
 from __future__ import annotations
@@ -99,8 +100,8 @@ def in_blocks(dataset: Dataset, block_s: float | None = None) -> Dataset:
 
 
 def absorbed(known: Known, problem: Problem, z: np.ndarray, forgetting: float = 1.0) -> Known:
-    """What is known after the data of a problem, linearised at z, beside what was known before times `forgetting`. Unknown starts
-    of its runs are eliminated, not carried on."""
+    """What the data of a problem, linearised at z, and what was known before say together, times `forgetting`. Unknown starts of
+    its runs are eliminated, not carried on."""
     n, size = problem.free.size, problem.size
     values = problem.theta(z)[problem.free]
     R, slope = np.zeros((0, size + 1)), np.ones(size)
@@ -112,8 +113,8 @@ def absorbed(known: Known, problem: Problem, z: np.ndarray, forgetting: float = 
         R = np.linalg.qr(np.concatenate([R, np.column_stack([(J / slope)[:, order], part.r.ravel()])]), "r")
     own = R[size - n : size, size - n :] if len(R) >= size else _below(R, size, n)
     weight = np.sqrt(forgetting)
-    before = weight * np.column_stack([known.R, known.R @ (values - known.mean) + known.e])
-    both = np.linalg.qr(np.concatenate([before, own]), "r")
+    before = np.column_stack([known.R, known.R @ (values - known.mean) + known.e])
+    both = weight * np.linalg.qr(np.concatenate([before, own]), "r")
     both = np.concatenate([both, np.zeros((max(0, n - len(both)), n + 1))])[:n]
     return Known(values, both[:, :n], both[:, n])
 
@@ -150,7 +151,9 @@ def fit_recursively(
     guesses = start_values(bench, binding.free, seed, [0])
     whole = bench.problem(residual, "fit", binding.free, guesses[0], loss=loss)
     if whole.pieces != len(blocks):
-        raise UsageError(f"{residual.name} divides runs by itself: use output_error or inverse_dynamics with a window or forgetting")
+        raise UsageError(
+            f"{residual.name} divides runs by itself: use output_error or inverse_dynamics with a window or forgetting"
+        )
     found: list[tuple[Problem, Minimum]] = []
 
     def problems() -> Iterator[Problem]:

@@ -51,8 +51,8 @@ def follow(
     generations: int = 5,
     budget: int | None = None,
 ) -> Iterator[Minimum]:
-    """The best of each problem in turn: a whole search for the first, of at most `budget` evaluations, then `generations` from the
-    population at hand.
+    """The best of each problem in turn: a whole search for the first, of at most `budget` evaluations, then `generations` from
+    the population at hand.
 
     The population is evaluated anew on each problem, which counts. Entries of z are carried over by name; one that is new
     (the start of another run) begins at its guess.

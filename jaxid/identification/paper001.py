@@ -1,10 +1,10 @@
 """The payload as in paper 001 and by the two algorithms that it compares with; all begin with the unloaded arm's identification.
 
-- `paper001`: equations (7) to (16) as printed. The recursion K = P Y' (X + Y P Y')^-1 over the recorded rows, not filtered, from the
-  unloaded arm's parameters (base parameters, F_c, F_v, offset; its exponents kept) with xi = 100, P0 = 10; converged once no
-  parameter of the last link has moved by more than 0.005 a sample for 300 samples.
-- `algorithm1` (Khalil, Gautier, Lemoine 2007): the torque less that of the unloaded arm on the same motion is the load's ten columns
-  at the flange; least squares.
+- `paper001`: equations (7) to (16) as printed. The recursion K = P Y' (X + Y P Y')^-1 over the recorded rows, not filtered,
+  from the unloaded arm's parameters (base parameters, F_c, F_v, offset; its exponents kept) with xi = 100, P0 = 10; converged
+  once no parameter of the last link has moved by more than 0.005 a sample for 300 samples.
+- `algorithm1` (Khalil, Gautier, Lemoine 2007): the torque less that of the unloaded arm on the same motion is the load's ten
+  columns at the flange; least squares.
 - `algorithm2` (Gaz, De Luca 2017): the same of gravity alone, at rest; mass and centre of mass.
 
 The torque of the unloaded arm on this motion is that of its identified parameters.
@@ -68,7 +68,14 @@ def as_printed(
 
 
 def by_algorithm(
-    method: str, runs: Sequence[Run], arm: Any, law: Law, exponent: np.ndarray, theta: np.ndarray, spread: np.ndarray, gain_std: float
+    method: str,
+    runs: Sequence[Run],
+    arm: Any,
+    law: Law,
+    exponent: np.ndarray,
+    theta: np.ndarray,
+    spread: np.ndarray,
+    gain_std: float,
 ) -> Payload:
     """The payload by Algorithm 1 or 2 from the fit runs; `theta` are the unloaded arm's parameters, `spread` their covariance,
     which counts. Raises `UsageError` where Algorithm 2 finds no poses at rest."""
@@ -101,7 +108,9 @@ def by_algorithm(
     A = np.concatenate([Y.reshape(-1, count) for Y, _ in blocks])
     size = np.linalg.norm(A, axis=0)
     if (size <= 0).any() or np.linalg.cond(A / size) > 1e6:
-        raise UsageError(f"{method} does not find the payload from this motion: it shows some of the load's numbers only together")
+        raise UsageError(
+            f"{method} does not find the payload from this motion: it shows some of the load's numbers only together"
+        )
     phi = np.linalg.lstsq(A / size, np.concatenate([b.ravel() for _, b in blocks]), rcond=None)[0] / size
     slope = np.linalg.lstsq(A / size, np.concatenate(carried), rcond=None)[0] / size[:, None]
     cov = estimate(blocks, [np.ones(n)] * len(blocks), phi, None, None).covariance + slope @ spread @ slope.T
