@@ -22,6 +22,7 @@ from jaxid.numerics.fast_math import sincos
 from jaxid.robots import dynamics
 from jaxid.robots.bodies import BODY, body_of, ten_numbers
 from jaxid.robots.channels import AT_TORQUE, GRAVITY, PLACE, RIDE, signature_of, torque
+from jaxid.robots.floating import ANGLES, without_slides
 from jaxid.robots.tree import roll_pitch_yaw, Stated, Tree, up_to
 
 from .effects import ActuatorLag, CoulombFriction, InputDelay, QuadraticDrag, ViscousFriction
@@ -110,7 +111,7 @@ class Robot(Staged):
         rounded = lambda a: tuple(tuple(float(v) for v in row) for row in a)
         self.axes, self.anchors = rounded(tree.axis), rounded(tree.anchor[list(self.carriers)])
         self.reference, self.shift = tuple(map(float, tree.reference)), tuple(map(float, c))
-        self.coupling = rounded(S) if tree.couplings else None
+        self.coupling = rounded(S) if tree.couplings or tree.floats else None
         bodies = np.array([body_of(tree.inertia[k], tree.anchor[k])[0] for k in self.carriers]).reshape(-1, 10)
         for k, name in enumerate(BODY):
             setattr(self, name, bodies[:, k])
@@ -131,7 +132,7 @@ class Robot(Staged):
         self.prepared = self.added = self.tilt = self.drive_law = None
         self.fitted = ()
         if driven is None:
-            driven = law is not None or all(j in tree.actuators and tree.actuators[j].kind == "position" for j in leading)
+            driven = law is not None or all(j in tree.actuators and tree.actuators[j].kind == "position" for j in tree.driven)
         self.rides = rides
         self.signatures = (signature_of(tree, driven, () if law is None else law.rates, rides),)
         own: list[tuple[type, dict[str, str]]] = [
@@ -154,7 +155,7 @@ class Robot(Staged):
             own.append((InputDelay, {"delay": "delay@{joint}"}))
         if any(law.lag):
             own.append((ActuatorLag, {"time": "timeconst@{joint}"}))
-        self.fitted = law.fitted(self.signatures[0].joints)
+        self.fitted = law.fitted(self.tree.tree.driven)
 
     def driven_by(self, law: Any) -> Robot:
         """The same driven by goals through a law (a `jaxid.robots.drives.Law`)."""
@@ -229,7 +230,9 @@ class Robot(Staged):
         out = {f"{field}@{link}" for field in BODY for link in self.links} - self.tree.tree.free_moments()
         out |= {f"{field}@{j}" for field in ("encoder_bias", "stiffness", "quadratic_damping") for j in self.joints}
         out |= {"base_roll", "base_pitch"}
-        out |= {f"armature@{j}" for j in self.joints if j not in joints}
+        out |= {f"armature@{j}" for j in self.joints if j not in self.tree.tree.driven}
+        if self.tree.tree.floats:
+            out |= {f"{field}@{j}" for field in ("damping", "frictionloss") for j in ANGLES}
         law = ("kp", "kd", "ki", "lowest", "highest", "delay", "timeconst")
         return frozenset(out | {f"{field}@{j}" for field in law for j in joints} - fitted)
 
@@ -275,7 +278,7 @@ class Robot(Staged):
         """Gravity and the base's own motion (`RIDE`), turned about its origin, in its frame."""
         offset = jnp.stack([jnp.asarray(self.base_roll), jnp.asarray(self.base_pitch), jnp.asarray(self.base_yaw)])
         angles, rates = ride[:3] + offset, ride[3:6]
-        w, wd = jax.jvp(_angular_velocity, (angles, rates), (rates, ride[6:]))
+        w, wd = jax.jvp(dynamics.angular_velocity, (angles, rates), (rates, ride[6:]))
         fall = self._fall(tuple(angles))
         zero = 0.0 * w[0]
         return dynamics.Base(tuple(w), tuple(wd), tuple(zero - f for f in fall))  # type: ignore[arg-type]
@@ -319,6 +322,8 @@ class Robot(Staged):
         E = dynamics.frames(plan, body, q - np.array(self.reference))
         M = dynamics.mass_matrix(plan, body, E) + jnp.diag(jnp.asarray(self.armature))
         bias = dynamics.inverse_dynamics(plan, body, E, base, qd, jnp.zeros_like(qd)) + self._spring(q)
+        if self.tree.tree.floats:
+            M, bias = without_slides(M, bias)
         if self.coupling is None:
             return M, bias
         S = np.array(self.coupling)
@@ -326,6 +331,8 @@ class Robot(Staged):
 
     def inverse(self, q, qd, qdd):
         """Joint torque of a motion [nq], dissipation excluded."""
+        if self.tree.tree.floats:
+            return super().inverse(q, qd, qdd)
         body, base = self._worked_out()
         plan = plan_of(self.parent)
         q, qd, qdd = self.all_joints(q - self.encoder_bias), self.all_joints(qd, True), self.all_joints(qdd, True)
@@ -335,6 +342,8 @@ class Robot(Staged):
 
     def drive(self, signature, u, q, qd):
         tau = u[: q.shape[0]] if signature.inputs else jnp.zeros_like(q)
+        if self.tree.tree.floats and signature.inputs:  # nothing drives the angles of the base
+            tau = jnp.concatenate([u[: q.shape[0] - 3], jnp.zeros(3, u.dtype)])
         if self.rides and signature.inputs:
             tau = tau - self._carried(u[-len(RIDE) :], q, qd)
         return tau - self.cubic_damping * qd**3 if np.any(self.tree.tree.damping[:, 2]) else tau
@@ -382,13 +391,6 @@ class Robot(Staged):
 
     def _with(self, field: str, value: Any) -> Robot:
         return eqx.tree_at(lambda m: getattr(m, field), self, value, is_leaf=lambda x: x is None)
-
-
-def _angular_velocity(angles: Float[Array, " 3"], rates: Float[Array, " 3"]) -> Float[Array, " 3"]:
-    """Of a frame turned by Rz(yaw) Ry(pitch) Rx(roll), in itself."""
-    (sr, cr), (sp, cp) = sincos(angles[0]), sincos(angles[1])
-    roll, pitch, yaw = rates
-    return jnp.stack([roll - yaw * sp, pitch * cr + yaw * sr * cp, yaw * cr * cp - pitch * sr])
 
 
 def default_tree() -> Tree:

@@ -81,11 +81,10 @@ def test_starts_of_runs_are_eliminated(joint):
     assert np.allclose((J.T @ r)[:n], g[:n] - H[:n, n:] @ np.linalg.solve(H[n:, n:], g[n:]), rtol=1e-6)
 
 
-@pytest.mark.parametrize(
-    "setting", [{"forgetting": 0.5}, {"window": 2}, {"window": 2, "fitter": "rde(popsize=20, generations=30)"}]
-)
-def test_it_follows_a_change_at_a_constant_cost(joint, setting):
-    found = along(joint, **setting)
+@pytest.mark.parametrize("fitter", ["lm", "rde(popsize=20, generations=30)"])
+@pytest.mark.parametrize("setting", [{"forgetting": 0.5}, {"window": 2}])
+def test_it_follows_a_change_at_a_constant_cost(joint, setting, fitter):
+    found = along(joint, fitter=fitter, **setting)
     inertia = np.array([s.parameters["inertia"][0] for s in found.recursion])
     t = np.array([s.t for s in found.recursion])
     assert np.all(np.abs(inertia[(t > 4) & (t < CHANGE)] - 0.08) < 0.003)
