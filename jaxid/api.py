@@ -22,6 +22,7 @@ from jaxid.fitting.result import Fit
 from jaxid.fitting.settings import fitter_of
 from jaxid.fitting.simulation import Simulation
 from jaxid.problem.binding import bind, Binding
+from jaxid.problem.momentum import Momentum, told_by
 from jaxid.problem.problem import LOSSES
 from jaxid.problem.residual import InverseDynamics, Residual, RESIDUALS
 from jaxid.robots.limbs import each, effects_at, limbs_of
@@ -109,6 +110,8 @@ def _fit(
     chosen = resolve_fitter(fitter, loss)
     residual = residual or getattr(chosen, "residual_name", None)
     resolved = resolve_residual(residual)
+    if isinstance(resolved, Momentum):
+        binding = replace(binding, free=told_by(binding.layout, binding.free))
     if along is not None:
         from jaxid.fitting.recursion import fit_recursively
 
@@ -277,13 +280,13 @@ def resolve_residual(residual: Residual | str | None, cutoff_hz: float | None = 
     """The residual that is meant; `cutoff_hz` is that of `inverse_dynamics`. Raises `UsageError` for one that does not exist."""
     if cutoff_hz is not None:
         name = residual if isinstance(residual, str | None) else residual.name
-        if name != InverseDynamics.name:
+        if name not in (InverseDynamics.name, Momentum.name):
             raise UsageError(
-                "a cutoff is the low-pass of inverse_dynamics: give residual='inverse_dynamics' (--residual) with it"
+                "a cutoff is the low-pass of inverse_dynamics (and momentum): give residual='inverse_dynamics' (--residual) with it"
             )
         if not cutoff_hz > 0:
             raise UsageError(f"a cutoff of {cutoff_hz:g} Hz is none; give one above 0")
-        return InverseDynamics(cutoff_hz=cutoff_hz)
+        return RESIDUALS[name or InverseDynamics.name](cutoff_hz=cutoff_hz)  # type: ignore[call-arg]
     if isinstance(residual, str):
         import_module("jaxid.problem.closed_loop")  # which enters its own
         import_module("jaxid.problem.frequency_response")

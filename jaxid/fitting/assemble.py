@@ -19,6 +19,7 @@ from jaxid.fitting.scores import free_runs, lost, make_traces, response_scores, 
 from jaxid.fitting.stated import Stated, stated_numbers
 from jaxid.problem.binding import Binding
 from jaxid.problem.frequency_response import FrequencyResponseError
+from jaxid.problem.momentum import Momentum
 from jaxid.problem.problem import Problem
 from jaxid.problem.residual import InverseDynamics, MultipleShooting, Residual
 from jaxid.robots import yardstick
@@ -134,7 +135,7 @@ def assemble(
     if is_robot(binding.chain.mechanism):
         rows = yardstick.stated(binding, found)
         notes += yardstick.sentences(rows, binding.chain.mechanism.tree.tree)  # type: ignore[attr-defined]
-        joints = yardstick.per_joint(bench, table, residual if isinstance(residual, InverseDynamics) else None, problem.free)
+        joints = () if isinstance(residual, Momentum) else yardstick.per_joint(bench, table, residual if isinstance(residual, InverseDynamics) else None, problem.free)
         stated = tuple(Stated(**row) for row in rows)
     else:
         stated = stated_numbers(binding, found)

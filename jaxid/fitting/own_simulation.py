@@ -22,6 +22,7 @@ SIMULATIONS = {
     "closed_loop": "closed_loop",
     "inverse_dynamics": "inverse_dynamics",
     "frequency_response": "frequency_response",
+    "momentum": "momentum",
 }
 
 
