@@ -25,6 +25,7 @@ from jaxid.problem.binding import bind, Binding
 from jaxid.problem.momentum import Momentum, told_by
 from jaxid.problem.problem import LOSSES
 from jaxid.problem.residual import InverseDynamics, Residual, RESIDUALS
+from jaxid.robots.floating import refuse_diagnosis
 from jaxid.robots.limbs import each, effects_at, limbs_of
 from jaxid.runtime import Interrupted
 
@@ -144,6 +145,8 @@ def diagnose(
     """
     from jaxid.diagnosis.limbs import diagnose_each
     from jaxid.diagnosis.run import run_diagnosis
+
+    refuse_diagnosis(dataset)
     from jaxid.diagnosis.torque.reference import Reference
 
     if len(limbs := limbs_of(model, dataset)) > 1:
@@ -282,7 +285,7 @@ def resolve_residual(residual: Residual | str | None, cutoff_hz: float | None = 
         name = residual if isinstance(residual, str | None) else residual.name
         if name not in (InverseDynamics.name, Momentum.name):
             raise UsageError(
-                "a cutoff is the low-pass of inverse_dynamics (and momentum): give residual='inverse_dynamics' (--residual) with it"
+                "a cutoff is the low-pass of inverse_dynamics and momentum: give residual='inverse_dynamics' (--residual) with it"
             )
         if not cutoff_hz > 0:
             raise UsageError(f"a cutoff of {cutoff_hz:g} Hz is none; give one above 0")

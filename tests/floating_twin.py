@@ -1,4 +1,4 @@
-"""A craft with an arm, a reaction wheel and a rail on a base that floats: its file, and its motion by MuJoCo with a free joint."""
+"""A craft with an arm, a reaction wheel and a rail on a base that floats: its file, and its motion by MuJoCo."""
 
 from __future__ import annotations
 
@@ -16,8 +16,8 @@ ANGLES = ("base_roll", "base_pitch", "base_yaw")
 TEXT = """<mujoco><option gravity="0 0 {gravity}" integrator="RK4" timestep="{step}"/><worldbody>
 <body name="craft" pos="0.3 -0.2 1.1" quat="0.8 0.2 -0.4 0.3"><freejoint name="root"/>
 <inertial pos="0.05 -0.02 0.03" mass="7" fullinertia="0.4 0.5 0.3 0.02 -0.03 0.01"/>
-<body name="a1" pos="0.3 0.1 0.2" quat="0.9 0.1 0.3 -0.2"><joint name="j1" axis="0.2 0.9 0.1" armature="0.01" damping="{damping}"/>
-<inertial pos="0.1 0.02 0" mass="1.5" fullinertia="0.02 0.03 0.025 0.001 0.002 -0.001"/>
+<body name="a1" pos="0.3 0.1 0.2" quat="0.9 0.1 0.3 -0.2"><joint name="j1" axis="0.2 0.9 0.1" armature="0.01"
+damping="{damping}"/><inertial pos="0.1 0.02 0" mass="1.5" fullinertia="0.02 0.03 0.025 0.001 0.002 -0.001"/>
 <body name="a2" pos="0.4 0 0.05"><joint name="j2" axis="0 0 1" pos="0.02 0.01 0" damping="{damping}"/>
 <inertial pos="0.15 0 0.03" mass="{mass}" fullinertia="0.01 0.015 0.012 0 0 0"/></body></body>
 <body name="wheel" pos="-0.1 0 0.1"><joint name="w1" axis="0 0 1"/>

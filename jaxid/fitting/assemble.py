@@ -135,7 +135,11 @@ def assemble(
     if is_robot(binding.chain.mechanism):
         rows = yardstick.stated(binding, found)
         notes += yardstick.sentences(rows, binding.chain.mechanism.tree.tree)  # type: ignore[attr-defined]
-        joints = () if isinstance(residual, Momentum) else yardstick.per_joint(bench, table, residual if isinstance(residual, InverseDynamics) else None, problem.free)
+        joints = (
+            ()
+            if isinstance(residual, Momentum)
+            else yardstick.per_joint(bench, table, residual if isinstance(residual, InverseDynamics) else None, problem.free)
+        )
         stated = tuple(Stated(**row) for row in rows)
     else:
         stated = stated_numbers(binding, found)

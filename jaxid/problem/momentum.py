@@ -1,9 +1,9 @@
 """Angular momentum as a residual: what a robot on a free base keeps, whatever its drives do; neither torque nor acceleration.
 
 About the centre of mass of all and in the world's axes the angular momentum L(q, qd) is the same at all times, zero or not. With
-(p_roll, p_pitch, p_yaw) the rows of the base's angles in M_R qd (`robots.floating`) and a_i the axes of these angles in the world,
-p_i = a_i . L. The residual is L at the measured motion less its mean over the run, N m s, so that the momentum itself need not be
-known. It is homogeneous in all inertias: what is known of the base gives the scale.
+(p_roll, p_pitch, p_yaw) the rows of the base's angles in M_R qd (`robots.floating`) and a_i the axes of these angles in the
+world, p_i = a_i . L. The residual is L at the measured motion less its mean over the run, N m s, so that the momentum itself
+need not be known. It is homogeneous in all inertias: what is known of the base gives the scale.
 """
 
 from __future__ import annotations
@@ -116,8 +116,8 @@ def told_by(layout: Layout, free: Sequence[int]) -> list[int]:
     own = [i for i in free if layout.entries[i].name.split("@")[0] in BODY]
     if not own:
         raise UsageError(
-            "momentum tells of bodies, and no number of one is fitted: name those of the unknown body under [model.parameters], as in "
-            '"mass@LINK" = {}, "com_x@LINK" = {}'
+            "momentum tells of bodies, and no number of one is fitted: name those of the unknown body under [model.parameters], "
+            'as in "mass@LINK" = {}, "com_x@LINK" = {}'
         )
     return own
 

@@ -47,14 +47,16 @@ def floating(tree: Tree) -> Tree:
     if len(bodies) > 1:
         raise UsageError(f"{tree.file}: {len(bodies)} bodies of it are free to move; one base can float: take the others out")
     if taken := [n for n in FLOATS if n in tree.joints]:
-        raise UsageError(f"{tree.file}: a joint is called {taken[0]!r}, which is the name of a coordinate of a free base: rename it")
+        raise UsageError(
+            f"{tree.file}: a joint is called {taken[0]!r}, which is the name of a coordinate of a free base: rename it"
+        )
     root = np.array(tree.root).reshape(4, 4)
     into = np.linalg.inv(root)
     trunk = turned(np.array(tree.trunk), into)
     if not trunk[9] > 0:
         raise UsageError(
-            f'{tree.file}: [model.base] kind = "free" needs mass and inertia of the base ({tree.carrier}), and the file states none: '
-            "add its <inertial>"
+            f'{tree.file}: [model.base] kind = "free" needs mass and inertia of the base ({tree.carrier}), which it '
+            "does not state: add its <inertial>"
         )
     six = lambda a, fill=0.0: np.concatenate([np.full((6, *a.shape[1:]), fill), a])
     place = np.concatenate([np.tile(np.eye(4), (6, 1, 1)), tree.place])
@@ -96,8 +98,8 @@ def refuse_unmeasured(tree: Tree, dataset: Dataset) -> None:
     outputs = [c.name for c in dataset.outputs]
     if lacking := [a for a in ANGLES if a not in outputs]:
         raise UsageError(
-            f"a free base needs its attitude as outputs {', '.join(ANGLES)} (rad; Rz(yaw) Ry(pitch) Rx(roll) of its body's frame in "
-            f"the world, unwrapped), and {', '.join(lacking)} is missing: record it, or give it role = \"output\""
+            f"a free base needs its attitude as outputs {', '.join(ANGLES)} (rad; Rz(yaw) Ry(pitch) Rx(roll) of its body's frame "
+            f'in the world, unwrapped), and {", ".join(lacking)} is missing: record it, or give it role = "output"'
         )
     at = outputs.index("base_pitch")
     for e in dataset.experiments:
@@ -109,7 +111,7 @@ def refuse_unmeasured(tree: Tree, dataset: Dataset) -> None:
             )
 
 
-def refuse_diagnosis(model: object, dataset: Dataset) -> None:
+def refuse_diagnosis(dataset: Dataset) -> None:
     """Raises `UsageError` where a diagnosis is asked for of a robot on a free base."""
     if wanted(dataset):
         raise UsageError(

@@ -295,8 +295,8 @@ def _placed(robot: Any, spec: ModelSpec | None) -> Any:
     if kind == "free":
         if base:
             raise UsageError(
-                f'[model.base] {next(iter(base))}: a base of kind = "free" is where its attitude channels (base_roll, base_pitch, '
-                "base_yaw) show it; leave the angle out"
+                f'[model.base] {next(iter(base))}: a base of kind = "free" is where its channels base_roll, base_pitch and '
+                "base_yaw show it; leave the angle out"
             )
         return robot
     return with_fields(robot, {f"base_{k}": np.float64(v) for k, v in base.items()})

@@ -131,7 +131,12 @@ class _Reader:
         m, mj = self.m, self.mj
         joints, links, parent, slides, axis, place, inertia, anchor, number = [], [], [], [], [], [], [], [], []
         carrier = {0: (-1, np.eye(4))}  # body -> (node that carries it, its frame there)
-        trunk, root, free, base = np.zeros(10), np.eye(4), [0], "world"  # of what the base is: all of the world, or the first free body
+        trunk, root, free, base = (
+            np.zeros(10),
+            np.eye(4),
+            [0],
+            "world",
+        )  # of what the base is: all of the world, or the first free body
         for b in range(1, m.nbody):
             node, T = carrier[int(m.body_parentid[b])]
             T = T @ pose(m.body_pos[b], m.body_quat[b])

@@ -57,7 +57,8 @@ def read_urdf_tree(path: str | Path, text: str | None = None) -> Tree:
         tuple(j.kind == "prismatic" for j in joints), np.array([j.axis for j in joints]), np.array([T for _, _, T in nodes]),
         zero, np.array(bodies), np.zeros((len(joints), 3)), zero, damping, dissipation[:, 1].copy(), zero, zero,
         limits[0], limits[1], limits[2], limits[3], _couplings(path, joints), base=base,
-        trunk=tuple(trunk.tolist()), carrier=base, impossible=tuple(f for name, phi in robot.inertia.items() if (f := fault(name, phi))),
+        trunk=tuple(trunk.tolist()), carrier=base,
+        impossible=tuple(f for name, phi in robot.inertia.items() if (f := fault(name, phi))),
     )  # fmt: skip
 
 
