@@ -93,15 +93,15 @@ def test_a_urdf_with_bodies_fixed_to_its_base(tmp_path):
 def test_a_rollout_is_mujocos():
     """Two seconds of `ode()` by Runge and Kutta with MuJoCo's own step, spinning all the while."""
     robot = craft()
-    u, h = torques(T, 1), 0.0025
-    seen = motion(T, u, START, inside=4)
+    u, h = torques(T, 1), 0.0005
+    seen = motion(T, u, START, inside=20)
     q = np.concatenate([START[1], START[0]])
     qd = np.concatenate([START[3], rates_of(START[0], START[2])])
     ode = robot.ode(smoothing_velocity=1e-3)
     with float64():
 
         def step(y, k):
-            args = (None, lambda t: jnp.asarray(u)[k // 4])
+            args = (None, lambda t: jnp.asarray(u)[k // 20])
             slope = lambda y: ode(0.0, y, args)
             add = lambda y, s, d: jax.tree.map(lambda a, b: a + s * b, y, d)
             k1 = slope(y)
@@ -111,8 +111,8 @@ def test_a_rollout_is_mujocos():
             new = jax.tree.map(lambda a, b, c, d, e: a + h / 6 * (b + 2 * c + 2 * d + e), y, k1, k2, k3, k4)
             return new, y[0]
 
-        found = jax.jit(lambda y: jax.lax.scan(step, y, jnp.arange(4 * len(T)))[1])(ode.y0(q, qd))
-    assert np.abs(np.asarray(found)[::4] - seen).max() < 1e-8
+        found = jax.jit(lambda y: jax.lax.scan(step, y, jnp.arange(20 * len(T)))[1])(ode.y0(q, qd))
+    assert np.abs(np.asarray(found)[::20] - seen).max() < 1e-8
 
 
 def test_momentum_is_conserved_and_mujocos():
@@ -205,7 +205,7 @@ def test_what_is_not_taken_is_said(runs):
     with pytest.raises(jaxid.UsageError, match="leave the angle out"):
         resolve_model(None, angle)
     fixed = replace(data, model=replace(data.model, base={"kind": "fixed"}))
-    with pytest.raises(jaxid.UsageError, match="base_roll"):
+    with pytest.raises(jaxid.UsageError, match='kind = "free"'):
         resolve_model(None, fixed)
     keep = [k for k, c in enumerate(data.outputs) if c.name != "base_yaw"]
     blind = replace(

@@ -278,6 +278,7 @@ def _held_friction(chain: Chain, layout: Layout, free: list[int], fixed: set[int
         if not isinstance(effect, JointEffect):
             continue
         own = [i for i, e in enumerate(layout.entries) if e.owner == k and i in fixed and i not in free and not e.spec.fixed]
+        own = [i for i in own if layout.entries[i].location not in robots.ANGLES]  # nothing brakes a base that floats
         if own and any(i in free for i, e in enumerate(layout.entries) if e.owner == k):
             names = wording.listed([layout.names[i] for i in own])
             values = wording.listed([f"{v:g}" for v in dict.fromkeys(theta[own].tolist())])

@@ -19,7 +19,7 @@ from jaxid.dynamics.parameter import with_fields
 from jaxid.errors import nearest, UsageError
 from jaxid.robots.beside import as_inputs, left_out, rides, with_base, with_rates
 from jaxid.robots.drives import file_law, stated_law
-from jaxid.robots.floating import floating, refuse_unmeasured, wanted
+from jaxid.robots.floating import ANGLES, floating, refuse_unmeasured, wanted
 from jaxid.robots.mjcf_text import expanded
 from jaxid.robots.tree import Tree
 
@@ -263,6 +263,11 @@ def recorded(tree: Tree, dataset: Dataset) -> tuple[Tree, tuple[str, ...]]:
             f'"{tree.leading[0]}"'
         )
     unknown = sorted(n for n in outputs - set(tree.joints) - {f"{j}_qd" for j in tree.joints})
+    if unknown and unknown[0] in ANGLES:
+        raise UsageError(
+            f'output {unknown[0]!r} is how the base turns: [model.base] kind = "free" compares it; of a base that is moved '
+            '(kind = "prescribed") give it role = "auxiliary"'
+        )
     if unknown:
         raise UsageError(
             f"output {unknown[0]!r} is no joint of {tree.file or 'the robot'}{nearest(unknown[0], tree.leading)}; map it under "

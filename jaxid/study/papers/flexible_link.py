@@ -197,7 +197,7 @@ def claims(de: Searched, ga: Searched, pso: Searched, tame: Searched) -> tuple[C
         judged("PSO has the highest dispersion", "", f"{widest} has the highest; {said(spreads)}", widest == "PSO"),
         judged(
             "GA has the highest mean", "",
-            f"{worst} has; PSO's inertia weight of 1.4 keeps it from converging, with 0.73 its mean is "
+            f"{worst} has; with an inertia weight of 0.73 in the place of 1.4 PSO's mean is "
             f"{number(float(np.mean(tame.losses)), 2)}",
             worst == "GA",
         ),
@@ -362,11 +362,10 @@ def bent(h: float) -> Part:
         "simulated response "
         f"{100 * off('simulated response', 'E'):+.1f} %",
         PARTLY if abs(off("linear response", "E")) > 0.1 else UNKNOWN,
-        "the paper's pulse is not stated; a hard one hides the dry friction",
+        "the paper's pulse is not stated",
     )  # fmt: skip
     text = (
-        f"After a pulse the hub sticks and the strip rings as if clamped: the estimated response peaks at "
-        f"{number(peak(f, np.abs(Y / U)))} "
-        f"Hz, the linear one at {number(peak(f, free))} Hz.",
+        f"The response that is estimated from a pulse with dry friction peaks at {number(peak(f, np.abs(Y / U)))} Hz, the linear "
+        f"one of the same link at {number(peak(f, free))} Hz.",
     )
     return Part("Dry friction in a frequency response", text, (table,), (picture,), (claim,))
