@@ -22,10 +22,10 @@ from jaxid.fitting.result import Fit
 from jaxid.fitting.settings import fitter_of
 from jaxid.fitting.simulation import Simulation
 from jaxid.problem.binding import bind, Binding
-from jaxid.problem.momentum import Momentum, told_by
+from jaxid.problem.momentum import Momentum
 from jaxid.problem.problem import LOSSES
 from jaxid.problem.residual import InverseDynamics, Residual, RESIDUALS
-from jaxid.robots.floating import refuse_diagnosis
+from jaxid.robots.floating import refuse_free
 from jaxid.robots.limbs import each, effects_at, limbs_of
 from jaxid.runtime import Interrupted
 
@@ -65,10 +65,10 @@ def fit(
     With a `window` (blocks) or `forgetting` (0 to 1, 1 forgets nothing) the fit goes along the fit runs block by block, of
     `block_s` seconds or as `recursion.in_blocks` cuts them, each at the same cost: see `jaxid.fitting.recursion`.
     """
+    from jaxid.fitting.recursion import in_blocks, Recursion
+
     along = None
     if window is not None or forgetting is not None or block_s is not None:
-        from jaxid.fitting.recursion import in_blocks, Recursion
-
         if window is None and forgetting is None:
             raise UsageError("blocks belong to a window or to forgetting: give one of them")
         along = Recursion(window, 1.0 if forgetting is None else forgetting, block_s)
@@ -111,8 +111,6 @@ def _fit(
     chosen = resolve_fitter(fitter, loss)
     residual = residual or getattr(chosen, "residual_name", None)
     resolved = resolve_residual(residual)
-    if isinstance(resolved, Momentum):
-        binding = replace(binding, free=told_by(binding.layout, binding.free))
     if along is not None:
         from jaxid.fitting.recursion import fit_recursively
 
@@ -146,7 +144,7 @@ def diagnose(
     from jaxid.diagnosis.limbs import diagnose_each
     from jaxid.diagnosis.run import run_diagnosis
 
-    refuse_diagnosis(dataset)
+    refuse_free("diagnose", dataset)
     from jaxid.diagnosis.torque.reference import Reference
 
     if len(limbs := limbs_of(model, dataset)) > 1:
@@ -229,6 +227,7 @@ def replay(dataset: Dataset, robot: str | Path, against: str | Path | None = Non
     """
     from jaxid.fitting.replay import run_replay
 
+    refuse_free("replay", dataset)
     return run_replay(dataset, Path(robot), None if against is None else Path(against))
 
 

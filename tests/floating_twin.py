@@ -6,10 +6,13 @@ from dataclasses import replace
 from typing import Any
 
 import numpy as np
+import pytest
 
 from jaxid.data.dataset import Dataset, Geometry, ModelSpec, ParameterPrior
 from jaxid.robots.tree import roll_pitch_yaw, rotation
 
+
+mujoco: Any = pytest.importorskip("mujoco")
 
 JOINTS = ("j1", "j2", "w1", "s1")
 ANGLES = ("base_roll", "base_pitch", "base_yaw")
@@ -33,8 +36,6 @@ def text(gravity: float = 0.0, step: float = 1e-3, damping: float = 0.0, mass: f
 
 def placed(data: Any, angles: np.ndarray, q: np.ndarray, spin: np.ndarray, qd: np.ndarray) -> None:
     """MuJoCo's data with the base turned by (roll, pitch, yaw), spinning at `spin` rad/s in its own frame."""
-    import mujoco
-
     quaternion = np.zeros(4)
     mujoco.mju_mat2Quat(quaternion, rotation(*angles).ravel())
     data.qpos[:3], data.qpos[3:7], data.qpos[7:] = (0.4, 0.1, -0.3), quaternion, q
@@ -42,8 +43,6 @@ def placed(data: Any, angles: np.ndarray, q: np.ndarray, spin: np.ndarray, qd: n
 
 
 def angles_of(quaternion: np.ndarray) -> np.ndarray:
-    import mujoco
-
     R = np.zeros(9)
     mujoco.mju_quat2Mat(R, quaternion)
     return np.array(roll_pitch_yaw(R.reshape(3, 3)))
@@ -53,8 +52,6 @@ def motion(
     t: np.ndarray, torque: np.ndarray, start: tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray], inside: int = 4, **file: Any
 ) -> np.ndarray:
     """Joints and unwrapped angles [time 7] under torque [time 4] that is held from sample to sample; `inside` steps each."""
-    import mujoco
-
     model = mujoco.MjModel.from_xml_string(text(step=float(t[1] - t[0]) / inside, **file))
     data = mujoco.MjData(model)
     placed(data, *start)

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 import pytest
 
@@ -14,7 +16,7 @@ from jaxid.data.io import save_dataset  # noqa: E402
 from jaxid.errors import UsageError  # noqa: E402
 from jaxid.identification.regression import every_row, LAWS, read_run  # noqa: E402
 from jaxid.identification.run import identify  # noqa: E402
-from jaxid.problem.binding import resolve_model  # noqa: E402
+from jaxid.problem.binding import bind, resolve_model  # noqa: E402
 from jaxid.problem.torque_filter import drive_gains  # noqa: E402
 from test_identification import excitation, LOAD, NOISE, recording, torque  # noqa: E402
 
@@ -38,7 +40,7 @@ def loaded():
 
 def test_the_recursion_is_the_ridge_regression_that_is_printed(empty, loaded):
     """(7) to (11) minimise |tau - W theta|^2 / 100 + |theta - unloaded|^2 / 10, solved here at once."""
-    found = identify(None, loaded, method="paper001", reference=empty)
+    found: Any = identify(None, loaded, method="paper001", reference=empty)
     assert found.law == "power" and np.array_equal(found.exponents, empty.exponents)
     W, tau = rows_of(loaded, "power", empty.exponents)
     A, b = W.reshape(-1, W.shape[2]), tau.ravel()
@@ -51,7 +53,7 @@ def test_the_recursion_is_the_ridge_regression_that_is_printed(empty, loaded):
 
 
 def test_algorithm_1_on_the_same_trajectory(empty, loaded):
-    found = identify(None, loaded, method="algorithm1", reference=empty).payload
+    found: Any = identify(None, loaded, method="algorithm1", reference=empty).payload
     assert abs(found.mass[0] - LOAD[9]) < 4 * found.mass[1] + 1e-3 and found.mass[1] < 0.2
     assert found.phi.shape == (10,) and found.published is None
 
@@ -77,7 +79,7 @@ def poses(load: np.ndarray | None, seed: int) -> Dataset:
 
 
 def test_algorithm_2_on_static_poses(empty):
-    found = identify(None, poses(LOAD, 3), method="algorithm2", reference=empty).payload
+    found: Any = identify(None, poses(LOAD, 3), method="algorithm2", reference=empty).payload
     assert abs(found.mass[0] - LOAD[9]) < 4 * found.mass[1] + 0.02
     assert np.isnan(found.phi[:6]).all() and found.rows == 4
     assert abs(found.com()[2][0] - LOAD[8] / LOAD[9]) < 4 * found.com()[2][1] + 0.02
@@ -85,17 +87,15 @@ def test_algorithm_2_on_static_poses(empty):
 
 def test_exponents_are_fitted_where_asked_for(empty):
     """A fit holds them and says so; named, they are fitted."""
-    import jaxid
-
     data = recording(None, 0.02, 1)
     start = {f"exponent{j + 1}": 1.0 for j in range(6)}
     chain = resolve_model("ur10", data)
-    held = jaxid.problem.binding.bind(chain, data)
+    held = bind(chain, data)
     assert not any("exponent" in held.layout.names[i] for i in held.free)
     assert any("held and not fitted: exponent1" in text for text in held.said)
-    one = jaxid.problem.binding.bind(chain, data, effects=["power_law_friction@q3"])
+    one = bind(chain, data, effects=["power_law_friction@q3"])
     assert [held.layout.names[i] for i in one.free if i not in held.free] == ["exponent3"]
-    every = jaxid.problem.binding.bind(chain, data, effects=["power_law_friction"])
+    every = bind(chain, data, effects=["power_law_friction"])
     assert {every.layout.names[i] for i in every.free if i not in held.free} == set(start)
     assert not any("held and not fitted" in text for text in every.said)
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from dataclasses import replace
 
 import jax
 import numpy as np
@@ -11,7 +12,7 @@ import pytest
 import jaxid
 from jaxid import fitters
 from jaxid.cli.app import main
-from jaxid.data.dataset import Dataset, ModelSpec
+from jaxid.data.dataset import Dataset, ModelSpec, ParameterPrior
 from jaxid.data.io import save_dataset
 from jaxid.fitting.problem_builder import Bench
 from jaxid.fitting.recursion import absorbed, in_blocks
@@ -100,9 +101,9 @@ def test_growing_data_stay_between(joint):
 
 def test_a_prior_counts_once(joint):
     """A prior is what is known before the first block, and not anew in each."""
-    known = jaxid.data.dataset.ParameterPrior(prior={"mean": 0.12, "std": 0.02})
+    known = ParameterPrior(prior={"mean": 0.12, "std": 0.02})
     spec = ModelSpec("joint", without=("coulomb_friction", "constant_torque"), parameters={"inertia": known})
-    plain, told = (along(d, forgetting=1.0) for d in (joint, jaxid.data.dataset.replace(joint, model=spec)))
+    plain, told = (along(d, forgetting=1.0) for d in (joint, replace(joint, model=spec)))
     assert told.parameters["inertia"].value == pytest.approx(plain.parameters["inertia"].value, abs=2e-3)
 
 

@@ -165,11 +165,13 @@ def _number(name: str, value: Any) -> float:
 def _motion(chain, bounds, t, plan, criterion, friction, starts, iterations, floor, radius, progress) -> Excitation:
     arm: Any = chain.mechanism
     n, harmonics = chain.nq, plan["harmonics"]
+    inertial = 0  # columns of inertia
     if hasattr(arm, "base"):
         exponents = [np.asarray(e.exponent, float) for e in chain.effects if e.name == "power_law_friction"]
         levels = [np.asarray(e.coefficient, float) for e in chain.effects if e.name == "power_law_friction"]
         law = LAWS["power"]._replace(nonlinear=False) if friction == "model" else LAWS[friction]
         base = arm.base()
+        inertial = len(base.kept)
         exponent = exponents[0] if exponents else np.ones(n)
         task = ArmTask(arm, exponent, levels[0] if levels else np.ones(n), tuple(int(i) for i in base.kept), law)
         names = names_of(base, law, n) + ([f"exponent{j + 1}" for j in range(n)] if law.nonlinear else [])
@@ -186,7 +188,7 @@ def _motion(chain, bounds, t, plan, criterion, friction, starts, iterations, flo
         weight = 1 / noise
     groups = ()
     if criterion == "paper001":
-        weight, groups = 1 / noise, column_groups(names, len(base.kept))
+        weight, groups = 1 / noise, column_groups(names, inertial)
     setting = Setting(bounds, weight, geometry, radius, floor, omega, links, criterion, GRID * harmonics, groups)
     found = optimise(task, setting, harmonics, starts, plan["seed"], iterations, progress)
     fine = np.linspace(0, 2 * np.pi / omega, 200 * harmonics + 1)

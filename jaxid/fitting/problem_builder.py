@@ -13,6 +13,7 @@ from jaxid.fitting.least_squares import descend
 from jaxid.fitting.scale_free import shrinking
 from jaxid.problem.binding import Binding
 from jaxid.problem.frequency_response import FrequencyResponseError
+from jaxid.problem.momentum import Momentum, told_by
 from jaxid.problem.problem import Problem
 from jaxid.problem.residual import InverseDynamics, MultipleShooting, OutputError, Residual, Runs
 from jaxid.simulation import sample_buffers as samples
@@ -107,6 +108,8 @@ class Bench:
                 f"inverse_dynamics compares torques, and {', '.join(b.layout.names[i] for i in sorted(own))} make the torque: "
                 "the smaller, the less is left. Take them out of [controller] fit, or use the residual output_error"
             )
+        if isinstance(residual, Momentum) and len(free):
+            free = told_by(b.layout, list(free))
         runs = self.runs(residual, split)
         priors = b.priors if "fit" in split.split("+") else None  # they count once
         p = Problem(runs, theta, free, b.lower, b.upper, records, loss, b.scale, self.differences, priors)

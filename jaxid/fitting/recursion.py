@@ -104,24 +104,20 @@ def absorbed(known: Known, problem: Problem, z: np.ndarray, forgetting: float = 
     its runs are eliminated, not carried on."""
     n, size = problem.free.size, problem.size
     values = problem.theta(z)[problem.free]
-    R, slope = np.zeros((0, size + 1)), np.ones(size)
+    R: Any = np.zeros((0, size + 1))
+    slope = np.ones(size)
     slope[:n] = problem.dtheta(z)
     order = [*range(n, size), *range(n)]  # starts first: the triangle below them is free of them
     for part in rows([(problem, z)], pieces=True):
         J = np.zeros((part.r.size, size))
         J[:, part.z_columns] = part.J.reshape(part.r.size, -1)
         R = np.linalg.qr(np.concatenate([R, np.column_stack([(J / slope)[:, order], part.r.ravel()])]), "r")
-    own = R[size - n : size, size - n :] if len(R) >= size else _below(R, size, n)
+    own = R[min(size - n, len(R)) : size, size - n :]  # below the starts; of fewer rows than columns what there is
     weight = np.sqrt(forgetting)
     before = np.column_stack([known.R, known.R @ (values - known.mean) + known.e])
-    both = weight * np.linalg.qr(np.concatenate([before, own]), "r")
+    both: Any = weight * np.linalg.qr(np.concatenate([before, own]), "r")
     both = np.concatenate([both, np.zeros((max(0, n - len(both)), n + 1))])[:n]
     return Known(values, both[:, :n], both[:, n])
-
-
-def _below(R: np.ndarray, size: int, n: int) -> np.ndarray:
-    """The rows free of the starts of a triangle of fewer rows than columns."""
-    return R[min(size - n, len(R)) :, size - n :]
 
 
 def fit_recursively(
@@ -154,18 +150,18 @@ def fit_recursively(
         raise UsageError(
             f"{residual.name} divides runs by itself: use output_error or inverse_dynamics with a window or forgetting"
         )
-    found: list[tuple[Problem, Minimum]] = []
+    found: list[tuple[Any, Any]] = []
 
-    def problems() -> Iterator[Problem]:
+    def problems() -> Iterator[Any]:
         if recursion.window is not None:
-            for k, part in enumerate(stretches(whole, 1, recursion.window, recursion.forgetting)):
-                found.append((part, None))  # type: ignore[arg-type, unused-ignore]
+            for part in stretches(whole, 1, recursion.window, recursion.forgetting):
+                found.append((part, None))
                 yield part
             return
         known = whole.known
         for k in range(whole.pieces):
             part = whole.part([k], [1.0])
-            found.append((part.knowing(known), None))  # type: ignore[arg-type, unused-ignore]
+            found.append((part.knowing(known), None))
             yield found[-1][0]
             known = absorbed(known, part, found[-1][1].z, recursion.forgetting)
 

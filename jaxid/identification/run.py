@@ -42,6 +42,7 @@ from jaxid.identification.stated import answered
 from jaxid.problem.binding import resolve_model
 from jaxid.problem.torque_filter import drive_gains
 from jaxid.robots.arms import as_arm
+from jaxid.robots.floating import refuse_free
 from jaxid.robots.origin import origin_on
 
 
@@ -87,6 +88,7 @@ def identify(
         raise UsageError(f"there is no friction law {friction!r}{nearest(friction, (*LAWS, 'auto'))}")
     if motion not in MOTIONS:
         raise UsageError(f"there is no motion {motion!r}{nearest(motion, MOTIONS)}")
+    refuse_free("identify", dataset)
     dataset = commanded(dataset) if motion == "commanded" else dataset
     dataset = (checked := run_check(model, dataset, (), as_recorded)).mended or dataset
     robot = origin_on(model, dataset)
@@ -109,9 +111,10 @@ def identify(
 
     before = None if reference is None else read_reference(reference)
     tried = [friction] if friction != "auto" else list(LAWS)
-    if method in PAPER:
-        known = unloaded(before, method, base, chain.nq)
-    if method == "paper001":  # the friction law of the unloaded arm, its exponents kept
+    known = unloaded(before, method, base, chain.nq) if method in PAPER else None
+    met: float | None = None
+    solved: dict[str, Any]
+    if known is not None and method == "paper001":  # the friction law of the unloaded arm, its exponents kept
         tried = [known[0].name]
         theta, P, met = as_printed(runs, *known, base)
         plain = _solve(known[0], runs, None, "wls", chain, base, known[1])
@@ -159,7 +162,7 @@ def identify(
         payload = replace(payload, converged_after_s=after)
     elif method == "paper001":
         payload = replace(payload, converged_after_s=met)
-    elif method in PAPER:
+    elif known is not None:
         spread = np.array(before["covariance"], float)[: len(known[2]), : len(known[2])]
         payload = by_algorithm(method, runs, arm, *known, spread, gain_std)
     return Identification(**{**result.__dict__, "payload": payload})

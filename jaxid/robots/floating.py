@@ -111,10 +111,10 @@ def refuse_unmeasured(tree: Tree, dataset: Dataset) -> None:
             )
 
 
-def refuse_diagnosis(dataset: Dataset) -> None:
-    """Raises `UsageError` where a diagnosis is asked for of a robot on a free base."""
+def refuse_free(command: str, dataset: Dataset) -> None:
+    """Raises `UsageError` for a command that takes no robot on a free base."""
     if wanted(dataset):
         raise UsageError(
-            'jaxid diagnose takes no robot on a free base ([model.base] kind = "free"): its effects are not sorted there. Fit it '
-            "(jaxid fit), identify it by its momentum (--residual momentum), or hold the base"
+            f'jaxid {command} takes no robot on a free base ([model.base] kind = "free"). Fit it (jaxid fit), identify it by its '
+            "momentum (jaxid fit --residual momentum) or simulate it; or state a base that is fixed"
         )
