@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from dataclasses import replace
 from pathlib import Path
 
@@ -97,8 +98,8 @@ def test_a_rollout_is_mujocos():
     seen = motion(T, u, START, inside=10)
     q = np.concatenate([START[1], START[0]])
     qd = np.concatenate([START[3], rates_of(START[0], START[2])])
-    ode = robot.ode(smoothing_velocity=1e-3)
     with float64():
+        ode = robot.ode(smoothing_velocity=1e-3)
 
         def step(y, k):
             args = (None, lambda t: jnp.asarray(u)[k // 10])
@@ -165,26 +166,28 @@ UNKNOWN = {"mass@a2": (1.6,), "com_x@a2": (0.1,), "com_y@a2": (0.05,)}
 TRUTH = {"mass@a2": 1.1, "com_x@a2": 0.15, "com_y@a2": 0.0}
 
 
-def test_identification_by_momentum(runs):
-    """Neither torque nor acceleration: the last body's mass and centre within their intervals, over five noises."""
+@pytest.mark.timeout(900)
+@pytest.mark.parametrize("seed", [0, pytest.param(1, marks=pytest.mark.slow), pytest.param(2, marks=pytest.mark.slow)])
+def test_identification_by_momentum(runs, seed):
+    """Neither torque nor acceleration: the last body's mass and centre within their intervals."""
     t, u, y = runs
-    errors = []
-    for seed in range(5):
-        data = recording(u, y, t, 1e-4, seed, numbers=UNKNOWN, damping=0.2)
-        data = replace(data, model=replace(spec_of(data), free=True))
-        blind = replace(
-            data,
-            channels=tuple(c for c in data.channels if c.role == "output"),
-            experiments=tuple(replace(e, u=np.zeros((len(e.t), 0))) for e in data.experiments),
-        )
-        fit = jaxid.fit(None, blind, residual="momentum", fitter="lm(restarts=0)")
-        assert set(fit.parameters) == set(TRUTH) and fit.simulation == "momentum"
-        errors += [(fit.parameters[k].value - v) / fit.parameters[k].std for k, v in TRUTH.items()]
-        assert abs(fit.parameters["mass@a2"].value - 1.1) < 0.05
-    assert np.abs(errors).max() < 4.5 and np.sqrt(np.mean(np.square(errors))) < 2
+    data = recording(u, y, t, 1e-4, seed, numbers=UNKNOWN, damping=0.2)
+    blind = replace(
+        data,
+        model=replace(spec_of(data), free=True),
+        channels=tuple(c for c in data.channels if c.role == "output"),
+        experiments=tuple(replace(e, u=np.zeros((len(e.t), 0))) for e in data.experiments),
+    )
+    fit = jaxid.fit(None, blind, residual="momentum", fitter="lm(restarts=0)")
+    assert set(fit.parameters) == set(TRUTH) and fit.simulation == "momentum"
+    for name, value in TRUTH.items():
+        found = fit.parameters[name]
+        assert found.std is not None and abs(found.value - value) < 3.5 * found.std
+    assert fit.parameters["mass@a2"].std < 0.03  # type: ignore[operator]
 
 
 @pytest.mark.slow
+@pytest.mark.timeout(900)
 def test_fit_and_simulate_take_it(runs, tmp_path: Path):
     """From a folder: simulated to 1e-8, and the last body and the friction found by torque within their intervals."""
     t, u, y = runs
@@ -192,13 +195,14 @@ def test_fit_and_simulate_take_it(runs, tmp_path: Path):
     folder = save_dataset(data, tmp_path / "craft")
     loaded = jaxid.load_dataset(folder)
     assert loaded.model is not None and loaded.model.base == {"kind": "free"}
-    found = jaxid.simulate(None, loaded, {"parameters": {}, "effects": []})
-    assert max(max(r.values()) for r in found.rmse) < 1e-8
+    run = jaxid.simulate(None, loaded, {"parameters": {}, "effects": []})
+    assert max(max(r.values()) for r in run.rmse) < 1e-8
     noisy = recording(u, y, t, 1e-4, numbers={"mass@a2": (1.6,)}, damping=0.1)
     fit = jaxid.fit(None, noisy, residual="inverse_dynamics", fitter="lm(restarts=0)")
     truth = {"mass@a2": 1.1, "damping@j1": 0.2, "damping@j2": 0.2, "damping@s1": 0.2}
     for name, value in truth.items():
-        assert abs(fit.parameters[name].value - value) < 4.5 * fit.parameters[name].std + 1e-3
+        found = fit.parameters[name]
+        assert found.std is not None and abs(found.value - value) < 4.5 * found.std + 1e-3
 
 
 def test_what_is_not_taken_is_said(runs):
@@ -229,6 +233,7 @@ def test_what_is_not_taken_is_said(runs):
         jaxid.fit(None, data, residual="momentum")
     with pytest.raises(jaxid.UsageError, match="of a robot on a free base"):
         jaxid.fit("pendulum", jaxid.load_dataset(Path(__file__).parents[1] / "examples" / "servo_pendulum"), residual="momentum")
-    bare = text().replace('<inertial pos="0.05 -0.02 0.03" mass="7" fullinertia="0.4 0.5 0.3 0.02 -0.03 0.01"/>', "")
+    bare = URDF.replace('<mass value="7"/>', '<mass value="0"/>').replace('<mass value="2"/>', '<mass value="0"/>')
+    bare = re.sub(r'ixx="0.[45]*" iyy="0.[35]*" izz="0.[35]*"', 'ixx="0" iyy="0" izz="0"', bare)
     with pytest.raises(jaxid.UsageError, match="needs mass and inertia of the base"):
-        floating(Robot.from_mjcf("craft.xml", text=bare).tree.tree)
+        floating(Robot.from_urdf("craft.urdf", text=bare).tree.tree)
