@@ -22,7 +22,7 @@ from jaxid.numerics.fast_math import sincos
 from jaxid.robots import dynamics
 from jaxid.robots.bodies import BODY, body_of, ten_numbers
 from jaxid.robots.channels import AT_TORQUE, GRAVITY, PLACE, RIDE, signature_of, torque
-from jaxid.robots.floating import ANGLES, without_slides
+from jaxid.robots.floating import ANGLES, based, without_slides
 from jaxid.robots.tree import roll_pitch_yaw, Stated, Tree, up_to
 
 from .effects import ActuatorLag, CoulombFriction, InputDelay, QuadraticDrag, ViscousFriction
@@ -162,21 +162,22 @@ class Robot(Staged):
         return type(self)(self.tree.tree, law=law, rides=self.rides)
 
     @classmethod
-    def from_mjcf(cls, path: str | Path, *, tip: str | None = None, text: str | None = None) -> Robot:
-        """The robot of an MJCF file; with `tip` only the joints up to that link move. Needs no meshes.
+    def from_mjcf(cls, path: str | Path, *, tip: str | None = None, text: str | None = None, free: bool = False) -> Robot:
+        """The robot of an MJCF file; with `tip` only the joints up to that link move. `free`: its base floats, and its angles
+        base_roll, base_pitch, base_yaw are the last joints. Needs no meshes.
 
         Raises `UsageError` for what is not a tree of hinge and slide joints with stated inertias, by name.
         """
         from jaxid.robots.mjcf import read_mjcf
 
-        return cls(up_to(read_mjcf(path, text), tip))
+        return cls(based(up_to(read_mjcf(path, text), tip), free))
 
     @classmethod
-    def from_urdf(cls, path: str | Path, *, tip: str | None = None, text: str | None = None) -> Robot:
-        """The robot of a URDF file; with `tip` only the joints up to that link move. Raises `UsageError` as `from_mjcf`."""
+    def from_urdf(cls, path: str | Path, *, tip: str | None = None, text: str | None = None, free: bool = False) -> Robot:
+        """The robot of a URDF file; `tip`, `free` and errors as of `from_mjcf`."""
         from jaxid.robots.urdf_tree import read_urdf_tree
 
-        return cls(up_to(read_urdf_tree(path, text), tip))
+        return cls(based(up_to(read_urdf_tree(path, text), tip), free))
 
     def limits(self) -> Any:
         """`lower`, `upper` (rad, m), `velocity` and `effort` [joints] of the joints that move by themselves, by the file."""

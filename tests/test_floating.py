@@ -39,7 +39,7 @@ URDF = """<robot name="craft">
 
 
 def craft(gravity: float = 0.0) -> Robot:
-    return Robot(floating(Robot.from_mjcf("craft.xml", text=text(gravity)).tree.tree), driven=False)
+    return Robot.from_mjcf("craft.xml", text=text(gravity), free=True)
 
 
 def spin_of(angles: np.ndarray, rates: np.ndarray, accelerations: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -83,7 +83,7 @@ def test_it_moves_as_in_mujoco(gravity):
 
 def test_a_urdf_with_bodies_fixed_to_its_base(tmp_path):
     """The base is the root link with all that is fixed to it."""
-    robot = Robot(floating(Robot.from_urdf("craft.urdf", text=URDF).tree.tree), driven=False)
+    robot = Robot.from_urdf("craft.urdf", text=URDF, free=True)
     spec = mujoco.MjSpec.from_string(URDF)
     spec.option.gravity = (0, 0, 0)
     spec.compiler.fusestatic = False

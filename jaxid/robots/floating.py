@@ -84,6 +84,11 @@ def floating(tree: Tree) -> Tree:
     )
 
 
+def based(tree: Tree, free: bool) -> Tree:
+    """The tree on the base that is meant."""
+    return floating(tree) if free else tree
+
+
 def without_slides(M: Any, bias: Any) -> tuple[Any, Any]:
     """Mass matrix and bias [n] of all nodes with the base's slides eliminated; their rows are 0."""
     T = slice(0, 3)

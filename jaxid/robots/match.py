@@ -169,7 +169,7 @@ def prepared(model: object, dataset: Dataset) -> tuple[object, Dataset]:
     if isinstance(model, str) and model.lower().endswith((".xml", ".mjcf")):
         model = robot_from(model, tip)
     elif isinstance(model, str) and model.lower().endswith(".urdf"):
-        model = robot_from(model, tip) if tip is not None else _beyond_an_arm(model, dataset)
+        model = robot_from(model, tip) if tip is not None or wanted(dataset) else _beyond_an_arm(model, dataset)
     elif (model is None or model == "robot") and spec is not None and spec.geometry is not None and spec.geometry.robot:
         model = robot_of(spec.geometry.robot, spec.geometry.file, spec.geometry.tip)
     if not is_robot(model):
