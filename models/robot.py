@@ -23,7 +23,7 @@ from jaxid.robots import dynamics
 from jaxid.robots.bodies import BODY, body_of, ten_numbers
 from jaxid.robots.channels import AT_TORQUE, GRAVITY, PLACE, RIDE, signature_of, torque
 from jaxid.robots.floating import ANGLES, based, without_slides
-from jaxid.robots.tree import roll_pitch_yaw, Stated, Tree, up_to
+from jaxid.robots.tree import chain_of_rods, roll_pitch_yaw, Stated, Tree, up_to
 
 from .effects import ActuatorLag, CoulombFriction, InputDelay, QuadraticDrag, ViscousFriction
 from .robot_drive import PositionLaw
@@ -101,7 +101,7 @@ class Robot(Staged):
     rides: bool = eqx.field(static=True, default=False)  # whether the last inputs are the motion of the base
 
     def __init__(self, tree: Tree | None = None, driven: bool | None = None, law: Any = None, rides: bool = False):
-        tree = default_tree() if tree is None else tree
+        tree = chain_of_rods(2, 0.3, 0.5) if tree is None else tree  # slender links in a plane
         leading = tree.leading
         S, c = tree.follow()
         self.tree = Stated(tree)
@@ -392,10 +392,3 @@ class Robot(Staged):
 
     def _with(self, field: str, value: Any) -> Robot:
         return eqx.tree_at(lambda m: getattr(m, field), self, value, is_leaf=lambda x: x is None)
-
-
-def default_tree() -> Tree:
-    """Two joints in a plane, each with a slender link of 0.3 m."""
-    from jaxid.robots.tree import chain_of_rods
-
-    return chain_of_rods(2, 0.3, 0.5)

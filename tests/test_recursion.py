@@ -113,6 +113,8 @@ def test_the_command(joint, tmp_path, capsys):
     assert main([*arguments, "--out", str(tmp_path / "out")]) == 0
     told = json.loads(capsys.readouterr().out)["recursion"]
     assert len(told) == 8 and {"block", "t", "loss", "evaluations", "parameters"} <= set(told[0])
+    assert main([*arguments[:-1], "--out", str(tmp_path / "text")]) == 0
+    assert "until (s)" in capsys.readouterr().out
     assert "over the recursions" in (tmp_path / "out" / "report.html").read_text()
 
 

@@ -344,8 +344,8 @@ def bent(h: float) -> Part:
     table = Table(
         "Numbers found from one pulse, the response estimated from it",
         ("", "truth", "linear response", "off, %", "simulated response", "off, %"), rows,
-        "Linear: as in the paper, the model's linear response against the measured one. Simulated: both records through the same "
-        "estimator.",
+        "By least squares, angle and response. Linear: as in the paper, the model's linear response against the measured one. "
+        "Simulated: both records through the same estimator.",
     )  # fmt: skip
     bins, U, Y = estimate(t, u, y[:, 1], (0.0, 10.0), 0.1)
     f = np.fft.rfftfreq(t.size, h)[bins]
@@ -358,7 +358,7 @@ def bent(h: float) -> Part:
     )  # fmt: skip
     claim = Claim(
         "the identified E of 57 GPa is the strip's", "5.70e10 Pa",
-        f"fitted as in the paper to such a pulse, E comes out {100 * off('linear response', 'E'):+.0f} %; by the "
+        f"fitted by least squares to such a pulse, angle and linear response, E comes out {100 * off('linear response', 'E'):+.0f} %; by the "
         "simulated response "
         f"{100 * off('simulated response', 'E'):+.1f} %",
         PARTLY if abs(off("linear response", "E")) > 0.1 else UNKNOWN,
