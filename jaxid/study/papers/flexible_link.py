@@ -358,7 +358,8 @@ def bent(h: float) -> Part:
     )  # fmt: skip
     claim = Claim(
         "the identified E of 57 GPa is the strip's", "5.70e10 Pa",
-        f"fitted by least squares to such a pulse, angle and linear response, E comes out {100 * off('linear response', 'E'):+.0f} %; by the "
+        "fitted by least squares to such a pulse, angle and linear response, E comes out "
+        f"{100 * off('linear response', 'E'):+.0f} %; by the "
         "simulated response "
         f"{100 * off('simulated response', 'E'):+.1f} %",
         PARTLY if abs(off("linear response", "E")) > 0.1 else UNKNOWN,
