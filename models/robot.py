@@ -22,7 +22,7 @@ from jaxid.numerics.fast_math import sincos
 from jaxid.robots import dynamics
 from jaxid.robots.bodies import BODY, body_of, ten_numbers
 from jaxid.robots.channels import AT_TORQUE, GRAVITY, PLACE, RIDE, signature_of, torque
-from jaxid.robots.floating import ANGLES, based, without_slides
+from jaxid.robots.floating import ANGLES, balanced, based, without_slides
 from jaxid.robots.tree import chain_of_rods, roll_pitch_yaw, Stated, Tree, up_to
 
 from .effects import ActuatorLag, CoulombFriction, InputDelay, QuadraticDrag, ViscousFriction
@@ -332,14 +332,20 @@ class Robot(Staged):
 
     def inverse(self, q, qd, qdd):
         """Joint torque of a motion [nq], dissipation excluded."""
-        if self.tree.tree.floats:
-            return super().inverse(q, qd, qdd)
-        body, base = self._worked_out()
-        plan = plan_of(self.parent)
+        (body, base), plan = self._worked_out(), plan_of(self.parent)
         q, qd, qdd = self.all_joints(q - self.encoder_bias), self.all_joints(qd, True), self.all_joints(qdd, True)
         E = dynamics.frames(plan, body, q - np.array(self.reference))
-        tau = dynamics.inverse_dynamics(plan, body, E, base, qd, qdd)
+        force = lambda a: dynamics.inverse_dynamics(plan, body, E, base, qd, a)
+        tau = balanced(force, qdd, body) if self.tree.tree.floats else force(qdd)
         return self._leading(tau + self.armature * qdd + self._spring(q))
+
+    def momenta(self, q: Float[Array, " nq"], qd: Float[Array, " nq"]) -> Float[Array, " nq"]:
+        """Generalised momenta of a robot on a free base, armature excluded, in the frame in which its linear momentum is 0."""
+        body, plan = self._worked_out()[0], plan_of(self.parent)
+        q, qd = self.all_joints(q - self.encoder_bias), self.all_joints(qd, moves=True)
+        E, rest = dynamics.frames(plan, body, q - np.array(self.reference)), dynamics.still((0.0 * q[0],) * 3)
+        forces = lambda a: dynamics.inverse_dynamics(plan, body, E, rest, 0 * qd, a)
+        return self._leading(balanced(forces, qd, body))
 
     def drive(self, signature, u, q, qd):
         tau = u[: q.shape[0]] if signature.inputs else jnp.zeros_like(q)
@@ -351,8 +357,7 @@ class Robot(Staged):
 
     def _carried(self, ride: Any, q: Any, qd: Any) -> Any:
         """Joint torque that the base's motion takes beside that of the base at rest."""
-        body, base = self._worked_out()
-        plan = plan_of(self.parent)
+        (body, base), plan = self._worked_out(), plan_of(self.parent)
         q, qd = self.all_joints(q - self.encoder_bias), self.all_joints(qd, moves=True)
         E, still = dynamics.frames(plan, body, q - np.array(self.reference)), jnp.zeros_like(qd)
         moving, resting = (dynamics.inverse_dynamics(plan, body, E, b, qd, still) for b in (self.riding(ride), base))

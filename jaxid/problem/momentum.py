@@ -41,7 +41,7 @@ LOOKS = 50
 
 def momentum(robot: Any, q: Float[Array, " nq"], qd: Float[Array, " nq"]) -> Float[Array, " 3"]:
     """Angular momentum of a robot on a free base about the centre of mass of all, in the world, N m s."""
-    roll, pitch, yaw = (robot.matrices(q, qd)[0] @ qd)[-3:]
+    roll, pitch, yaw = robot.momenta(q, qd)[-3:]
     (sp, cp), (sy, cy) = sincos(q[-2]), sincos(q[-1])
     along = (roll + sp * yaw) / cp
     return jnp.stack([cy * along - sy * pitch, sy * along + cy * pitch, yaw])

@@ -12,6 +12,7 @@ IEEE Trans. Robotics and Automation 9 (1993). The angles are singular at pitch =
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import replace
 from typing import Any
 
@@ -96,6 +97,11 @@ def without_slides(M: Any, bias: Any) -> tuple[Any, Any]:
     kept = np.arange(M.shape[0]) >= 3
     M = jnp.where(kept[:, None] & kept, M - across @ across.T / m, 0.0)
     return M, jnp.where(kept, bias - across @ bias[T] / m, 0.0)
+
+
+def balanced(force: Callable[[Any], Any], a: Any, body: Any) -> Any:
+    """Forces at all nodes of accelerations `a`, the base's slides accelerated so that none is left there; `force` is affine."""
+    return force(a.at[:3].set(-force(a)[:3] / jnp.sum(body.inertia[9])))
 
 
 def refuse_unmeasured(tree: Tree, dataset: Dataset) -> None:
