@@ -343,7 +343,8 @@ class Robot(Staged):
         """Generalised momenta of a robot on a free base, armature excluded, in the frame in which its linear momentum is 0."""
         body, plan = self._worked_out()[0], plan_of(self.parent)
         q, qd = self.all_joints(q - self.encoder_bias), self.all_joints(qd, moves=True)
-        E, rest = dynamics.frames(plan, body, q - np.array(self.reference)), dynamics.still((0.0 * q[0],) * 3)
+        zero, E = 0.0 * q[0], dynamics.frames(plan, body, q - np.array(self.reference))
+        rest = dynamics.still((zero, zero, zero))
         forces = lambda a: dynamics.inverse_dynamics(plan, body, E, rest, 0 * qd, a)
         return self._leading(balanced(forces, qd, body))
 
