@@ -30,8 +30,8 @@ from typing import Any
 
 from jaxid import runtime
 from jaxid.diagnosis.result import Diagnosis
-from jaxid.report.page import result_of
 from jaxid.storage.atomic_files import settle, STAGE
+from jaxid.storage.result_files import result_of
 from tests.test_batch import write_dataset
 
 

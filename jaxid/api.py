@@ -24,6 +24,7 @@ from jaxid.problem.binding import bind, Binding
 from jaxid.problem.problem import LOSSES
 from jaxid.problem.residual import Residual, resolve_residual
 from jaxid.problem.solver import with_solver
+from jaxid.robots.floating import refuse_free
 from jaxid.robots.limbs import each, effects_at, limbs_of
 from jaxid.runtime import Interrupted
 
@@ -47,6 +48,9 @@ def fit(
     progress: Progress | None = None,
     as_recorded: bool = False,
     cutoff_hz: float | None = None,
+    window: int | None = None,
+    forgetting: float | None = None,
+    block_s: float | None = None,
 ) -> Fit:
     """Fits the parameters of a model to a dataset.
 
@@ -56,20 +60,34 @@ def fit(
     solver of diffrax, or `Diffrax`) simulates in place of jaxid's own stepping. Raises `UsageError` for arguments that do
     not fit (`cutoff_hz` is the low-pass of `inverse_dynamics`); a fit that fails is a `Fit` with `failed` set and a sentence in
     `stopped_because`. More rows than there is memory for are refused before anything is computed.
+
+    With a `window` (blocks) or `forgetting` (0 to 1, 1 forgets nothing) the fit goes along the fit runs block by block, of
+    `block_s` seconds or as `recursion.in_blocks` cuts them, each at the same cost: see `jaxid.fitting.recursion`.
     """
+    from jaxid.fitting.recursion import in_blocks, Recursion
+
+    along = None
+    if window is not None or forgetting is not None or block_s is not None:
+        if window is None and forgetting is None:
+            raise UsageError("blocks belong to a window or to forgetting: give one of them")
+        along = Recursion(window, 1.0 if forgetting is None else forgetting, block_s)
     if len(limbs := limbs_of(model, dataset)) > 1:
         chosen = tuple(effects)
         work = lambda robot, data: fit(
             robot, data, fitter=fitter, residual=residual, loss=loss, effects=effects_at(chosen, robot), without=without,
             seed=seed, budget=budget, progress=progress, solver=solver, as_recorded=as_recorded, cutoff_hz=cutoff_hz,
+            window=window, forgetting=forgetting, block_s=block_s,
         )  # fmt: skip
         return each(limbs, work, dataset)
     refuse_too_large(foreseen("fit", model, dataset))
     effects, without = tuple(effects), tuple(without)
     checked = _checked(model, dataset, without, as_recorded)
-    binding = bind(model, checked.mended or dataset, effects=effects, without=without)
+    data = checked.mended or dataset
+    if along is not None:
+        data = in_blocks(data, block_s)
+    binding = bind(model, data, effects=effects, without=without)
     compared = resolve_residual(residual, cutoff_hz) if cutoff_hz is not None else residual
-    return replace(_fit(binding, fitter, compared, loss, seed, budget, progress, solver), data=checked.findings)
+    return replace(_fit(binding, fitter, compared, loss, seed, budget, progress, solver, along), data=checked.findings)
 
 
 def _checked(model: object, dataset: Dataset, without: tuple[str, ...], as_recorded: bool) -> Checked:
@@ -79,7 +97,9 @@ def _checked(model: object, dataset: Dataset, without: tuple[str, ...], as_recor
     return run_check(model, dataset, without, as_recorded)
 
 
-def _fit(binding: Binding, fitter, residual, loss, seed: int, budget: int | None, progress, solver: Any = None) -> Fit:
+def _fit(
+    binding: Binding, fitter, residual, loss, seed: int, budget: int | None, progress, solver: Any = None, along: Any = None
+) -> Fit:
     from jaxid.fitting.run import fit_binding
 
     loss = loss or "sum_of_squares"
@@ -90,6 +110,10 @@ def _fit(binding: Binding, fitter, residual, loss, seed: int, budget: int | None
     chosen = resolve_fitter(fitter, loss)
     residual = residual or getattr(chosen, "residual_name", None)
     resolved = resolve_residual(residual)
+    if along is not None:
+        from jaxid.fitting.recursion import fit_recursively
+
+        return fit_recursively(with_solver(binding, solver, resolved), chosen, resolved, loss, seed, budget, progress, along)
     return fit_binding(with_solver(binding, solver, resolved), chosen, resolved, loss, seed, budget, progress)
 
 
@@ -118,6 +142,8 @@ def diagnose(
     """
     from jaxid.diagnosis.limbs import diagnose_each
     from jaxid.diagnosis.run import run_diagnosis
+
+    refuse_free("diagnose", dataset)
     from jaxid.diagnosis.torque.reference import Reference
 
     if len(limbs := limbs_of(model, dataset)) > 1:
@@ -200,6 +226,7 @@ def replay(dataset: Dataset, robot: str | Path, against: str | Path | None = Non
     """
     from jaxid.fitting.replay import run_replay
 
+    refuse_free("replay", dataset)
     return run_replay(dataset, Path(robot), None if against is None else Path(against))
 
 

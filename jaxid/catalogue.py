@@ -258,7 +258,7 @@ def _text(kind: type) -> str:
     return " ".join((kind.__doc__ or "").split())
 
 
-RESIDUALS = ("output_error", "multiple_shooting", "inverse_dynamics", "frequency_response", "closed_loop")
+RESIDUALS = ("output_error", "multiple_shooting", "inverse_dynamics", "frequency_response", "closed_loop", "momentum")
 
 
 LOSSES = ("sum_of_squares", "sum_of_norms", "sum_of_abs")

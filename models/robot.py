@@ -23,7 +23,8 @@ from jaxid.numerics.fast_math import sincos
 from jaxid.robots import dynamics
 from jaxid.robots.bodies import BODY, body_of, ten_numbers
 from jaxid.robots.channels import AT_TORQUE, GRAVITY, PLACE, RIDE, signature_of, torque
-from jaxid.robots.tree import roll_pitch_yaw, Stated, Tree, up_to
+from jaxid.robots.floating import ANGLES, balanced, based, without_slides
+from jaxid.robots.tree import chain_of_rods, roll_pitch_yaw, Stated, Tree, up_to
 
 from .effects import ActuatorLag, CoulombFriction, InputDelay, QuadraticDrag, ViscousFriction
 from .robot_drive import PositionLaw
@@ -101,7 +102,7 @@ class Robot(Staged):
     rides: bool = eqx.field(static=True, default=False)  # whether the last inputs are the motion of the base
 
     def __init__(self, tree: Tree | None = None, driven: bool | None = None, law: Any = None, rides: bool = False):
-        tree = default_tree() if tree is None else tree
+        tree = chain_of_rods(2, 0.3, 0.5) if tree is None else tree  # slender links in a plane
         leading = tree.leading
         S, c = tree.follow()
         self.tree = Stated(tree)
@@ -111,7 +112,7 @@ class Robot(Staged):
         rounded = lambda a: tuple(tuple(float(v) for v in row) for row in a)
         self.axes, self.anchors = rounded(tree.axis), rounded(tree.anchor[list(self.carriers)])
         self.reference, self.shift = tuple(map(float, tree.reference)), tuple(map(float, c))
-        self.coupling = rounded(S) if tree.couplings else None
+        self.coupling = rounded(S) if tree.couplings or tree.floats else None
         bodies = np.array([body_of(tree.inertia[k], tree.anchor[k])[0] for k in self.carriers]).reshape(-1, 10)
         for k, name in enumerate(BODY):
             setattr(self, name, bodies[:, k])
@@ -132,7 +133,7 @@ class Robot(Staged):
         self.prepared = self.added = self.tilt = self.drive_law = None
         self.fitted = ()
         if driven is None:
-            driven = law is not None or all(j in tree.actuators and tree.actuators[j].kind == "position" for j in leading)
+            driven = law is not None or all(j in tree.actuators and tree.actuators[j].kind == "position" for j in tree.driven)
         self.rides = rides
         self.signatures = (signature_of(tree, driven, () if law is None else law.rates, rides),)
         own: list[tuple[type, dict[str, str]]] = [
@@ -155,28 +156,29 @@ class Robot(Staged):
             own.append((InputDelay, {"delay": "delay@{joint}"}))
         if any(law.lag):
             own.append((ActuatorLag, {"time": "timeconst@{joint}"}))
-        self.fitted = law.fitted(self.signatures[0].joints)
+        self.fitted = law.fitted(self.tree.tree.driven)
 
     def driven_by(self, law: Any) -> Robot:
         """The same driven by goals through a law (a `jaxid.robots.drives.Law`)."""
         return type(self)(self.tree.tree, law=law, rides=self.rides)
 
     @classmethod
-    def from_mjcf(cls, path: str | Path, *, tip: str | None = None, text: str | None = None) -> Robot:
-        """The robot of an MJCF file; with `tip` only the joints up to that link move. Needs no meshes.
+    def from_mjcf(cls, path: str | Path, *, tip: str | None = None, text: str | None = None, free: bool = False) -> Robot:
+        """The robot of an MJCF file; with `tip` only the joints up to that link move. `free`: its base floats, and its angles
+        base_roll, base_pitch, base_yaw are the last joints. Needs no meshes.
 
         Raises `UsageError` for what is not a tree of hinge and slide joints with stated inertias, by name.
         """
         from jaxid.robots.mjcf import read_mjcf
 
-        return cls(up_to(read_mjcf(path, text), tip))
+        return cls(based(up_to(read_mjcf(path, text), tip), free))
 
     @classmethod
-    def from_urdf(cls, path: str | Path, *, tip: str | None = None, text: str | None = None) -> Robot:
-        """The robot of a URDF file; with `tip` only the joints up to that link move. Raises `UsageError` as `from_mjcf`."""
+    def from_urdf(cls, path: str | Path, *, tip: str | None = None, text: str | None = None, free: bool = False) -> Robot:
+        """The robot of a URDF file; `tip`, `free` and errors as of `from_mjcf`."""
         from jaxid.robots.urdf_tree import read_urdf_tree
 
-        return cls(up_to(read_urdf_tree(path, text), tip))
+        return cls(based(up_to(read_urdf_tree(path, text), tip), free))
 
     def limits(self) -> Any:
         """`lower`, `upper` (rad, m), `velocity` and `effort` [joints] of the joints that move by themselves, by the file."""
@@ -243,7 +245,9 @@ class Robot(Staged):
         out = {f"{field}@{link}" for field in BODY for link in self.links} - self.tree.tree.free_moments()
         out |= {f"{field}@{j}" for field in ("encoder_bias", "stiffness", "quadratic_damping") for j in self.joints}
         out |= {"base_roll", "base_pitch"}
-        out |= {f"armature@{j}" for j in self.joints if j not in joints}
+        out |= {f"armature@{j}" for j in self.joints if j not in self.tree.tree.driven}
+        if self.tree.tree.floats:
+            out |= {f"{field}@{j}" for field in ("damping", "frictionloss") for j in ANGLES}
         law = ("kp", "kd", "ki", "lowest", "highest", "delay", "timeconst")
         return frozenset(out | {f"{field}@{j}" for field in law for j in joints} - fitted)
 
@@ -289,7 +293,7 @@ class Robot(Staged):
         """Gravity and the base's own motion (`RIDE`), turned about its origin, in its frame."""
         offset = jnp.stack([jnp.asarray(self.base_roll), jnp.asarray(self.base_pitch), jnp.asarray(self.base_yaw)])
         angles, rates = ride[:3] + offset, ride[3:6]
-        w, wd = jax.jvp(_angular_velocity, (angles, rates), (rates, ride[6:]))
+        w, wd = jax.jvp(dynamics.angular_velocity, (angles, rates), (rates, ride[6:]))
         fall = self._fall(tuple(angles))
         zero = 0.0 * w[0]
         return dynamics.Base(tuple(w), tuple(wd), tuple(zero - f for f in fall))  # type: ignore[arg-type]
@@ -333,6 +337,8 @@ class Robot(Staged):
         E = dynamics.frames(plan, body, q - np.array(self.reference))
         M = dynamics.mass_matrix(plan, body, E) + jnp.diag(jnp.asarray(self.armature))
         bias = dynamics.inverse_dynamics(plan, body, E, base, qd, jnp.zeros_like(qd)) + self._spring(q)
+        if self.tree.tree.floats:
+            M, bias = without_slides(M, bias)
         if self.coupling is None:
             return M, bias
         S = np.array(self.coupling)
@@ -340,27 +346,37 @@ class Robot(Staged):
 
     def inverse(self, q, qd, qdd):
         """Joint torque of a motion [nq], dissipation excluded."""
-        body, base = self._worked_out()
-        plan = plan_of(self.parent)
+        (body, base), plan = self._worked_out(), plan_of(self.parent)
         q, qd, qdd = self.all_joints(q - self.encoder_bias), self.all_joints(qd, True), self.all_joints(qdd, True)
         E = dynamics.frames(plan, body, q - np.array(self.reference))
-        tau = dynamics.inverse_dynamics(plan, body, E, base, qd, qdd)
+        force = lambda a: dynamics.inverse_dynamics(plan, body, E, base, qd, a)
+        tau = balanced(force, qdd, body) if self.tree.tree.floats else force(qdd)
         return self._leading(tau + self.armature * qdd + self._spring(q))
 
     def rotors(self):
         own = jnp.asarray(self.armature)
         return own if self.coupling is None else jnp.asarray(np.array(self.coupling).T ** 2) @ own
 
+    def momenta(self, q: Float[Array, " nq"], qd: Float[Array, " nq"]) -> Float[Array, " nq"]:
+        """Generalised momenta of a robot on a free base, armature excluded, in the frame in which its linear momentum is 0."""
+        body, plan = self._worked_out()[0], plan_of(self.parent)
+        q, qd = self.all_joints(q - self.encoder_bias), self.all_joints(qd, moves=True)
+        zero, E = 0.0 * q[0], dynamics.frames(plan, body, q - np.array(self.reference))
+        rest = dynamics.still((zero, zero, zero))
+        forces = lambda a: dynamics.inverse_dynamics(plan, body, E, rest, 0 * qd, a)
+        return self._leading(balanced(forces, qd, body))
+
     def drive(self, signature, u, q, qd):
         tau = u[: q.shape[0]] if signature.inputs else jnp.zeros_like(q)
+        if self.tree.tree.floats and signature.inputs:  # nothing drives the angles of the base
+            tau = jnp.concatenate([u[: q.shape[0] - 3], jnp.zeros(3, u.dtype)])
         if self.rides and signature.inputs:
             tau = tau - self._carried(u[-len(RIDE) :], q, qd)
         return tau - self.cubic_damping * qd**3
 
     def _carried(self, ride: Any, q: Any, qd: Any) -> Any:
         """Joint torque that the base's motion takes beside that of the base at rest."""
-        body, base = self._worked_out()
-        plan = plan_of(self.parent)
+        (body, base), plan = self._worked_out(), plan_of(self.parent)
         q, qd = self.all_joints(q - self.encoder_bias), self.all_joints(qd, moves=True)
         E, still = dynamics.frames(plan, body, q - np.array(self.reference)), jnp.zeros_like(qd)
         moving, resting = (dynamics.inverse_dynamics(plan, body, E, b, qd, still) for b in (self.riding(ride), base))
@@ -400,17 +416,3 @@ class Robot(Staged):
 
     def _with(self, field: str, value: Any) -> Robot:
         return eqx.tree_at(lambda m: getattr(m, field), self, value, is_leaf=lambda x: x is None)
-
-
-def _angular_velocity(angles: Float[Array, " 3"], rates: Float[Array, " 3"]) -> Float[Array, " 3"]:
-    """Of a frame turned by Rz(yaw) Ry(pitch) Rx(roll), in itself."""
-    (sr, cr), (sp, cp) = sincos(angles[0]), sincos(angles[1])
-    roll, pitch, yaw = rates
-    return jnp.stack([roll - yaw * sp, pitch * cr + yaw * sr * cp, yaw * cr * cp - pitch * sr])
-
-
-def default_tree() -> Tree:
-    """Two joints in a plane, each with a slender link of 0.3 m."""
-    from jaxid.robots.tree import chain_of_rods
-
-    return chain_of_rods(2, 0.3, 0.5)

@@ -62,7 +62,8 @@ class PositionLaw(InputEffect):
         if self.kind != "pid":
             return z
         u = jnp.clip(u, *np.array(self.control).T) if self.control else u
-        integral = jnp.where(self.ki > 0, hold() / self.gain - self._output(u - q, 0.0), 0.0)
+        n = u.shape[0]
+        integral = jnp.where(self.ki > 0, hold()[:n] / self.gain - self._output(u - q[:n], 0.0), 0.0)
         return integral if self.period <= 0 else (*z[:2], z[2].at[4].set(integral))
 
     def __call__(self, u, s, z):
@@ -70,8 +71,9 @@ class PositionLaw(InputEffect):
             u = jnp.clip(u, *np.array(self.control).T)
         if self.period > 0:
             return self._sampled(u, s, z)
-        error = u - s.q
-        output = self._output(error, (s.beside[: u.shape[0]] if self.recorded else 0.0) - s.qd)
+        n = u.shape[0]  # the angles of a base that floats stand behind the joints
+        error = u - s.q[:n]
+        output = self._output(error, (s.beside[:n] if self.recorded else 0.0) - s.qd[:n])
         if self.kind == "pid":
             return self._limited(output + z), self._integrated(z, output + z, error, s.h)
         return self._limited(output), z
@@ -90,7 +92,8 @@ class PositionLaw(InputEffect):
 
     def _sampled(self, u, s, z):
         elapsed, ticks, (held, last, before, goal, integral) = z
-        T, q, qd = self.period, s.q - s.h / 2 * s.qd0, s.qd0  # at the step's beginning
+        n = u.shape[0]
+        T, q, qd = self.period, (s.q - s.h / 2 * s.qd0)[:n], s.qd0[:n]  # at the step's beginning
         first = ticks < 0
         last, before = jnp.where(first, q - T * qd, last), jnp.where(first, q - 2 * T * qd, before)
         goal = jnp.where(first, u, goal)

@@ -132,6 +132,9 @@ def test_fit(calls, tmp_path, capsys):
         "seed": 3,
         "budget": 50,
         "cutoff_hz": None,
+        "window": None,
+        "forgetting": None,
+        "block_s": None,
         "as_recorded": False,
     }
     assert sorted(p.name for p in (tmp_path / "a" / "b").iterdir()) == ["fit.json", "report.html"]

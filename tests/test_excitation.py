@@ -252,9 +252,44 @@ def test_every_model_has_a_test_here():
     assert [m.name for m in jaxid.models.MODELS if f'"{m.name}"' not in text] == []
 
 
+def test_the_objective_of_paper_001():
+    """(18) and its constraints, worked out here from the coefficients alone; its own design is better by it than another."""
+    made: Any
+    made, other = (
+        excite("ur10", criterion=c, harmonics=5, starts=4, iterations=50, seed=1, floor=-10.0, radius=0.0)
+        for c in ("paper001", "condition")
+    )
+    known, home = KNOWN["ur10"], np.array([0, -np.pi / 2, 0, -np.pi / 2, 0, 0])
+    told = made.content["paper001"]
+    l, w = np.arange(1, 6)[:, None], 2 * np.pi * 0.1
+    a, b = np.asarray(made.fourier.a), np.asarray(made.fourier.b)
+    for total in (a.sum(0), (b / l).sum(0), (l * b).sum(0)):
+        assert np.abs(total).max() < 1e-9
+    assert np.allclose(made.fourier.middle, home) and np.allclose(made.fourier(np.zeros(1))[0], home)
+    size = np.hypot(a, b)
+    room = np.minimum(np.array(known.upper) - home, home - np.array(known.lower))
+    assert (np.sum(size / (w * l), 0) <= room + 1e-9).all() and (size.sum(0) <= np.array(known.speed) + 1e-9).all()
+    assert np.allclose(told["sums"]["speed"], size.sum(0)) and np.allclose(told["sums"]["acceleration"], (w * l * size).sum(0))
+    assert objective(other) > told["objective"] == pytest.approx(objective(made), rel=1e-6)
+
+
+def objective(made: Any) -> float:
+    t = made.dataset.experiments[0].t
+    q, qd, qdd = made.fourier(t)
+    base = UR10().base()
+    Y = torque_columns(UR10(), q, qd, qdd)[:, :, list(base.kept)]
+    F = [np.tanh(qd / 0.01), qd * (qd**2 + 1e-6) ** ((EXPONENT - 1) / 2), np.ones_like(qd)]
+    W = np.concatenate([Y, *(f[:, :, None] * np.eye(6) for f in F)], 2) / np.array(KNOWN["ur10"].torque_noise)[:, None]
+    W = W.reshape(-1, 58)
+    kinds = np.array([n[0] for n in base.names])
+    groups = [np.arange(58), np.flatnonzero(kinds == "I"), np.flatnonzero(kinds == "m"), np.arange(40, 58)]
+    return float(np.dot([10, 5, 1, 1], [np.linalg.cond(W[:, g]) for g in groups]))
+
+
 @pytest.mark.parametrize(
     ("arguments", "words"),
     [
+        ({"criterion": "paper001", "harmonics": 2}, "3 harmonics"),
         ({"duration_s": 10.5, "base_frequency_hz": 0.1}, "whole ones"),
         ({"harmonics": 1}, "at least 2"),
         ({"friction": "stribek"}, "stribeck"),

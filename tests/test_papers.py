@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import json
+import re
 from dataclasses import replace
+from pathlib import Path
 from typing import Any
 
 import jax
@@ -239,3 +241,25 @@ def test_the_commanded_motion_takes_the_place_of_the_measured():
     assert "commanded" in found.notes[-1]
     with pytest.raises(UsageError, match="q1_cmd, q2_cmd"):
         commanded(replace(own, experiments=tuple(replace(e, auxiliary={}) for e in own.experiments)))
+
+
+#: Tables and figures of each paper.
+PRINTED = {"000": (5, 9), "001": (9, 12), "002": (3, 9), "003": (5, 13)}
+
+
+@pytest.mark.parametrize("paper", PRINTED)
+def test_every_table_and_figure_has_a_row(paper):
+    """docs/papers.md has one for each, alone or in a range."""
+    text = (Path(__file__).parents[1] / "docs" / "papers.md").read_text()
+    section = text.split(f"\n## {paper}:")[1].split("\n## ")[0]
+    first = [row.split("|")[1] for row in section.splitlines() if row.startswith("|")]
+    tables, figures = PRINTED[paper]
+    roman = ["", "I", "II", "III", "IV", "V", "VI", "VII", "VIII", "IX"]
+    named: dict[str, set[int]] = {"Table": set(), "Figure": set()}
+    for cell in first:
+        for kind, found in named.items():
+            for part in re.findall(rf"{kind}s? ((?:[0-9]+[ab]?|[IVX]+)(?:(?:, | and | to )(?:[0-9]+|[IVX]+)(?![a-z]))*)", cell):
+                numbers = [roman.index(w) if w in roman else int(w.rstrip("ab")) for w in re.findall(r"[0-9]+|[IVX]+", part)]
+                found |= set(range(numbers[0], numbers[-1] + 1)) if " to " in part else set(numbers)
+    assert named["Table"] == set(range(1, tables + 1))
+    assert named["Figure"] == set(range(1, figures + 1))

@@ -182,7 +182,7 @@ def test_faults_of_a_robot_stand_with_their_line(tmp_path):
             ('[model]\nrobot = "gone.xml"', "no file"),
             ('[model]\nrobot = "../arm.xml"', "outside the folder"),
             ('[model]\nrobot = "arm.xml"\n[model.joints]\nlift = "lft"', "'lft'"),
-            ('[model]\nrobot = "arm.xml"\n[model.base]\nkind = "free"', "fixed or prescribed"),
+            ('[model]\nrobot = "arm.xml"\n[model.base]\nkind = "free"', "needs mass and inertia of the base"),
             ('[model]\nname = "pendulum"\n[model.base]\nroll = 0.1', "belongs to a robot"),
         )
     ):

@@ -106,15 +106,22 @@ AS_RECORDED = click.option("--as-recorded", is_flag=True, help="Take the data as
 @click.option("--loss", metavar="L", type=click.Choice(LOSSES), help=f"{', '.join(LOSSES)}.")
 @SEED
 @click.option("--budget", type=click.IntRange(1), metavar="N", help="Most evaluations of the loss.")
+@click.option("--window", type=click.IntRange(1), metavar="N", help="Fit along the data, the last N blocks at a time.")
+@click.option(
+    "--forgetting", type=click.FloatRange(0, 1, min_open=True), metavar="LAMBDA",
+    help="Fit along the data block by block, what is known counting LAMBDA times as much each time; 1 forgets nothing.",
+)  # fmt: skip
+@click.option("--block", "block_s", type=click.FloatRange(0, min_open=True), metavar="S", help="Seconds of such a block.")
 @SOLVER
 @AS_RECORDED
 @output_options
 def fit(
-    dataset, out, model, fitter, effects, without, residual, cutoff, loss, seed, budget, solver, as_recorded, as_json, quiet
-) -> int:
+    dataset, out, model, fitter, effects, without, residual, cutoff, loss, seed, budget, window, forgetting, block_s, solver,
+    as_recorded, as_json, quiet,
+) -> int:  # fmt: skip
     """Fit a model to a dataset.
 
-    Writes fit.json and report.html into DIR.
+    With --window or --forgetting along the data, at the same cost for every block. Writes fit.json and report.html into DIR.
     """
     jaxid, data = start(dataset, out)
     foretell("fit", model, data, quiet)
@@ -132,6 +139,9 @@ def fit(
             without=without or (),
             seed=seed,
             budget=budget,
+            window=window,
+            forgetting=forgetting,
+            block_s=block_s,
             solver=solver,
             progress=output.progress,
             as_recorded=as_recorded,

@@ -36,7 +36,9 @@ def _numbers(_ctx, param, value: str | None) -> list[float] | None:
 @click.option(
     "--limits", type=click.Path(path_type=Path), metavar="FILE", help="TOML, as for `jaxid record`: lower, upper, speed …"
 )
-@click.option("--criterion", type=click.Choice(("condition", "d_optimal")), help="Default: condition for arms, else d_optimal.")
+@click.option(
+    "--criterion", type=click.Choice(("condition", "d_optimal", "paper001")), help="Default: condition for arms, else d_optimal."
+)
 @click.option(
     "--friction", type=click.Choice(("model", "linear", "power", "stribeck")), default="model", show_default=True,
     help="Arms: the friction law whose parts are to be told apart.",

@@ -21,9 +21,10 @@ if TYPE_CHECKING:
 @OUT
 @MODEL
 @click.option(
-    "--method", type=click.Choice(("ls", "wls", "iv", "rls", "tls", "constrained")), default="wls", show_default=True,
-    metavar="M",
-    help="ls, wls, iv, rls (recursive), tls or constrained (bodies that can exist, friction that brakes).",
+    "--method", type=click.Choice(("ls", "wls", "iv", "rls", "tls", "constrained", "paper001", "algorithm1", "algorithm2")),
+    default="wls", show_default=True, metavar="M",
+    help="ls, wls, iv, rls (recursive), tls, constrained (bodies that can exist, friction that brakes); with --reference "
+    "paper001, algorithm1, algorithm2: the payload as in paper 001.",
 )  # fmt: skip
 @click.option(
     "--friction", type=click.Choice(("auto", "linear", "power", "stribeck")), default="auto", show_default=True, metavar="LAW",
@@ -44,8 +45,8 @@ if TYPE_CHECKING:
     help="Relative standard deviation of the drive gains, for the payload's interval.",
 )  # fmt: skip
 @click.option(
-    "--motion", type=click.Choice(("measured", "commanded")), default="measured", show_default=True, metavar="W",
-    help="measured, or commanded: the channels q1_cmd … in the place of q1 ….",
+    "--motion", type=click.Choice(("measured", "commanded", "fourier")), default="measured", show_default=True, metavar="W",
+    help="measured, commanded (the channels q1_cmd … in the place of q1 …), or fourier: the measured one by its harmonics.",
 )  # fmt: skip
 @click.option("--root", metavar="LINK", help="First link of the chain in the URDF that --model names.")
 @AS_RECORDED
@@ -64,16 +65,12 @@ def identify(
     if model is not None and model.endswith(".urdf") and (tip is not None or root is not None):
         model = jaxid.models.SerialArm.from_urdf(str(model), tip, root)
 
-    if motion == "commanded":
-        from jaxid.identification.commanded import commanded
-
-        data = commanded(data)
     foretell("identify", model, data, quiet)
     from jaxid.report.text import identification_text  # with matplotlib
 
     with Output(out, as_json, quiet) as output:
         result = jaxid.identify(
             model, data, method=method, friction=friction, cutoff_hz=cutoff, motion_hz=motion_cutoff, reference=reference,
-            gain_std=gain_std, as_recorded=as_recorded,
+            gain_std=gain_std, as_recorded=as_recorded, motion=motion,
         )  # fmt: skip
         return output.deliver(result, identification_text)

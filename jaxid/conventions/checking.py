@@ -25,6 +25,7 @@ from jaxid.data.dataset import Dataset
 from jaxid.data.noise import noise_floor
 from jaxid.errors import DatasetError, DatasetWarning, UsageError
 from jaxid.problem.binding import bind, Binding
+from jaxid.robots.floating import wanted
 
 
 #: Evaluations of each of the two fits that confirm a finding, and the share of the gap that has to go.
@@ -43,7 +44,10 @@ def run_check(
     found, data, change = _by_itself(dataset, as_recorded)
     notes: list[str] = []
     name = ""
-    if dataset.experiments and _has_model(model, dataset):
+    if dataset.experiments and wanted(dataset):
+        name = "robot"
+        notes.append("a robot on a free base is not compared with its recording: found is what the samples show by themselves")
+    elif dataset.experiments and _has_model(model, dataset):
         binding, why = _bound(model, data, tuple(without))
         name = binding.chain.mechanism.name if binding is not None else ""
         notes += [why] if why else []

@@ -19,6 +19,7 @@ from jaxid.errors import nearest, UsageError
 from jaxid.excitation.bounds import Bounds, bounds_of
 from jaxid.excitation.clearance import gaps, heights, nodes
 from jaxid.excitation.inputs import Bench, choose, determined, Family, largest_inputs, settled
+from jaxid.excitation.paper001 import column_groups, objective_18
 from jaxid.excitation.result import content, coverage, Excitation, reached, stds
 from jaxid.excitation.trajectories import (
     ArmTask,
@@ -68,8 +69,9 @@ def excite(
     An arm gets a periodic motion that starts and ends at rest, within its limits (`limits`, else those of the model), its links
     (capsules of `radius` m) apart and above `floor` m; `friction` names the law whose columns are to be told apart (`model`: the
     model's own). Any other model gets an input, at most `amplitude` in the input's unit, chosen by simulation with the values of
-    `parameters` (as in fit.json; else the model's). `criterion` is condition (the default for motions) or d_optimal. `gain` N m/A
-    adds the currents to command. Raises `UsageError` for what does not fit or cannot be kept.
+    `parameters` (as in fit.json; else the model's). `criterion` is condition (the default for motions), d_optimal or, of a
+    serial arm, paper001 (its objective (18)). `gain` N m/A adds the currents to command. Raises `UsageError` for what does not
+    fit or cannot be kept.
     """
     began = time.perf_counter()
     for value, least, name in ((harmonics, 2, "harmonics"), (starts, 1, "starts"), (iterations, 1, "iterations")):
@@ -90,6 +92,11 @@ def excite(
         raise UsageError(f"the highest line, {harmonics * base:.3g} Hz, needs a rate of at least {8 * harmonics * base:.3g} Hz")
     mechanism, table = mechanism_of(model)
     chain = _with(Chain(mechanism), parameters)
+    if criterion == "paper001" and (not hasattr(mechanism, "base") or harmonics < 3):
+        raise UsageError(
+            "criterion paper001 sorts the columns of a serial arm (ur10, panda, a URDF …) and needs 3 harmonics, for its sums "
+            "take two of each joint; use condition or d_optimal"
+        )
     bounds = bounds_of(mechanism.name, chain.signature, limits, table)
     t = np.arange(round(duration_s * rate_hz) + 1) / rate_hz
     plan = {"harmonics": harmonics, "base_frequency_hz": base, "duration_s": duration_s, "rate_hz": rate_hz, "seed": seed}
@@ -158,11 +165,13 @@ def _number(name: str, value: Any) -> float:
 def _motion(chain, bounds, t, plan, criterion, friction, starts, iterations, floor, radius, progress) -> Excitation:
     arm: Any = chain.mechanism
     n, harmonics = chain.nq, plan["harmonics"]
+    inertial = 0  # columns of inertia
     if hasattr(arm, "base"):
         exponents = [np.asarray(e.exponent, float) for e in chain.effects if e.name == "power_law_friction"]
         levels = [np.asarray(e.coefficient, float) for e in chain.effects if e.name == "power_law_friction"]
         law = LAWS["power"]._replace(nonlinear=False) if friction == "model" else LAWS[friction]
         base = arm.base()
+        inertial = len(base.kept)
         exponent = exponents[0] if exponents else np.ones(n)
         task = ArmTask(arm, exponent, levels[0] if levels else np.ones(n), tuple(int(i) for i in base.kept), law)
         names = names_of(base, law, n) + ([f"exponent{j + 1}" for j in range(n)] if law.nonlinear else [])
@@ -177,7 +186,10 @@ def _motion(chain, bounds, t, plan, criterion, friction, starts, iterations, flo
     noise, stated = _torque_noise(chain, bounds, omega)
     if criterion == "d_optimal":
         weight = 1 / noise
-    setting = Setting(bounds, weight, geometry, radius, floor, omega, links, criterion, GRID * harmonics)
+    groups = ()
+    if criterion == "paper001":
+        weight, groups = 1 / noise, column_groups(names, inertial)
+    setting = Setting(bounds, weight, geometry, radius, floor, omega, links, criterion, GRID * harmonics, groups)
     found = optimise(task, setting, harmonics, starts, plan["seed"], iterations, progress)
     fine = np.linspace(0, 2 * np.pi / omega, 200 * harmonics + 1)
     tried = [_checked(f, fine, arm, geometry, links, radius, floor) for _, f in found]
@@ -215,6 +227,7 @@ def _motion(chain, bounds, t, plan, criterion, friction, starts, iterations, flo
         "condition_number_weighted": float(np.linalg.cond(weighted)),
         "condition_number_scaled": float(np.linalg.cond(rows / np.where(size > 0, size, 1.0))),
         "condition_number_of_starts": [float(np.exp(v)) for v, _ in found] if criterion == "condition" else None,
+        **({} if criterion != "paper001" else {"paper001": objective_18(weighted, groups, fourier)}),
         "columns": len(names),
         "torque_noise": {"std": noise.tolist(), "source": stated},
         "expected_std": {name: float(s) for name, s in zip(names, std, strict=True)},

@@ -4,7 +4,11 @@ q_j(t) = c_j + sum_l a_lj / (w l) sin(w l t) - b_lj / (w l) cos(w l t)       (Sw
 
 with sum_l a_l = 0 and sum_l l b_l = 0, so that it starts and ends at rest without acceleration. Any numbers become a trajectory
 within all limits: the constraints are projected out, and each joint is scaled to the limit that it meets first. What is minimised
-is the condition number of the noise-weighted columns of what can be identified, or minus log det of their Gram matrix.
+is the condition number of the noise-weighted columns of what can be identified, or minus log det of their Gram matrix, or
+(`paper001`) the objective (18) of paper 001: 10 cond of all columns + 5 cond of those of inertia tensors + cond of those of first
+moments + cond of those of friction. With that one the paper's constraints hold, too: the motion begins at its middle, which is
+the home pose (sum_l b_l / l = 0), and it is the sums of its amplitudes, sqrt(a_l^2 + b_l^2) times 1 / (w l), 1 and w l, that are
+within the limits, not the peaks.
 """
 
 from __future__ import annotations
@@ -25,6 +29,7 @@ from jaxid.dynamics.rigid_body import regressor
 from jaxid.errors import UsageError
 from jaxid.excitation.bounds import Bounds
 from jaxid.excitation.clearance import gaps, heights, Links, links_of, nodes
+from jaxid.excitation.paper001 import sums_18, terms_18, WEIGHTS_18
 from jaxid.identification.regression import friction_columns, Law, power
 from jaxid.numerics.precision import float64
 
@@ -36,7 +41,7 @@ SAFE = 0.995
 SHARP = 8.0  # of the smooth largest and smallest eigenvalue
 ROUND = 25  # steps of one compiled call
 RATE = 0.03  # of Adam, in units of the shape's numbers
-CRITERIA = ("condition", "d_optimal")
+CRITERIA = ("condition", "d_optimal", "paper001")
 
 
 class Shape(NamedTuple):
@@ -142,6 +147,7 @@ class Setting(eqx.Module):
     links: Links = eqx.field(static=True)
     criterion: str = eqx.field(static=True)
     grid: int = eqx.field(static=True)
+    groups: tuple[tuple[int, ...], ...] = eqx.field(static=True, default=())  # columns of each term of (18)
 
 
 def feasible(shape: Shape, setting: Setting, t: Any) -> tuple[Any, Any, Any]:
@@ -149,6 +155,15 @@ def feasible(shape: Shape, setting: Setting, t: Any) -> tuple[Any, Any, Any]:
     bounds = setting.bounds
     l = np.arange(1, len(shape.a) + 1)[:, None]
     a = shape.a - jnp.mean(shape.a, 0)
+    if setting.criterion == "paper001":
+        C = np.concatenate([l, 1 / l], 1).astype(float)
+        b = shape.b - C @ np.linalg.solve(C.T @ C, C.T) @ shape.b
+        middle = jnp.asarray(bounds.home, float)
+        sums = sums_18(a, b, setting.omega)
+        room = jnp.minimum(bounds.upper - middle, middle - bounds.lower) / sums["position"]
+        rates = jnp.minimum(bounds.speed / sums["speed"], bounds.acceleration / sums["acceleration"])
+        scale = jnp.minimum(room, rates) * jax.nn.sigmoid(shape.share)
+        return a * scale, b * scale, middle
     b = shape.b - l * jnp.sum(l * shape.b, 0) / np.sum(l * l)
     lower, upper = jnp.asarray(bounds.lower), jnp.asarray(bounds.upper)
     middle = lower + (upper - lower) * jax.nn.sigmoid(shape.middle)
@@ -171,6 +186,14 @@ def goodness(shape: Shape, task: Task, setting: Setting) -> tuple[Array, Array]:
     t = jnp.arange(setting.grid) * (period / setting.grid)
     a, b, middle = feasible(shape, setting, t)
     q, qd, qdd = series(a, b, middle, setting.omega, t)
+    if setting.criterion == "paper001":
+        W = (task.columns(q, qd, qdd) * setting.weight[:, None]).reshape(setting.grid * q.shape[1], -1)
+        logs = terms_18(W.T @ W / setting.grid, setting.groups)
+        near, weight = 30.0 * tightness(q, setting), np.log(WEIGHTS_18)
+        bound = lambda v: (jax.nn.logsumexp(SHARP * v) + jax.nn.logsumexp(-SHARP * v)) / SHARP
+        both = (jnp.stack([f(v) for v in logs]) for f in (bound, lambda v: v[-1] - v[0]))
+        smooth, exact = (jax.nn.logsumexp(v + weight) for v in both)
+        return smooth + near, exact + near
     e = spectrum(task.columns(q, qd, qdd), setting.weight)
     low = jnp.maximum(e, 1e-14 * e[-1])
     logs = 0.5 * jnp.log(low)

@@ -134,7 +134,8 @@ def assemble(
     if is_robot(binding.chain.mechanism):
         rows = yardstick.stated(binding, found)
         notes += yardstick.sentences(rows, binding.chain.mechanism.tree.tree)  # type: ignore[attr-defined]
-        joints = yardstick.per_joint(bench, table, residual if residual.torques else None, problem.free)
+        if residual.simulation != "momentum":
+            joints = yardstick.per_joint(bench, table, residual if residual.torques else None, problem.free)
         stated = tuple(Stated(**row) for row in rows)
     else:
         stated = stated_numbers(binding, found)

@@ -13,6 +13,7 @@ from jaxid.fitting.least_squares import descend
 from jaxid.fitting.scale_free import shrinking
 from jaxid.problem.binding import Binding
 from jaxid.problem.frequency_response import FrequencyResponseError
+from jaxid.problem.momentum import Momentum, told_by
 from jaxid.problem.problem import Problem
 from jaxid.problem.residual import InverseDynamics, OutputError, Residual, Runs
 from jaxid.simulation import sample_buffers as samples
@@ -107,6 +108,8 @@ class Bench:
                 f"inverse_dynamics compares torques, and {', '.join(b.layout.names[i] for i in sorted(own))} make the torque: "
                 "the smaller, the less is left. Take them out of [controller] fit, or use the residual output_error"
             )
+        if isinstance(residual, Momentum) and len(free):
+            free = told_by(b.layout, list(free))
         runs = self.runs(residual, split)
         priors = b.priors if "fit" in split.split("+") else None  # they count once
         p = Problem(runs, theta, free, b.lower, b.upper, records, loss, b.scale, self.differences, priors)
@@ -148,21 +151,23 @@ def default_residual(binding: Binding) -> Residual:
     return OutputError() if binding.dataset.experiments else FrequencyResponseError()
 
 
-def start_values(bench: Bench, free: Sequence[int], seed: int) -> list[np.ndarray]:
-    """Guesses of every number of the model, best first: what inverse dynamics finds, what was stated or is the default."""
+def start_values(bench: Bench, free: Sequence[int], seed: int, runs: Sequence[int] | None = None) -> list[np.ndarray]:
+    """Guesses of every number of the model, best first: what inverse dynamics finds (of some of the fit runs alone, where `runs`
+    are given), what was stated or is the default."""
     b = bench.binding
     guesses = [b.theta]
     told = [i for i in free if i not in b.gains]
     linear = [i for i in told if i not in b.stated] or told
     if b.motions and linear and not b.chain.mechanism.hidden_states:
         quick = InverseDynamics(decimate=1)
-        problem = bench.problem(quick, "fit", linear, b.theta)
+        of = lambda p: p if runs is None else p.part(runs, [1.0] * len(runs))
+        problem = of(bench.problem(quick, "fit", linear, b.theta))
         if shrinking(problem, problem.z(b.theta)):
             return guesses
         path = descend([(problem, problem.z(b.theta))], 15, 1e-8)[0]
         if np.isfinite(path.cost):
             guesses.insert(0, problem.theta(path.z))
-            both = bench.problem(quick, "fit", told, b.theta)
+            both = of(bench.problem(quick, "fit", told, b.theta))
             if b.stated & set(told) and not shrinking(both, both.z(guesses[0])):
                 path = descend([(both, both.z(guesses[0]))], 15, 1e-8)[0]
                 if np.isfinite(path.cost):

@@ -148,6 +148,7 @@ class Fit(Exportable):
     robot: dict[str, Any] = field(default_factory=dict)  # the file of a robot and its drive: see `jaxid.robots.origin`
     covariance: Covariance | None = None  # of the fitted numbers
     reweighted_loss: float | None = None  # of channels weighed by what the model leaves of them, where that was fitted
+    recursion: tuple[Any, ...] = ()  # of a fit along its blocks: a `recursion.Step` each
 
     @property
     def state(self) -> str:
@@ -190,6 +191,7 @@ class Fit(Exportable):
             "dataset_sha256": self.dataset_sha256,
             "versions": versions(),
             "notes": list(self.notes),
+            **({"recursion": [s.to_dict() for s in self.recursion]} if self.recursion else {}),
         } | as_data(self.data)
 
     def report(self, path: str | Path) -> Path:

@@ -22,6 +22,7 @@ from jaxid.fitting.reweighting import reweighed
 from jaxid.fitting.scale_free import refuse_scale_free
 from jaxid.fitting.settings import label_of
 from jaxid.problem.binding import Binding
+from jaxid.problem.momentum import Momentum
 from jaxid.problem.problem import Problem
 from jaxid.problem.residual import Residual
 from jaxid.problem.step_error import step_error, STEP_SHARE
@@ -164,6 +165,9 @@ class Benches:
         """Start values, best first, and those of added effects; no guess depends on the seed."""
         key = repr(residual), loss
         if key not in self._starts:
+            if isinstance(residual, Momentum):  # torques tell it nothing
+                self._starts[key] = [self.binding.theta]
+                return self._starts[key]
             guesses = start_values(bench, self.binding.free, seed)
             problem = bench.problem(residual, "fit", self.binding.free, guesses[0], loss=loss)
             self._starts[key] = [*guesses, *probe_starts(bench, problem, guesses[0])]

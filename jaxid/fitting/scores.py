@@ -11,6 +11,7 @@ from jaxid.fitting.problem_builder import Bench
 from jaxid.fitting.result import Score, Trace
 from jaxid.problem.binding import Binding
 from jaxid.problem.frequency_response import FrequencyResponseError
+from jaxid.problem.momentum import Momentum, of_the_joints
 from jaxid.problem.problem import Problem
 from jaxid.problem.residual import OutputError, Residual
 from jaxid.simulation import sample_buffers as samples
@@ -104,14 +105,18 @@ def response_scores(
 def torque_scores(
     bench: Bench, residual: Residual, split: str, theta: np.ndarray, free: Sequence[int] | np.ndarray
 ) -> dict[str, Score]:
-    """The same for inverse dynamics: filtered torque against what the model needs for the measured motion."""
+    """The same for inverse dynamics: filtered torque against what the model needs for the measured motion. Of momentum: what is
+    left of it, beside what the joints alone carry."""
     problem = bench.problem(residual, split, free, theta)
     runs = problem.runs
     out = {}
     missing = np.concatenate(problem.predictions(problem.z(theta)))
-    from jaxid.problem.torque_filter import measured_torque
+    if isinstance(residual, Momentum):
+        drive = of_the_joints(problem, theta)
+    else:
+        from jaxid.problem.torque_filter import measured_torque
 
-    drive = measured_torque(bench.binding.dataset, runs, theta)
+        drive = measured_torque(bench.binding.dataset, runs, theta)
     for c, (name, unit) in enumerate(runs.channels):
         out[name] = score(drive[:, c], missing[:, c], unit)
     return out

@@ -49,8 +49,10 @@ def follow(
     starts: Sequence[np.ndarray],
     key: PRNGKeyArray,
     generations: int = 5,
+    budget: int | None = None,
 ) -> Iterator[Minimum]:
-    """The best of each problem in turn: a whole search for the first, then `generations` from the population at hand.
+    """The best of each problem in turn: a whole search for the first, of at most `budget` evaluations, then `generations` from
+    the population at hand.
 
     The population is evaluated anew on each problem, which counts. Entries of z are carried over by name; one that is new
     (the start of another run) begins at its guess.
@@ -60,7 +62,7 @@ def follow(
     online = replace(fitter, stall=0)
     for number, problem in enumerate(problems):
         own = jax.random.fold_in(key, number)
-        log = Log(problem, fitter.name)
+        log = Log(problem, fitter.name, None if number else budget)
         if course is None:
             ended = answered(fitter.searching(problem, starts, own, log), problem)
         else:

@@ -65,9 +65,8 @@ class Payload:
         if abs(m) < 1e-12:
             return [(0.0, float("inf"))] * 3
         for k in (6, 7, 8):
-            slope = np.zeros(10)
-            slope[k], slope[9] = 1 / m, -self.phi[k] / m**2
-            out.append((float(self.phi[k] / m), float(np.sqrt(slope @ self.covariance @ slope))))
+            slope = np.array([1 / m, -self.phi[k] / m**2])
+            out.append((float(self.phi[k] / m), float(np.sqrt(slope @ self.covariance[np.ix_([k, 9], [k, 9])] @ slope))))
         return out
 
     def to_dict(self) -> dict[str, Any]:

@@ -19,6 +19,7 @@ from jaxid.data.signals import differentiate, filter_ends, STRETCH, zero_phase, 
 from jaxid.dynamics.base_parameters import BaseParameters, torque_columns
 from jaxid.dynamics.chain import Chain
 from jaxid.errors import UsageError
+from jaxid.identification.fourier import harmonic_motion
 from jaxid.simulation.sample_buffers import columns
 
 
@@ -109,9 +110,16 @@ class Run:
 
 
 def read_run(
-    dataset: Dataset, e: Experiment, chain: Chain, base: BaseParameters, cutoff_hz: float, motion_hz: float, gains: np.ndarray
+    dataset: Dataset,
+    e: Experiment,
+    chain: Chain,
+    base: BaseParameters,
+    cutoff_hz: float,
+    motion_hz: float,
+    gains: np.ndarray,
+    fourier: bool = False,
 ) -> Run:
-    """Rows of one experiment; `gains` [n] turns its inputs into joint torque."""
+    """Rows of one experiment; `gains` [n] turns its inputs into joint torque. `fourier`: rates by its harmonics."""
     iu, iy = columns(dataset, chain)
     rate = 1 / float(np.median(np.diff(e.t)))
     if cutoff_hz >= rate / 2.5:
@@ -119,7 +127,10 @@ def read_run(
             f"experiment {e.name!r} is sampled at {rate:.4g} Hz; a cutoff of {cutoff_hz:g} Hz is too high, give at most "
             f"{rate / 4:.3g}"
         )
-    q, qd, qdd, _ = differentiate(e.t, e.motion()[:, iy], min(motion_hz, rate / 2.5))
+    if fourier:
+        q, qd, qdd = harmonic_motion(e.t, e.motion()[:, iy], min(motion_hz, rate / 2.5))
+    else:
+        q, qd, qdd, _ = differentiate(e.t, e.motion()[:, iy], min(motion_hz, rate / 2.5))
     tau = e.u[:, iu] * gains
     ends = filter_ends(e.t, cutoff_hz)
     kept = slice(ends, len(e.t) - ends)

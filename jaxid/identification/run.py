@@ -19,7 +19,9 @@ from jaxid.dynamics.chain import Chain
 from jaxid.dynamics.parameter_vector import Layout
 from jaxid.errors import nearest, UsageError
 from jaxid.identification import estimators as solve, regression
+from jaxid.identification.commanded import commanded
 from jaxid.identification.estimators import Estimate
+from jaxid.identification.paper001 import as_printed, by_algorithm, P0, PAPER, unloaded, XI
 from jaxid.identification.payload import payload_by_difference, read_reference
 from jaxid.identification.regression import (
     every_row,
@@ -40,10 +42,12 @@ from jaxid.identification.stated import answered
 from jaxid.problem.binding import resolve_model
 from jaxid.problem.torque_filter import drive_gains
 from jaxid.robots.arms import as_arm
+from jaxid.robots.floating import refuse_free
 from jaxid.robots.origin import origin_on
 
 
-METHODS = ("ls", "wls", "iv", "rls", "tls", "constrained")
+MOTIONS = ("measured", "commanded", "fourier")
+METHODS = ("ls", "wls", "iv", "rls", "tls", "constrained", *PAPER)
 #: Variance of a parameter that nothing is known of, in units of the square of what one unit of noise in every row makes of it.
 UNKNOWN = 1e10
 #: Sampling rate for which paper 001 states its stopping rule.
@@ -63,26 +67,35 @@ def identify(
     reference: Identification | Mapping[str, Any] | str | Path | None = None,
     gain_std: float = 0.0,
     as_recorded: bool = False,
+    motion: str = "measured",
 ) -> Identification:
     """Base parameters and friction of a serial arm from recorded motion and torque.
 
     `method` is ls, wls, iv, rls (wls sample by sample; with a reference it also says after which time the payload has
-    converged), tls or constrained; `friction` linear, power, stribeck, or auto: the simplest that no richer law beats on every
-    held-out run. Torque and columns are low-passed at `cutoff_hz`, positions at `motion_hz` (twice that) before they are
-    differentiated. `reference`, the identification of the unloaded arm (or its JSON), gives the payload; `gain_std` is the
-    relative standard deviation of the drive gains, which moves payload and torque alike. Decisive findings of `jaxid.check`
-    are applied unless `as_recorded`. Raises `UsageError` for a model that is no serial arm and data that lack its channels.
+    converged), tls, constrained, or one of paper 001's: paper001 (its recursion as printed), algorithm1, algorithm2, which find
+    the payload of a `reference` (see `jaxid.identification.paper001`); `friction` linear, power, stribeck, or auto: the
+    simplest that no richer law beats on every held-out run. Torque and columns are low-passed at `cutoff_hz`, positions at
+    `motion_hz` (twice that) before they are differentiated. `reference`, the identification of the unloaded arm (or its JSON),
+    gives the payload; `gain_std` is the relative standard deviation of the drive gains, which moves payload and torque alike.
+    Decisive findings of `jaxid.check` are applied unless `as_recorded`. `motion` is measured, commanded (channels `q1_cmd` …),
+    or fourier: the measured one as the Fourier series of runs that hold whole periods, whose derivatives keep every harmonic up
+    to `motion_hz`. Raises `UsageError` for a model that is no serial arm and data that lack its channels.
     """
     began = time.perf_counter()
     if method not in METHODS:
         raise UsageError(f"there is no method {method!r}{nearest(method, METHODS)}")
     if friction not in (*LAWS, "auto"):
         raise UsageError(f"there is no friction law {friction!r}{nearest(friction, (*LAWS, 'auto'))}")
+    if motion not in MOTIONS:
+        raise UsageError(f"there is no motion {motion!r}{nearest(motion, MOTIONS)}")
+    refuse_free("identify", dataset)
+    dataset = commanded(dataset) if motion == "commanded" else dataset
     dataset = (checked := run_check(model, dataset, (), as_recorded)).mended or dataset
     robot = origin_on(model, dataset)
     model, dataset = as_arm(model, dataset)
     held_out = any(e.split != "fit" for e in dataset.experiments)
-    data = dataset if held_out else dataset.with_splits()
+    fourier = motion == "fourier"
+    data = dataset if held_out or fourier else dataset.with_splits()
     chain = _stated(resolve_model(model, data), data)
     arm: Any = chain.mechanism
     data = in_chain_order(data, joint_names(arm))
@@ -91,14 +104,24 @@ def identify(
     refuse_too_large(need("identify", data, chain.nq))
     base, gains = arm.base(), drive_gains(chain)
     motion_hz = motion_hz or 2 * cutoff_hz
-    runs = [read_run(data, e, chain, base, cutoff_hz, motion_hz, gains) for e in data.experiments]
+    runs = [read_run(data, e, chain, base, cutoff_hz, motion_hz, gains, fourier) for e in data.experiments]
     by = None
     if method == "iv":
         by = [instruments(data, e, chain, base, r) for e, r in zip(data.experiments, runs, strict=True) if r.split == "fit"]
 
     before = None if reference is None else read_reference(reference)
     tried = [friction] if friction != "auto" else list(LAWS)
-    solved = {name: _solve(LAWS[name], runs, by, method, chain, base) for name in tried}
+    known = unloaded(before, method, base, chain.nq) if method in PAPER else None
+    met: float | None = None
+    solved: dict[str, Any]
+    if known is not None and method == "paper001":  # the friction law of the unloaded arm, its exponents kept
+        tried = [known[0].name]
+        theta, P, met = as_printed(runs, *known, base)
+        plain = _solve(known[0], runs, None, "wls", chain, base, known[1])
+        P = np.pad(P, (0, chain.nq * known[0].nonlinear))  # of the exponents, which are kept
+        solved = {known[0].name: (theta, known[1], plain[2], None, replace(plain[4], theta=theta, covariance=P))}
+    else:
+        solved = {name: _solve(LAWS[name], runs, by, method, chain, base) for name in tried}
     scores, predicted = _scored(runs, [(LAWS[name], *solved[name][:2]) for name in tried])
     trials = [_trial(LAWS[name], own) for name, own in zip(tried, scores, strict=True)]
     chosen = _choose(trials)
@@ -106,19 +129,26 @@ def identify(
     theta, exponent, weights, phi, found = solved[law.name]
     names = names_of(base, law, len(arm.prismatic))
     symbols = {f"{k}{j + 1}": float(v) for k in ("a", "d", "b") for j, v in enumerate(np.asarray(getattr(arm, k)))}
+    way = f"positions: zero-phase Butterworth of order 4, {motion_hz:g} Hz, central differences"
+    if fourier:
+        way = f"positions: harmonics of each run up to {motion_hz:g} Hz, differentiated one by one"
     result = Identification(
         model=arm.name, method=method, law=law.name, names=tuple(names), expressions=base.expressions(symbols),
         units=tuple(_units(chain, base, law)), theta=theta, covariance=found.covariance,
         identifiable=found.identifiable[: len(names)],
         base_count=len(base.kept), exponents=exponent if law.nonlinear else None, condition_number=found.condition,
         condition_number_scaled=found.condition_scaled,
-        filter=f"positions: zero-phase Butterworth of order 4, {motion_hz:g} Hz, central differences; torque and columns alike: "
+        filter=way + "; torque and columns alike: "
         f"the same at {cutoff_hz:g} Hz; sign(qd) as tanh(qd / 0.01)",
         weights=np.mean(weights, 0), experiments=tuple(scores[chosen]),
         laws=tuple(LawTrial(t.law, t.fit, t.held_out, t.law == law.name) for t in trials),
         standard=None if phi is None else dict(zip(base.standard, phi.ravel().tolist(), strict=True)),
         dataset=dataset.name, dataset_sha256=dataset.sha256,
-        notes=(*data.notes, *_notes(found, names, method, law), *regression.held_joints(runs)),
+        notes=(
+            *data.notes, *_notes(found, names, method, law),
+            *(["a part of a period has no Fourier series: no run was cut for validation"] if fourier and not held_out else ()),
+            *regression.held_joints(runs),
+        ),
         wall_time_s=time.perf_counter() - began, labels=names_of_joints(arm, data, len(arm.prismatic)),
         traces=tuple((r.name, r.split, r.t, r.tau, own[chosen]) for r, own in zip(runs, predicted, strict=True)),
         data=checked.findings, robot=robot,
@@ -130,6 +160,11 @@ def identify(
     if method == "rls":
         after = converged_after(runs, law, exponent, result, before, base, weights)
         payload = replace(payload, converged_after_s=after)
+    elif method == "paper001":
+        payload = replace(payload, converged_after_s=met)
+    elif known is not None:
+        spread = np.array(before["covariance"], float)[: len(known[2]), : len(known[2])]
+        payload = by_algorithm(method, runs, arm, *known, spread, gain_std)
     return Identification(**{**result.__dict__, "payload": payload})
 
 
@@ -145,12 +180,21 @@ def _stated(chain: Chain, dataset: Dataset) -> Chain:
     return layout.model(theta)
 
 
-def _solve(law: Law, runs: Sequence[Run], by: Sequence[Run] | None, method: str, chain: Chain, base: BaseParameters):
-    """(theta, exponents, weights per run, standard parameters or None, covariance and condition) of one law."""
+def _solve(
+    law: Law,
+    runs: Sequence[Run],
+    by: Sequence[Run] | None,
+    method: str,
+    chain: Chain,
+    base: BaseParameters,
+    kept: np.ndarray | None = None,
+):
+    """(theta, exponents, weights per run, standard parameters or None, covariance and condition) of one law; `kept` exponents
+    are not searched."""
     arm: Any = chain.mechanism
     n = len(arm.prismatic)
     fit = [r for r in runs if r.split == "fit"]
-    exponent = np.ones(n)
+    exponent = np.ones(n) if kept is None else kept
     phi0 = np.array([float(np.asarray(getattr(arm, name.rstrip("0123456789")))[int(name[-1]) - 1]) for name in base.standard])
     prior = np.concatenate([base.values(phi0), np.zeros(len(law.parameters) * n)])
 
@@ -159,7 +203,7 @@ def _solve(law: Law, runs: Sequence[Run], by: Sequence[Run] | None, method: str,
 
     blocks = blocks_of(fit, exponent)
     theta, weights = solve.weighted(blocks, prior)
-    if law.nonlinear:
+    if law.nonlinear and kept is None:
         for _ in range(3):
             old, exponent = exponent, _exponents(fit, law, blocks, weights, len(base.kept), n, exponent, method == "constrained")
             blocks = blocks_of(fit, exponent)
@@ -181,7 +225,7 @@ def _solve(law: Law, runs: Sequence[Run], by: Sequence[Run] | None, method: str,
         levels = np.array([p in ("F_c", "F_v") for p, _ in law.parameters for _ in range(n)])
         theta, phi = solve.constrained(*solve.stacked(blocks, weights), base, phi0.reshape(n, 11), levels, arm.motor_side)
     slopes = None
-    if law.nonlinear:
+    if law.nonlinear and kept is None:
         slopes = [exponent_slopes(r, law, theta, exponent) for r in fit]
     return theta, exponent, weights, phi, solve.estimate(blocks, weights, theta, instrument, slopes)
 
@@ -315,6 +359,11 @@ def _units(chain: Chain, base: BaseParameters, law: Law) -> Iterable[str]:
 
 
 def _notes(found: Estimate, names: Sequence[str], method: str, law: Law) -> list[str]:
+    if method == "paper001":
+        return [
+            "the recursion of paper 001 as printed, over the recorded rows: standard deviations are those of its P, which takes "
+            f"xi = {XI:g} for the torque's noise and P0 = {P0:g} for what the load may change; exponents are the reference's"
+        ]
     how = "white" if found.white else f"coloured (memory {found.memory} rows)"
     notes = [f"residuals are {how}: standard deviations from the sandwich covariance of the estimator"]
     lost = [n for n, seen in zip(names, found.identifiable, strict=False) if not seen]

@@ -11,13 +11,13 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from jaxid import catalogue
+from jaxid import catalogue, wording
 from jaxid.data.dataset import Dataset, Experiment, ParameterPrior
 from jaxid.data.joint_names import in_chain_order, joint_names
 from jaxid.data.noise import Noise, noise_floor
 from jaxid.data.time_stamps import scattered_stamps, Stamps, with_scatter
 from jaxid.dynamics.chain import Chain
-from jaxid.dynamics.effect import Effect, neutral
+from jaxid.dynamics.effect import Effect, JointEffect, neutral
 from jaxid.dynamics.joint_readings import all_read, with_speeds
 from jaxid.dynamics.mechanism import Mechanism, Signature
 from jaxid.dynamics.parameter import Reference, settings, with_settings
@@ -163,7 +163,8 @@ def _signature(mechanism: Mechanism, dataset: Dataset) -> Signature:
 
 
 def parse_effect(text: str | Effect | type[Effect], chain: Chain) -> tuple[type[Effect], str | None]:
-    """`dead_zone@tau`, or `dead_zone` where it has one place."""
+    """`dead_zone@tau`, or `dead_zone` where it has one place. One that the model comprises only where a fit holds some of its
+    numbers, which it then fits (at all places, where none is named)."""
     name, _, place = catalogue.enrolled(text).partition("@")
     kind = catalogue.effect_class(name)
     places = chain.offers(kind)
@@ -171,11 +172,14 @@ def parse_effect(text: str | Effect | type[Effect], chain: Chain) -> tuple[type[
         kinds = [catalogue.effect_class(n) for n in catalogue.effect_names()]
         able = [k.name for k in kinds if k.name not in chain.contents and chain.offers(k)]
         raise UsageError(f"{name} has no place in {chain.mechanism.name}, which can take: {', '.join(able) or 'none'}")
-    if name in chain.contents:
+    held = chain.mechanism.held() if any(e.name == name for e in chain.effects) else frozenset()
+    layout = Layout(chain)
+    frees = bool(held) and any(layout.names[i] in held for i in layout.of_effect(name))
+    if name in chain.contents and not frees:
         raise UsageError(f"{name} is part of {chain.mechanism.name} already: it is fitted without being asked for")
     if place and place not in places:
         raise UsageError(f"{name} cannot act at {place!r}{nearest(place, places)}")
-    if not place and len(places) > 1:
+    if not place and len(places) > 1 and not frees:
         raise UsageError(f"{name} can act at {', '.join(places)}: say where, as in {name}@{places[0]}")
     return kind, place or None
 
@@ -258,6 +262,7 @@ def bind(
                 raise UsageError(f"{name} = {theta[i]:g} lies outside its bounds [{lower[i]:g}, {upper[i]:g}]")
             theta[i] = np.sqrt(lower[i] * upper[i]) if lower[i] > 0 else (lower[i] + upper[i]) / 2
     known, said = _stated_scales(layout, priors, lower, upper)
+    said = (*said, *_held_friction(chain, layout, free, fixed - stated, theta))
     if robots.is_robot(model):
         said = (*robots.notes_of(model, dataset), *said)
     theta[free] = np.clip(theta[free], lower[free], upper[free])
@@ -265,6 +270,24 @@ def bind(
         dataset, chain, layout, noise, sigma, readings, motions, references, inputs, theta, lower, upper, scale, free, stated,
         own, priors=known, said=said,
     ).with_stamps(stamps)  # fmt: skip
+
+
+def _held_friction(chain: Chain, layout: Layout, free: list[int], fixed: set[int], theta: np.ndarray) -> list[str]:
+    """What is to be said of numbers of the model's own friction that a fit leaves as they are, effect by effect."""
+    said = []
+    for k, effect in enumerate(chain.effects):
+        if not isinstance(effect, JointEffect):
+            continue
+        own = [i for i, e in enumerate(layout.entries) if e.owner == k and i in fixed and i not in free and not e.spec.fixed]
+        own = [i for i in own if layout.entries[i].location not in robots.ANGLES]  # nothing brakes a base that floats
+        if own and any(i in free for i, e in enumerate(layout.entries) if e.owner == k):
+            names = wording.listed([layout.names[i] for i in own])
+            values = wording.listed([f"{v:g}" for v in dict.fromkeys(theta[own].tolist())])
+            said.append(
+                f"held and not fitted: {names} = {values}; --effect {effect.name} fits them, [model.parameters."
+                f"{layout.names[own[0]]}] one by one"
+            )
+    return said
 
 
 def _stated_scales(

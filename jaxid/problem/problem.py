@@ -58,8 +58,20 @@ class Data(NamedTuple):
     steps: Any
     count: Any
     norm: Any
-    mean: Any  # of the priors of the free parameters, and 1 / standard deviation, 0 without one
-    pull: Any
+    known: Any  # of the free parameters without the data: `Known`
+
+
+class Known(NamedTuple):
+    """What is known of the free parameters without the data: R (values - mean) + e are residuals more. R [free free], with
+    1 / standard deviation on its diagonal for priors of single numbers; rows of zeros say nothing."""
+
+    mean: np.ndarray
+    R: np.ndarray
+    e: np.ndarray
+
+    def at(self, values: Any) -> Any:
+        """The residuals [... free] at values [... free]."""
+        return jnp.sum((values - self.mean)[..., None, :] * self.R, -1) + self.e
 
 
 class Problem(AbstractProblem):
@@ -93,9 +105,10 @@ class Problem(AbstractProblem):
         known = {k: priors[int(i)] for k, i in enumerate(self.free) if int(i) in priors} if priors else {}
         if known and loss != "sum_of_squares":
             raise UsageError(f"a prior is one more square: it has no place in {loss}; leave it out, or use sum_of_squares")
-        self.mean, self.pull = np.zeros(self.free.size), np.zeros(self.free.size)
+        n = self.free.size
+        self.known = Known(np.zeros(n), np.zeros((n, n)), np.zeros(n))
         for k, (mean, std) in known.items():
-            self.mean[k], self.pull[k] = mean, 1 / std
+            self.known.mean[k], self.known.R[k, k] = mean, 1 / std
         self.records = list(runs.records if records is None else records)
         self.log = runs.layout.log[self.free] & (lower[self.free] > 0)
         self.start0 = np.array([np.concatenate([runs.record(r).q0, runs.record(r).qd0]) for r in self.records])
@@ -204,7 +217,7 @@ class Problem(AbstractProblem):
                 self.start0, self.start_rows, self.start_columns, self._bounds[0],
                 np.array([self.runs.record(r).samples[0] for r in records], np.int32),
                 np.array([self.runs.record(r).count for r in records], np.int32), self._bounds[1], count, norm,
-                self.mean, self.pull,
+                self.known,
             )  # fmt: skip
         return self._data
 
@@ -216,16 +229,23 @@ class Problem(AbstractProblem):
             own = sums(predict, length, loss, z, data)
             part = z[:, : data.log.shape[0]]
             values = jnp.where(data.log, jnp.exp(jnp.where(data.log, part, 0.0)), part)
-            own = own.at[:, 0].add(jnp.sum(((values - data.mean) * data.pull) ** 2, -1))
+            own = own.at[:, 0].add(jnp.sum(data.known.at(values) ** 2, -1))
             return penalised(loss.total(own, data.count, data.norm))
 
         return losses
 
     def known_before(self, z: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        r = (self.theta(z)[self.free] - self.mean) * self.pull
+        known = self.known
         J = np.zeros((self.free.size, self.size))
-        np.fill_diagonal(J, self.dtheta(z) * self.pull)
-        return r[self.pull > 0], J[self.pull > 0]
+        J[:, : self.free.size] = known.R * self.dtheta(z)
+        told = np.any(known.R != 0, 1)
+        return (known.R @ (self.theta(z)[self.free] - known.mean) + known.e)[told], J[told]
+
+    def knowing(self, known: Known) -> Problem:
+        """The same problem with other numbers known without its data."""
+        twin = copy.copy(self)
+        twin.known, twin._data, twin._pure = known, None, None
+        return twin
 
     def begun(self, z):
         if not self.runs.engine.long:

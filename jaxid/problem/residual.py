@@ -32,7 +32,7 @@ from jaxid.simulation.sample_buffers import Record
 
 
 #: What a residual's runs are.
-Simulation = Literal["free_run", "windows", "closed_loop", "inverse_dynamics", "frequency_response"]
+Simulation = Literal["free_run", "windows", "closed_loop", "inverse_dynamics", "momentum", "frequency_response"]
 
 #: A part of a longer run starts so long before it, and by so many samples at most.
 RUN_UP_S, RUN_UP_SAMPLES = 1.0, 500
@@ -101,8 +101,8 @@ class Residual(abc.ABC):
 
     @property
     def torques(self) -> bool:
-        """Whether torques along the measured motion are compared: nothing is simulated, no start is unknown."""
-        return self.simulation == "inverse_dynamics"
+        """Whether forces or momenta along the measured motion are compared: nothing is simulated, no start is unknown."""
+        return self.simulation in ("inverse_dynamics", "momentum")
 
     def select(self, dataset: Dataset, split: str) -> tuple[Experiment, ...]:
         """The runs of a split, or of several ("fit+validation"), that it looks at."""
@@ -299,19 +299,20 @@ RESIDUALS: dict[str, type[Residual]] = {r.name: r for r in (OutputError, Multipl
 
 
 def resolve_residual(residual: Residual | str | None, cutoff_hz: float | None = None) -> Residual | None:
-    """The residual that is meant; `cutoff_hz` is that of `inverse_dynamics`. Raises `UsageError` for one that does not exist."""
+    """The residual that is meant; `cutoff_hz` is that of `inverse_dynamics` and `momentum`. Raises `UsageError` for one that does
+    not exist."""
+    for module in ("closed_loop", "frequency_response", "momentum"):  # which enter their own
+        import_module(f"jaxid.problem.{module}")
     if cutoff_hz is not None:
         name = residual if isinstance(residual, str | None) else residual.name
-        if name != InverseDynamics.name:
+        if name not in (InverseDynamics.name, "momentum"):
             raise UsageError(
-                "a cutoff is the low-pass of inverse_dynamics: give residual='inverse_dynamics' (--residual) with it"
+                "a cutoff is the low-pass of inverse_dynamics and momentum: give residual='inverse_dynamics' (--residual) with it"
             )
         if not cutoff_hz > 0:
             raise UsageError(f"a cutoff of {cutoff_hz:g} Hz is none; give one above 0")
-        return InverseDynamics(cutoff_hz=cutoff_hz)
+        return RESIDUALS[str(name)](cutoff_hz=cutoff_hz)  # type: ignore[call-arg]
     if isinstance(residual, str):
-        import_module("jaxid.problem.closed_loop")  # which enters its own
-        import_module("jaxid.problem.frequency_response")
         if residual not in RESIDUALS:
             raise UsageError(f"there is no residual {residual!r}{nearest(residual, RESIDUALS)}")
         return RESIDUALS[residual]()

@@ -98,6 +98,8 @@ def torque_setting(
         white = 1.4826 * np.median(np.abs(third), axis=0)
         span = np.percentile(np.abs(np.concatenate(torques)), 99, axis=0)
         level = np.maximum(np.maximum(white * np.sqrt(np.sum(taps**2)), 1e-3 * span), 1e-12)
+        if np.any(span > 0):  # where nothing drives (the angles of a base that floats) rows are as good as the worst driven ones
+            level = np.where(span > 0, level, level[span > 0].max())
     return TorqueSetting(motion, ends, decimate, taps, level, cutoff_hz, statement, iu, [iy[k] for k in chain.joint_outputs])
 
 

@@ -26,6 +26,7 @@ def section(fit: Fit, history: bool = True) -> Section:
             "effects": wording.listed(text.effect_name(e) for e in fit.effects),
             "rows": rows,
             "history": history_picture(fit) if history and len(fit.history) > 2 else None,
+            "recursion": recursion_picture(fit) if history and len(fit.recursion) > 1 else None,
         },
     )
 
@@ -54,3 +55,25 @@ def history_picture(fit: Fit):
         plot.plain_log(axes.yaxis)
 
     return plot.svg("history", (plot.WIDE, 2.4), draw) if positive.any() else None
+
+
+#: Most numbers drawn over the recursions.
+DRAWN = 8
+
+
+def recursion_picture(fit: Fit):
+    """Each fitted number over the recursions with its band of two standard deviations."""
+    names = list(fit.recursion[0].parameters)[:DRAWN]
+    at = np.arange(1, len(fit.recursion) + 1)
+
+    def draw(figure):
+        for k, name in enumerate(names):
+            axes = figure.add_subplot(len(names), 1, k + 1)
+            value = np.array([s.parameters[name][0] for s in fit.recursion])
+            std = np.array([np.nan if s.parameters[name][1] is None else s.parameters[name][1] for s in fit.recursion], float)
+            axes.fill_between(at, value - 2 * std, value + 2 * std, color=plot.BLUE, alpha=0.2, linewidth=0)
+            axes.plot(at, value, color=plot.BLUE, marker=".")
+            axes.set_ylabel(text.one_line(name))
+        figure.axes[-1].set_xlabel("recursion")
+
+    return plot.svg("recursion", (plot.WIDE, 0.6 + 1.1 * len(names)), draw)

@@ -112,7 +112,8 @@ def payload_rows(result: Identification) -> list[tuple[str, str, str]]:
                 f"{value - 1.96 * spread:.3g} to {value + 1.96 * spread:.3g} m",
             )
         )
-    rows.append(("mass of the nearest body that can exist", f"{payload.body[9]:.4g} kg", ""))
+    if np.isfinite(payload.body).all():
+        rows.append(("mass of the nearest body that can exist", f"{payload.body[9]:.4g} kg", ""))
     if payload.published is not None:
         rows.append(("mass by the three rows of paper 001", f"{payload.published[9]:.4g} kg", ""))
     return rows

@@ -272,6 +272,8 @@ def fit_text(fit: Fit) -> str:
             [(name, value_with_std(p, unit=False), p.unit, remark(p)) for name, p in parameter_rows(fit)],
         ),
     ]
+    if fit.recursion:
+        parts.append(recursion_table(fit))
     scores = [
         (split, channel, f"{number(s.rmse)} {s.unit}", percent(s.nrmse), percent(s.relative_error))
         for split, channels in fit.scores.items()
@@ -284,6 +286,16 @@ def fit_text(fit: Fit) -> str:
     parts += [paragraph("note", [note]) for note in fit.notes]
     parts.append(f"{fit.evaluations} evaluations, {number(fit.wall_time_s)} s, {number(fit.compile_time_s)} s of it compiling")
     return "\n".join(filter(None, parts))
+
+
+def recursion_table(fit: Fit, most: int = 10, columns: int = 4) -> str:
+    """The first numbers over the recursions of a fit along its data; of many recursions some, first and last among them."""
+    names, count = list(fit.recursion[0].parameters)[:columns], len(fit.recursion)
+    shown = sorted({round(k * (count - 1) / max(1, min(most, count) - 1)) for k in range(min(most, count))})
+    rows = [
+        (str(k + 1), number(fit.recursion[k].t), *(number(fit.recursion[k].parameters[name][0]) for name in names)) for k in shown
+    ]
+    return table(("recursion", "until (s)", *map(one_line, names)), rows)
 
 
 def simulation_text(simulation: Simulation) -> str:

@@ -103,7 +103,7 @@ def with_base(dataset: Dataset) -> Dataset:
     and accelerations through a low-pass without phase. Raises `UsageError` for a channel that is no angle."""
     kind = dataset.model.base.get("kind", "fixed") if dataset.model is not None else "fixed"
     recorded = base_channels(dataset)
-    if not recorded or rides(dataset):
+    if not recorded or rides(dataset) or kind == "free":
         return dataset
     if kind != "prescribed":
         note = f'{", ".join(recorded)} recorded and not used: [model.base] kind = "prescribed" lets the base move so'

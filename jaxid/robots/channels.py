@@ -32,11 +32,12 @@ def signature_of(tree: Tree, driven: bool, rates: tuple[str, ...] = (), rides: b
     """Channels of a robot: goals or torques in, then the goals' rates and the motion of the base, joint positions out, by the
     joints' names."""
     joints = tree.leading
+    driven_joints = tree.driven
     slides = tuple(tree.slides[tree.joints.index(j)] for j in joints)
     outputs = tuple((j, "m" if s else "rad") for j, s in zip(joints, slides, strict=True))
-    goals = tuple((goal(j), unit) for j, (_, unit) in zip(joints, outputs, strict=True))
-    torques = tuple((torque(j), "N" if s else "N m") for j, s in zip(joints, slides, strict=True))
-    beside = (*((n, f"{unit}/s") for n, (_, unit) in zip(rates, outputs, strict=bool(rates))), *(RIDE if rides else ()))
+    goals = tuple((goal(j), unit) for j, (_, unit) in zip(driven_joints, outputs, strict=False))
+    torques = tuple((torque(j), "N" if s else "N m") for j, s in zip(driven_joints, slides, strict=False))
+    beside = (*((n, f"{unit}/s") for n, (_, unit) in zip(rates, outputs, strict=False)), *(RIDE if rides else ()))
     return Signature(
         (*(goals if driven else torques), *beside), outputs, joints, prismatic=slides if any(slides) else (),
         beside=len(beside), rates=len(rates),

@@ -260,6 +260,13 @@ def turn(roll: Any, pitch: Any, yaw: Any) -> tuple[tuple[Any, ...], ...]:
     )
 
 
+def angular_velocity(angles: Float[Array, " 3"], rates: Float[Array, " 3"]) -> Float[Array, " 3"]:
+    """Of a frame turned by Rz(yaw) Ry(pitch) Rx(roll), in itself."""
+    (sr, cr), (sp, cp) = sincos(angles[0]), sincos(angles[1])
+    roll, pitch, yaw = rates
+    return jnp.stack([roll - yaw * sp, pitch * cr + yaw * sr * cp, yaw * cr * cp - pitch * sr])
+
+
 def tour(parent: tuple[int, ...]) -> list[int]:
     """Nodes in the order of a walk out along every limb and back; -1, the base, begins and ends it."""
     walk: list[int] = [-1]

@@ -24,6 +24,8 @@ def limbs_of(model: object, dataset: Dataset) -> list[tuple[Any, Dataset]]:
     if not is_robot(model):
         return []
     whole: Any = model
+    if whole.tree.tree.floats:  # its limbs move each other through the base
+        return [(whole, dataset)]
     tree, _ = recorded(whole.tree.tree, dataset)
     groups = tree.limbs()
     return [(type(whole)(tree.only(joints), driven=False), part(dataset, tree, joints)) for joints in groups]

@@ -19,6 +19,7 @@ from jaxid.dynamics.parameter import with_fields
 from jaxid.errors import nearest, UsageError
 from jaxid.robots.beside import as_inputs, left_out, rides, with_base, with_rates
 from jaxid.robots.drives import file_law, stated_law
+from jaxid.robots.floating import ANGLES, floating, refuse_unmeasured, wanted
 from jaxid.robots.mjcf_text import expanded
 from jaxid.robots.tree import Tree
 
@@ -168,13 +169,15 @@ def prepared(model: object, dataset: Dataset) -> tuple[object, Dataset]:
     if isinstance(model, str) and model.lower().endswith((".xml", ".mjcf")):
         model = robot_from(model, tip)
     elif isinstance(model, str) and model.lower().endswith(".urdf"):
-        model = robot_from(model, tip) if tip is not None else _beyond_an_arm(model, dataset)
+        model = robot_from(model, tip) if tip is not None or wanted(dataset) else _beyond_an_arm(model, dataset)
     elif (model is None or model == "robot") and spec is not None and spec.geometry is not None and spec.geometry.robot:
         model = robot_of(spec.geometry.robot, spec.geometry.file, spec.geometry.tip)
     if not is_robot(model):
         return model, dataset
-    tree: Tree = model.tree.tree  # type: ignore[attr-defined]
     dataset = for_a_robot(dataset)
+    if wanted(dataset) and not model.tree.tree.floats:  # type: ignore[attr-defined]
+        model = type(model)(floating(model.tree.tree), driven=False)  # type: ignore[attr-defined, call-arg]
+    tree: Tree = model.tree.tree  # type: ignore[attr-defined]
     spec = dataset.model
     dataset = driving(named(dataset, tree, spec.joints if spec is not None else None), tree)
     return model, with_base(with_rates(dataset, tree))
@@ -204,7 +207,7 @@ def matched(robot: Any, dataset: Dataset) -> Chain:
     tree: Tree = robot.tree.tree
     tree, notes = recorded(tree, dataset)
     spec = dataset.model
-    joints, inputs = tree.leading, {c.name for c in dataset.inputs}
+    joints, inputs = tree.driven, {c.name for c in dataset.inputs}
     goals, torques = ([j for j in joints if f"{j}{end}" in inputs] for end in ("_cmd", "_tau"))
     if goals and torques:
         raise UsageError(
@@ -242,6 +245,8 @@ def recorded(tree: Tree, dataset: Dataset) -> tuple[Tree, tuple[str, ...]]:
     """The tree with joints that the dataset does not measure held, and what is to be said of it."""
     outputs = {c.name for c in dataset.outputs}
     names = [c.name for c in dataset.channels]
+    if tree.floats:
+        refuse_unmeasured(tree, dataset)
     constants = dataset.model.constants if dataset.model is not None else {}
     measured = [j for j in tree.leading if j in outputs or f"{j}_qd" in outputs]
     followers = {c.follower: c.leader for c in tree.couplings if c.follower in outputs}
@@ -258,6 +263,11 @@ def recorded(tree: Tree, dataset: Dataset) -> tuple[Tree, tuple[str, ...]]:
             f'"{tree.leading[0]}"'
         )
     unknown = sorted(n for n in outputs - set(tree.joints) - {f"{j}_qd" for j in tree.joints})
+    if unknown and unknown[0] in ANGLES:
+        raise UsageError(
+            f'output {unknown[0]!r} is how the base turns: [model.base] kind = "free" compares it; of a base that is moved '
+            '(kind = "prescribed") give it role = "auxiliary"'
+        )
     if unknown:
         raise UsageError(
             f"output {unknown[0]!r} is no joint of {tree.file or 'the robot'}{nearest(unknown[0], tree.leading)}; map it under "
@@ -287,11 +297,13 @@ def _placed(robot: Any, spec: ModelSpec | None) -> Any:
     """The robot on the base that [model.base] states."""
     base = dict(spec.base) if spec is not None else {}
     kind = base.pop("kind", "fixed")
-    if kind not in ("fixed", "prescribed"):
-        raise UsageError(
-            f"[model.base] kind = {kind!r}: jaxid simulates a base that is fixed or prescribed (roll, pitch, yaw as constants, "
-            "or measured as channels base_roll, base_pitch, base_yaw). Hold the robot by its trunk, or record how that turns"
-        )
+    if kind == "free":
+        if base:
+            raise UsageError(
+                f'[model.base] {next(iter(base))}: a base of kind = "free" is where its channels base_roll, base_pitch and '
+                "base_yaw show it; leave the angle out"
+            )
+        return robot
     return with_fields(robot, {f"base_{k}": np.float64(v) for k, v in base.items()})
 
 

@@ -131,6 +131,12 @@ class _Reader:
         m, mj = self.m, self.mj
         joints, links, parent, slides, axis, place, inertia, anchor, number = [], [], [], [], [], [], [], [], []
         carrier = {0: (-1, np.eye(4))}  # body -> (node that carries it, its frame there)
+        trunk, root, free, base = (
+            np.zeros(10),
+            np.eye(4),
+            [0],
+            "world",
+        )  # of what the base is: all of the world, or the first free body
         for b in range(1, m.nbody):
             node, T = carrier[int(m.body_parentid[b])]
             T = T @ pose(m.body_pos[b], m.body_quat[b])
@@ -143,6 +149,8 @@ class _Reader:
                     self.notes.append(
                         f"joint {self.name('JOINT', j)!r} is free: the base is taken as fixed where the file puts it"
                     )
+                    if free == [0]:
+                        trunk, root, free, base = np.zeros(10), T, [b], self.name("BODY", b)
                     continue
                 if kind == mj.mjtJoint.mjJNT_BALL:
                     raise self.refuse(f"joint {self.name('JOINT', j)!r} is a ball joint; jaxid takes hinge and slide joints")
@@ -161,6 +169,9 @@ class _Reader:
             back = np.eye(4)
             back[:3, 3] = -here
             carrier[b] = node, (T @ back)
+            if node < 0 and (free == [0] or b in free or int(m.body_parentid[b]) in free):
+                trunk = trunk + turned(self.ten(b), carrier[b][1])
+                free = [*free, b]
             if node >= 0:
                 if parent and len(own) and links[node] == "" and node == len(joints) - 1:
                     links[node] = self.name("BODY", b)
@@ -190,7 +201,7 @@ class _Reader:
             np.where(limited, m.jnt_range[j, 0], -np.inf), np.where(limited, m.jnt_range[j, 1], np.inf),
             np.full(len(j), np.inf), np.array([max(abs(low), abs(high)) for low, high in force]),
             couplings, actuators, self.poses(number, joints), tuple(map(float, m.opt.gravity)), "world", (),  # type: ignore[arg-type]
-            tuple(dict.fromkeys(self.notes)),
+            tuple(dict.fromkeys(self.notes)), trunk=tuple(trunk.tolist()), root=tuple(root.ravel().tolist()), carrier=base,
         )  # fmt: skip
         return tree.locked(fixed)
 

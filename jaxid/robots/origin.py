@@ -29,7 +29,7 @@ def origin(mechanism: Any, geometry: Geometry | None) -> dict[str, Any]:
     return {
         "file": path,
         "sha256": digest(path),
-        "joints": list(tree.joints),
+        "joints": list(tree.joints[6 * tree.floats :]),
         "held": {k: float(v) for k, v in tree.held.items()},
         "base": {k: float(np.asarray(getattr(mechanism, f"base_{k}"))) for k in ("roll", "pitch", "yaw")},
         "drive": None if law is None else {

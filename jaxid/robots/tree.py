@@ -17,6 +17,10 @@ from jaxid.dynamics.rigid_body import moved, Placements
 from jaxid.errors import nearest, UsageError
 
 
+#: Nodes of a base that floats, from the world to the base: three slides, then Rz(yaw) Ry(pitch) Rx(roll).
+FLOATS = ("base_x", "base_y", "base_z", "base_yaw", "base_pitch", "base_roll")
+
+
 @dataclass(frozen=True)
 class Coupling:
     """A joint that follows another: q_follower = offset + ratio q_leader."""
@@ -52,7 +56,9 @@ class Tree:
 
     `inertia` [n 10] is about the node's origin, `anchor` [n 3] that origin in the frame of the body as the file has it (`links`,
     "" for a node between two joints of one body). `damping` [n 3]: f = d1 v + d2 v |v| + d3 v^3. Limits are infinite where
-    unknown. `held`: where joints of the file that do not move here stand.
+    unknown. `held`: where joints of the file that do not move here stand. `trunk`: ten numbers of the base itself about the
+    base's frame, `carrier` that link's name, and `root` [16], row by row, its pose in it where it is free to move in the file.
+    `floats`: the first six nodes are the base's own freedom (see `robots.floating`).
     """
 
     file: str
@@ -82,6 +88,10 @@ class Tree:
     impossible: tuple[str, ...] = ()
     notes: tuple[str, ...] = ()
     held: Mapping[str, float] = field(default_factory=dict)
+    trunk: tuple[float, ...] = (0.0,) * 10
+    root: tuple[float, ...] = tuple(np.eye(4).ravel().tolist())
+    carrier: str = "base"
+    floats: bool = False
 
     @property
     def n(self) -> int:
@@ -93,8 +103,14 @@ class Tree:
 
     @property
     def leading(self) -> tuple[str, ...]:
-        """Joints that move by themselves, in the order of the file."""
-        return tuple(j for j in self.joints if j not in self.followers)
+        """Joints that move by themselves, in the order of the file; behind them the angles of a base that floats."""
+        own = tuple(j for j in self.joints[6 * self.floats :] if j not in self.followers)
+        return (*own, *FLOATS[:2:-1]) if self.floats else own
+
+    @property
+    def driven(self) -> tuple[str, ...]:
+        """Those of them that a drive moves: all but the angles of a base that floats."""
+        return self.leading[: -3 if self.floats else None]
 
     @property
     def ends(self) -> tuple[str, ...]:
@@ -127,6 +143,7 @@ class Tree:
         number = {k: i for i, k in enumerate(keep)}
         fields = self.taken(keep)
         inertia, places, parents = fields["inertia"].copy(), [], []
+        trunk = np.array(self.trunk)
         carrier: dict[int, tuple[int, np.ndarray]] = {}  # held node -> (node that carries it or -1, its frame there)
         for k in range(self.n):  # parents stand before their children
             up, T = self.parent[k], self.place[k]
@@ -137,11 +154,14 @@ class Tree:
                 carrier[k] = up, T @ motion(self.axis[k], self.slides[k], held[k] - self.reference[k])
                 if up >= 0:
                     inertia[number[up]] += turned(self.inertia[k], carrier[k][1])
+                else:
+                    trunk += turned(self.inertia[k], carrier[k][1])
             else:
                 places.append(T)
                 parents.append(number.get(up, -1))
         gone = {self.joints[k] for k in held}
         own = {**fields, "place": np.array(places).reshape(-1, 4, 4), "inertia": inertia, "parent": tuple(parents)}
+        own["trunk"] = tuple(trunk.tolist())
         return replace(
             self,
             **own,
@@ -182,8 +202,10 @@ class Tree:
 
     def free_moments(self) -> set[str]:
         """Numbers com_x@LINK … of first moments that gravity shows: across the axis of a hinge, and not where that stands upright
-        on the base."""
+        on the base. A base that floats falls with the rest: nothing shows."""
         out: set[str] = set()
+        if self.floats:
+            return out
         turn = [np.eye(3)] * self.n
         moved = [False] * self.n  # whether a joint before this one turns it
         down = np.array(self.gravity) / max(float(np.linalg.norm(self.gravity)), 1e-12)
@@ -213,7 +235,7 @@ class Tree:
             root = [min(a, b) if r in (a, b) else r for r in root]
         groups: dict[int, list[str]] = {}
         for k, name in enumerate(self.joints):
-            if name not in self.followers:
+            if name in self.leading:
                 groups.setdefault(root[k], []).append(name)
         return tuple(map(tuple, groups.values()))
 

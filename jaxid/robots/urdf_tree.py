@@ -20,12 +20,15 @@ def read_urdf_tree(path: str | Path, text: str | None = None) -> Tree:
     robot, base = read_links(path, text)
     nodes: list[tuple[Any, int, np.ndarray]] = []  # joint, parent node, its frame there
     bodies: list[np.ndarray] = []
+    trunk = np.zeros(10)
 
     def visit(link: str, node: int, T: np.ndarray, depth: int = 0) -> None:
         if depth > 500:
             raise UsageError(f"{path}: more than 500 links deep")
         if node >= 0:
             bodies[node] = bodies[node] + turned(robot.inertia[link], T)
+        else:
+            trunk[:] += turned(robot.inertia[link], T)
         for joint in robot.children(link):
             here = T @ joint.T
             if joint.kind not in MOVING:
@@ -54,6 +57,7 @@ def read_urdf_tree(path: str | Path, text: str | None = None) -> Tree:
         tuple(j.kind == "prismatic" for j in joints), np.array([j.axis for j in joints]), np.array([T for _, _, T in nodes]),
         zero, np.array(bodies), np.zeros((len(joints), 3)), zero, damping, dissipation[:, 1].copy(), zero, zero,
         limits[0], limits[1], limits[2], limits[3], _couplings(path, joints), base=base,
+        trunk=tuple(trunk.tolist()), carrier=base,
         impossible=tuple(f for name, phi in robot.inertia.items() if (f := fault(name, phi))),
     )  # fmt: skip
 

@@ -1,0 +1,120 @@
+"""The payload as in paper 001 and by the two algorithms that it compares with; all begin with the unloaded arm's identification.
+
+- `paper001`: equations (7) to (16) as printed. The recursion K = P Y' (X + Y P Y')^-1 over the recorded rows, not filtered,
+  from the unloaded arm's parameters (base parameters, F_c, F_v, offset; its exponents kept) with xi = 100, P0 = 10; converged
+  once no parameter of the last link has moved by more than 0.005 a sample for 300 samples.
+- `algorithm1` (Khalil, Gautier, Lemoine 2007): the torque less that of the unloaded arm on the same motion is the load's ten
+  columns at the flange; least squares.
+- `algorithm2` (Gaz, De Luca 2017): the same of gravity alone, at rest; mass and centre of mass.
+
+The torque of the unloaded arm on this motion is that of its identified parameters.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping, Sequence
+from typing import Any
+
+import numpy as np
+
+from jaxid.dynamics.base_parameters import BaseParameters, torque_columns
+from jaxid.errors import UsageError
+from jaxid.fitting.recursive_least_squares import replay_stretches, Rule
+from jaxid.identification.estimators import estimate
+from jaxid.identification.online import watched_of
+from jaxid.identification.payload import nearest_body, Payload
+from jaxid.identification.regression import every_row, full_rows, Law, LAWS, names_of, Run, spacing
+
+
+PAPER = ("paper001", "algorithm1", "algorithm2")
+XI, P0 = 100.0, 10.0
+#: An arm whose joints are all slower than this rests, rad/s (m/s), as in the paper's static poses.
+AT_REST = 0.01
+
+
+def unloaded(before: Mapping[str, Any] | None, method: str, base: BaseParameters, n: int) -> tuple[Law, np.ndarray, np.ndarray]:
+    """Friction law, exponents [n] and parameters of the unloaded arm's identification. Raises `UsageError` without one."""
+    if before is None:
+        raise UsageError(
+            f"method {method} finds a payload from the unloaded arm's parameters: give its identification as a reference "
+            "(--reference UNLOADED/identification.json)"
+        )
+    law = LAWS[str(before.get("friction_law", "linear"))]
+    friction = before["friction"]
+    known = {e["name"]: e["value"] for e in before["base_parameters"]}
+    known |= {f"{p}{j + 1}": friction[j][p]["value"] for p, _ in law.parameters for j in range(n)}
+    names = names_of(base, law, n)
+    if lacking := [name for name in names if name not in known]:
+        raise UsageError(f"the reference is of another arm: it lacks {lacking[0]}")
+    exponent = [float(friction[j].get("exponent", {}).get("value", 1.0)) for j in range(n)]
+    return law, np.array(exponent), np.array([known[name] for name in names], float)
+
+
+def as_printed(
+    runs: Sequence[Run], law: Law, exponent: np.ndarray, prior: np.ndarray, base: BaseParameters
+) -> tuple[np.ndarray, np.ndarray, float | None]:
+    """(theta, P, seconds after which the rule was first met or None) over the fit runs."""
+    fit = [r for r in runs if r.split == "fit"]
+
+    def rows() -> Iterator[tuple[np.ndarray, np.ndarray]]:
+        for r in fit:
+            for at, _, W in every_row(r, law, exponent):
+                yield W, r.tau_raw[at]
+
+    n = fit[0].tau.shape[1]
+    theta, P, met = replay_stretches(rows(), prior, noise_var=XI, prior_var=P0, watched=watched_of(base, n), rule=Rule())
+    step = float(np.median(np.diff(fit[0].t)))
+    return theta, P, None if met is None else met * step
+
+
+def by_algorithm(
+    method: str,
+    runs: Sequence[Run],
+    arm: Any,
+    law: Law,
+    exponent: np.ndarray,
+    theta: np.ndarray,
+    spread: np.ndarray,
+    gain_std: float,
+) -> Payload:
+    """The payload by Algorithm 1 or 2 from the fit runs; `theta` are the unloaded arm's parameters, `spread` their covariance,
+    which counts. Raises `UsageError` where Algorithm 2 finds no poses at rest."""
+    fit = [r for r in runs if r.split == "fit"]
+    n = fit[0].tau.shape[1]
+    own = slice(11 * (n - 1) + (6 if method == "algorithm2" else 0), 11 * (n - 1) + 10)
+    if method == "algorithm2":  # at rest friction may take any value up to its level
+        dry = [k for k, name in enumerate(law.parameters) for _ in range(n) if name[0] != "offset"]
+        theta = theta.copy()
+        theta[len(theta) - len(law.parameters) * n :][[i for i in range(len(law.parameters) * n) if i // n in dry]] = 0.0
+    blocks, carried = [], []
+    for r in fit:
+        W = full_rows(r, law, exponent)
+        rest = r.tau[:: spacing(r)] - W @ theta
+        columns = lambda at, r=r: torque_columns(arm, r.q[at], r.qd[at], r.qdd[at])[:, :, own]
+        Y = r.solved(columns)
+        if method == "algorithm2":
+            still = np.all(np.abs(r.qd[r.kept][:: spacing(r)]) < AT_REST, 1)
+            Y, rest, W = Y[still], rest[still], W[still]
+        blocks.append((Y, rest))
+        carried.append(W.reshape(-1, len(theta)))
+    count = blocks[0][0].shape[2]
+    rows = sum(len(tau) for _, tau in blocks)
+    if rows * n < 3 * count:
+        raise UsageError(
+            "algorithm2 compares torques at rest, and the arm hardly rests here (all joints below 0.01 rad/s in "
+            f"{rows} rows): record static poses, or use paper001 or algorithm1"
+        )
+    blocks = [b for b in blocks if len(b[1])]
+    A = np.concatenate([Y.reshape(-1, count) for Y, _ in blocks])
+    size = np.linalg.norm(A, axis=0)
+    if (size <= 0).any() or np.linalg.cond(A / size) > 1e6:
+        raise UsageError(
+            f"{method} does not find the payload from this motion: it shows some of the load's numbers only together"
+        )
+    phi = np.linalg.lstsq(A / size, np.concatenate([b.ravel() for _, b in blocks]), rcond=None)[0] / size
+    slope = np.linalg.lstsq(A / size, np.concatenate(carried), rcond=None)[0] / size[:, None]
+    cov = estimate(blocks, [np.ones(n)] * len(blocks), phi, None, None).covariance + slope @ spread @ slope.T
+    whole, wide = np.full(10, np.nan), np.full((10, 10), np.nan)
+    whole[10 - count :], wide[10 - count :, 10 - count :] = phi, cov
+    body = nearest_body(phi, np.linalg.inv(cov)) if count == 10 else whole
+    return Payload(whole, wide, body, None, gain_std, count)

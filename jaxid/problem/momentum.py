@@ -1,0 +1,150 @@
+"""Angular momentum as a residual: what a robot on a free base keeps, whatever its drives do; neither torque nor acceleration.
+
+About the centre of mass of all and in the world's axes the angular momentum L(q, qd) is the same at all times, zero or not. With
+(p_roll, p_pitch, p_yaw) the rows of the base's angles in M_R qd (`robots.floating`) and a_i the axes of these angles in the
+world, p_i = a_i . L. The residual is L at the measured motion less its mean over the run, N m s, so that the momentum itself
+need not be known. It is homogeneous in all inertias: what is known of the base gives the scale.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any, ClassVar
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float
+
+from jaxid.data.signals import filter_ends
+from jaxid.dynamics.chain import Chain
+from jaxid.dynamics.joint_readings import cutoffs, joint_motion
+from jaxid.dynamics.parameter_vector import Layout
+from jaxid.errors import UsageError
+from jaxid.numerics.fast_math import sincos
+from jaxid.numerics.precision import float64
+from jaxid.problem.residual import InverseDynamics, overrides, record_of, RESIDUALS, Runs, Simulation
+from jaxid.problem.torque_filter import evenly
+from jaxid.robots.bodies import BODY
+from jaxid.simulation import sample_buffers as recorded
+from jaxid.simulation.batch import Engine
+from jaxid.simulation.rollout import over_time
+
+
+CHANNELS = tuple((f"momentum_{k}", "N m s") for k in "xyz")
+#: Rows come at so many times the cutoff of the motion.
+ROWS_PER_CUTOFF = 2.5
+#: Samples of a run at which the noise of its momentum is worked out.
+LOOKS = 50
+
+
+def momentum(robot: Any, q: Float[Array, " nq"], qd: Float[Array, " nq"]) -> Float[Array, " 3"]:
+    """Angular momentum of a robot on a free base about the centre of mass of all, in the world, N m s."""
+    roll, pitch, yaw = robot.momenta(q, qd)[-3:]
+    (sp, cp), (sy, cy) = sincos(q[-2]), sincos(q[-1])
+    along = (roll + sp * yaw) / cp
+    return jnp.stack([cy * along - sy * pitch, sy * along + cy * pitch, yaw])
+
+
+def momentum_lane(chain: Chain, samples: Any, where: Any, start: Any, steps: Any, length: int, reach: int, burn: bool) -> Array:
+    """L at every sample of one run less its mean over those that count, [length 3]."""
+    nq, (begin, _, last, _) = chain.nq, where
+    body = chain.body().prepare(None)
+
+    def step(carry: tuple, k: Array) -> tuple[tuple, Array]:
+        i = jnp.minimum(begin + k, last)
+        return carry, momentum(body, samples.x[i, :nq], samples.x[i, nq : 2 * nq])
+
+    L = over_time(step, (), steps, length, 3)
+    k = jnp.arange(length)
+    counts = (samples.w[jnp.minimum(begin + k, last), :1] > 0) & (k[:, None] < steps)
+    return L - jnp.sum(jnp.where(counts, L, 0.0), 0) / jnp.maximum(jnp.sum(counts), 1)
+
+
+@dataclass(frozen=True)
+class Momentum(InverseDynamics):
+    """Angular momentum of a robot on a free base: positions filtered without phase at `cutoff_hz` (by default where their content
+    ends), differentiated once."""
+
+    name: ClassVar[str] = "momentum"
+    simulation: ClassVar[Simulation] = "momentum"
+
+    def runs(self, dataset, experiments, layout, noise, motions, step=recorded.STEP, shape=(0, 0)):
+        chain = layout.chain
+        refuse_others(chain)
+        experiments = [evenly(e) for e in experiments]
+        _, iy = recorded.columns(dataset, chain)
+        first = (dataset.split("fit") or experiments)[0]
+        rate = (len(first.t) - 1) / first.duration
+        cutoff = self.cutoff_hz or min(rate / 5, max(max(cutoffs(chain, first.t, first.motion()[:, iy], noise)), 0.5))
+        every = self.decimate or max(1, round(rate / (ROWS_PER_CUTOFF * cutoff)))
+        measured, ends, said = [], [], ""
+        for e in experiments:
+            q, qd, qdd, said = joint_motion(chain, e.t, e.motion()[:, iy], [cutoff] * chain.nq)
+            measured.append(np.concatenate([q, qd, qdd], 1))
+            ends.append(filter_ends(e.t, cutoff))
+        level = noise_of(layout, measured, noise[: chain.nq], rate, cutoff)
+        samples, positions = recorded.build(dataset, experiments, chain, np.ones(chain.nq), 1e9, measured, shape[0])
+        w = np.zeros((len(samples.w), 3))
+        records = []
+        for number, e in enumerate(experiments):
+            kept = positions[number][ends[number] : len(e.t) - ends[number] : every]
+            w[kept] = 1 / level
+            record = record_of(number, e, positions[number], 0, len(e.t), dataset, chain, 0)
+            records.append(recorded.Record(**{**record.__dict__, "samples": kept, "free": np.zeros_like(record.free)}))
+        samples = samples._replace(y=np.zeros_like(w), w=w)
+        engine = Engine(layout, samples, records, overrides(layout, experiments, records), momentum_lane, shape[1])
+        text = f"{said}; angular momentum less its mean over the run, at every {every}th sample" if every > 1 else said
+        return Runs(
+            tuple(experiments), layout, CHANNELS, level, engine, tuple(range(len(records))), (), text, dataset,
+        )  # fmt: skip
+
+
+def refuse_others(chain: Chain) -> None:
+    """Raises `UsageError` for a model whose base does not float."""
+    tree = getattr(getattr(chain.mechanism, "tree", None), "tree", None)
+    if tree is None or not tree.floats:
+        raise UsageError(
+            'the residual momentum is of a robot on a free base: state [model] robot = "robot.xml" (or a URDF) and [model.base] '
+            'kind = "free"'
+        )
+
+
+def told_by(layout: Layout, free: Sequence[int]) -> list[int]:
+    """Those numbers that momentum shows: of bodies. Raises `UsageError` where none is fitted."""
+    refuse_others(layout.chain)
+    own = [i for i in free if layout.entries[i].name.split("@")[0] in BODY]
+    if not own:
+        raise UsageError(
+            "momentum tells of bodies, and no number of one is fitted: name those of the unknown body under [model.parameters], "
+            'as in "mass@LINK" = {}, "com_x@LINK" = {}'
+        )
+    return own
+
+
+def noise_of(layout: Layout, measured: Sequence[np.ndarray], sigma: np.ndarray, rate: float, cutoff: float) -> np.ndarray:
+    """Standard deviation of each component [3] for readings with noise `sigma` [nq], white, low-passed and differentiated."""
+    nq = layout.chain.nq
+    speeds = sigma * 2 * np.pi * np.sqrt(2 * cutoff**3 / (3 * rate))
+    with float64():
+        body = layout.chain.body().prepare(None)
+        slope = jax.jit(jax.vmap(lambda x: jax.jacfwd(lambda v: momentum(body, x[:nq], v))(x[nq : 2 * nq])))
+        x = np.concatenate(list(measured))
+        J = np.asarray(slope(jnp.asarray(x[np.linspace(0, len(x) - 1, LOOKS).astype(int)])))
+    return np.maximum(np.sqrt(np.mean(np.sum((J * speeds) ** 2, -1), 0)), 1e-12)
+
+
+def of_the_joints(problem: Any, theta: np.ndarray) -> np.ndarray:
+    """Momentum that the motion of the joints alone carries at the rows of a problem [rows 3]: what theirs and the base's turning
+    have to balance, for the size of an error."""
+    runs, nq = problem.runs, problem.runs.layout.chain.nq
+    at = np.concatenate([runs.record(r).samples for r in problem.records])
+    x = np.asarray(runs.engine.samples.x)[at]
+    with float64():
+        body = runs.layout.model(theta).body().prepare(None)
+        still = np.concatenate([x[:, nq : 2 * nq - 3], np.zeros((len(x), 3))], 1)
+        return np.asarray(jax.jit(jax.vmap(lambda q, v: momentum(body, q, v)))(jnp.asarray(x[:, :nq]), jnp.asarray(still)))
+
+
+RESIDUALS[Momentum.name] = Momentum
