@@ -194,9 +194,9 @@ def main(seed: int = FRESH, simulate: bool = False) -> dict[str, Any]:
         )
     text = (
         "Recordings with one convention broken, 15 kinds on three models, with and without a drag that the model lacks; seed "
-        f"{seed}, run once. What all inputs or outputs share (a clock, a row, a start in motion) is one finding, at the first of "
-        "them: counted as missed and as something else where the last one is at fault. What is wrapped is four times too large as "
-        "well. The tracker has no gravity, so that its numbers take in zeros and scales."
+        f"{seed}, run once. What all inputs or outputs share (a clock, a row, a start in motion) is one finding, at the first "
+        "of them: counted as missed and as something else where the last one is at fault. What is wrapped is four times too "
+        "large as well. The tracker has no gravity, so that its numbers take in zeros and scales."
     )
     return {"title": "Broken conventions", "text": text, "rows": rows}
 

@@ -106,5 +106,5 @@ def test_what_is_transmitted_is_worked_out_only_where_it_is_asked_for():
         assert carries[0].net == ()
         for _ in range(50):
             carries = [c.step(c.body(), x, command)[0] for c, x in zip((plain, loaded), carries, strict=True)]
-        same = [np.asarray(jax.tree.leaves(c.x)) for c in carries]
-        assert np.array_equal(same[0], same[1])  # at no strength it is nothing, bitwise
+        plainly, neutrally = (np.asarray(jax.tree.leaves(c.x)) for c in carries)
+        assert np.array_equal(plainly, neutrally)  # at no strength it is nothing, bitwise

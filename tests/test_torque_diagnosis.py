@@ -98,8 +98,11 @@ def test_what_is_withheld_is_named(law, tmp_path):
     arm, more, truth = LAWS[law]
     d = asked(ARMS[arm], [run(ARMS[arm], s, more=more) for s in (1, 2, 3)])
     assert d.which.verdict in ("named", "partly") and named(d) == truth, d.which.text
-    # Rotor inertia takes no part in a load, and is not told from the links'.
-    assert d.how_far.gap_after < (0.3 * d.how_far.gap_retuned if law == "load" else 1.6) < d.how_far.gap_retuned
+    assert d.how_far.gap_after < 1.6 < d.how_far.gap_retuned
+    if law.startswith("load"):
+        (effect,) = d.which.effects
+        reading = effect.parameters["drive_share"].value
+        assert reading == (law == "load of the drive") and abs(effect.parameters["mu"].value - 0.15) < 0.03
     assert "<html" in d.report(tmp_path / "report.html").read_text().lower()
 
 
