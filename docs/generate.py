@@ -52,6 +52,7 @@ def write(folder: Path, root: Path) -> None:
     (folder / "effects.md").write_text(effects(pictures, alike), encoding="utf-8")
     (folder / "models.md").write_text(models(), encoding="utf-8")
     (folder / "fitters.md").write_text(fitters(), encoding="utf-8")
+    (folder / "thresholds.md").write_text(thresholds(), encoding="utf-8")
     results = (root / "benchmarks" / "RESULTS.md").read_text(encoding="utf-8")
     (folder / "benchmarks.md").write_text(results.replace("# Measured results", "# Benchmarks", 1), encoding="utf-8")
     (folder / "results").mkdir(exist_ok=True)
@@ -175,6 +176,14 @@ def fitters() -> str:
             rows = [[f"`{s.name}`", plain(str(s.default)), plain(s.meaning)] for s in info.settings]
             out += [table(["setting", "default", "meaning"], rows), ""]
     return "\n".join(out)
+
+
+def thresholds() -> str:
+    from jaxid.diagnosis.thresholds import LIMITS
+
+    out = ["# Thresholds of the diagnosis", "", "What a diagnosis decides by (`jaxid.diagnosis.thresholds`), and why.", ""]
+    rows = [[f"`{name}`", f"{value:g}", unit, plain(reason)] for name, value, unit, reason in LIMITS.table()]
+    return "\n".join([*out, table(["name", "value", "unit", "reason"], rows), ""])
 
 
 def notebooks(names: list[str]) -> str:

@@ -16,7 +16,8 @@ from jaxid.diagnosis.breakdown import Share
 from jaxid.diagnosis.hypothesis import Search
 from jaxid.diagnosis.next_experiment import advice
 from jaxid.diagnosis.result import ChannelGap, Finding, HowFar, Ranked, Which
-from jaxid.diagnosis.verdict import astray, judge, level, NAMED, not_reached, PARTLY, SEEN, upheld
+from jaxid.diagnosis.thresholds import LIMITS
+from jaxid.diagnosis.verdict import astray, judge, level, not_reached, upheld
 from jaxid.fitting.result import EffectEstimate, Estimate
 from jaxid.fitting.stated import sentence_of, Stated
 from jaxid.report import answer, identified, text, write_diagnosis
@@ -57,9 +58,9 @@ def test_verdicts_by_fit_and_validation_data(fit0, loss0, fit1, loss1, others, s
         if verdict == "none":
             assert max(fit0, loss0) <= level(4000)
         elif verdict == "named":
-            assert left <= level(4000) or share >= NAMED
+            assert left <= level(4000) or share >= LIMITS.named
         elif verdict == "partly":
-            assert share >= PARTLY or fit1 <= 1.1 < fit0
+            assert share >= LIMITS.partly or fit1 <= 1.1 < fit0
         best = min((h.validation.loss for h in search.tried), default=np.inf)
         if verdict == "unknown" and best < min(left, before):  # the ranking's first is not passed over in silence
             assert "On validation data alone" in words
@@ -71,7 +72,7 @@ def test_verdicts_hold_on_report_data(verdict, before, retuned, after, several):
     found, words = upheld(verdict, "The model lacks drag.", retuned, after, several, before)
     check_numbers(words)
     if found in ("named", "partly"):
-        at_noise = retuned <= SEEN and after**2 <= 1.02 * max(1.02, retuned**2)
+        at_noise = retuned <= LIMITS.seen and after**2 <= 1.02 * max(1.02, retuned**2)
         assert after < min(before, retuned) or at_noise
     else:
         assert "not claimed" in words and wording.times(after) in words

@@ -5,12 +5,9 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 from jaxid import catalogue
+from jaxid.diagnosis.thresholds import LIMITS
 from jaxid.dynamics.parameter import specs
 from jaxid.fitting.result import EffectEstimate, Estimate
-
-
-#: A drive that is said to give no more than this share of what it is told is one that is all but switched off.
-SWITCHED_OFF = 0.2
 
 
 def doubts(effects: Sequence[EffectEstimate]) -> list[str]:
@@ -20,7 +17,7 @@ def doubts(effects: Sequence[EffectEstimate]) -> list[str]:
 
 def _doubt(effect: EffectEstimate) -> str:
     strengths = _strengths(effect)
-    if effect.effect == "torque_scale" and any(1 + p.value < SWITCHED_OFF for p in strengths.values()):
+    if effect.effect == "torque_scale" and any(1 + p.value < LIMITS.switched_off for p in strengths.values()):
         return f"{effect} all but switches the drive off"
     known = {k: p for k, p in strengths.items() if p.std is not None and p.std > 0}
     if known and len(known) == len(strengths) and all(abs(p.value) < 2 * p.std for p in known.values() if p.std is not None):

@@ -16,11 +16,12 @@ from typing import Any
 import numpy as np
 
 from jaxid.data.dataset import Dataset
-from jaxid.diagnosis.goals.equivalence import alike_under_goals, LEFT as OWN
+from jaxid.diagnosis.goals.equivalence import alike_under_goals
 from jaxid.diagnosis.goals.run import led
 from jaxid.diagnosis.hypothesis import Candidate, candidates, probes_of
 from jaxid.diagnosis.last_resort import first_asked
 from jaxid.diagnosis.screen import probe_residuals, Retuning
+from jaxid.diagnosis.thresholds import LIMITS
 from jaxid.dynamics.chain import Chain
 from jaxid.dynamics.effect import Effect
 from jaxid.errors import UsageError
@@ -35,10 +36,7 @@ from jaxid.robots.match import is_file, robot_from
 
 #: An effect is absorbed where re-tuning leaves less than this share of what a weak one (WEAK of a probe) changes: as much as a
 #: first-order re-tuning leaves of one that is absorbed exactly goes with its strength, what it cannot absorb does not.
-ABSORBED, WEAK = 5e-4, 5e-5
-#: Two effects whose weak changes point this much the same way (cosine) are compared in earnest: the recording of one, at its
-#: last probe, is fitted with the other, and they are alike where both fits leave less than LEFT of what re-tuning alone leaves.
-PARALLEL, LEFT = 0.999, 0.02
+WEAK = 5e-5
 RATE, SECONDS = 200, 5.0
 #: The motion that is compared on travels so far at most (rad, m).
 TRAVEL = 2.5
@@ -132,7 +130,7 @@ def equivalences(model: str, without: Sequence[str] = ()) -> Equivalences:
         place = Place(c.effect, c.location, max(left, default=1.0))
         if not acts:
             invisible.append(Place(c.effect, c.location, 0.0))
-        elif left and place.left < ABSORBED:
+        elif left and place.left < LIMITS.absorbed:
             absorbed.append(place)
         else:
             seen[place] = np.array(tangents), c
@@ -146,9 +144,11 @@ def _under_goals(binding: Binding, library: Sequence[type[Effect]], model: str, 
     left, alike, apart = alike_under_goals(binding, library)
     places = {key: Place(*key, share) for key, share in left.items()}
     pairs = {frozenset(places[key] for key in pair) for pair in alike}
-    absorbed = tuple(p for p in places.values() if p.left <= OWN)
+    absorbed = tuple(p for p in places.values() if p.left <= LIMITS.equivalent_goals)
     text += f"; to first order; not compared, for they have a motion of their own: {', '.join(apart) or 'none'}"
-    return Equivalences(model, text, absorbed, (), _classes([p for p in places.values() if p.left > OWN], pairs))
+    return Equivalences(
+        model, text, absorbed, (), _classes([p for p in places.values() if p.left > LIMITS.equivalent_goals], pairs)
+    )
 
 
 def _parallel(seen: dict[Place, tuple[np.ndarray, Candidate]]) -> list[tuple[Place, Place]]:
@@ -156,7 +156,7 @@ def _parallel(seen: dict[Place, tuple[np.ndarray, Candidate]]) -> list[tuple[Pla
     out = []
     for first, second in itertools.combinations(seen, 2):
         a, b = seen[first][0], seen[second][0]
-        if a.size and b.size and min((c := np.abs(a @ b.T)).max(1).min(), c.max(0).min()) > PARALLEL:
+        if a.size and b.size and min((c := np.abs(a @ b.T)).max(1).min(), c.max(0).min()) > LIMITS.parallel:
             out.append((first, second))
     return out
 
@@ -188,7 +188,7 @@ def _explains(bench: Bench, p: Problem, z: np.ndarray, truth: Candidate, other: 
         problem.targets = targets
         (path,), _ = search([[(problem, problem.z(theta)) for theta in starts]], 25, 1e-10)
         left.append(path.cost)
-    return bool(left[1] < LEFT**2 * left[0])
+    return bool(left[1] < LIMITS.equivalent**2 * left[0])
 
 
 def _classes(places: list[Place], alike: set[frozenset[Place]]) -> tuple[tuple[Place, ...], ...]:

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from jaxid.diagnosis.thresholds import LIMITS
 from jaxid.fitting.least_squares import descend, Path
 from jaxid.fitting.problem_builder import Bench
 from jaxid.fitting.scores import scored
@@ -14,11 +15,9 @@ from jaxid.problem.problem import rows
 from jaxid.problem.residual import OutputError, Residual
 
 
-#: A start may be moved by so many of its own standard deviations to take its uncertainty out of a comparison.
-PLAUSIBLE = 3.0
 #: A model that leaves more than so many times the noise (mean square) is refitted to the fit runs and those of a split at once,
 #: in so many iterations.
-NEAR_FLOOR, TOGETHER = 1.1, 12
+TOGETHER = 12
 
 
 @dataclass(frozen=True)
@@ -127,7 +126,7 @@ def _free(
         total = price + _squares(settled)
         count = sum(r.size for r in residual)
         out.append(HeldOut(residual, settled, total / max(count, 1), count))
-    far = {k: path for k, path in enumerate(follow) if path is not None and out[k].loss > NEAR_FLOOR}
+    far = {k: path for k, path in enumerate(follow) if path is not None and out[k].loss > LIMITS.refit_together}
     for (k, path), end in zip(far.items(), together(bench, split, list(far.values()), starts[list(far)]), strict=True):
         residual = end.problem.residuals(end.z)
         n = len(path.problem.records)
@@ -178,7 +177,7 @@ def shifted(
     size = np.sqrt(np.maximum(np.diag(G + prior), 1e-300))
     shift = -np.linalg.lstsq((G + prior) / size / size[:, None], g / size, rcond=1e-12)[0] / size
     price = float(shift @ prior @ shift)
-    share = min(1.0, PLAUSIBLE * np.sqrt(g.size / max(price, 1e-300)))  # nothing beyond what was measured
+    share = min(1.0, LIMITS.plausible_start * np.sqrt(g.size / max(price, 1e-300)))  # nothing beyond what was measured
     moved = [r + (S @ (share * shift[at])).reshape(r.shape) for r, S, at in zip(residual, slopes, places, strict=True)]
     return moved, share**2 * price
 

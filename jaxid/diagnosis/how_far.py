@@ -11,6 +11,7 @@ from scipy.special import stdtrit
 from jaxid.diagnosis.breakdown import by_regime, by_run, Share
 from jaxid.diagnosis.evidence import held_out, HeldOut, memory
 from jaxid.diagnosis.result import ChannelGap, HowFar
+from jaxid.diagnosis.thresholds import LIMITS
 from jaxid.fitting.problem_builder import Bench
 from jaxid.problem.binding import Binding
 from jaxid.problem.residual import Residual
@@ -22,8 +23,6 @@ from jaxid.wording import times
 
 #: An interval needs at least this many runs, or independent blocks of fewer runs.
 BLOCKS = 8
-#: A model without a gap on fit and validation data is told of one this large (in multiples of the noise) on report data.
-UNSEEN = 1.5
 
 
 def measure(
@@ -66,7 +65,7 @@ def measure(
     shrinkage = interval = None
     reason = made_of = ""
     beyond = max(1.0, float(np.sqrt(runs[2].loss)))  # what is left where the starts of the runs are moved within what is known
-    if gaps[2] > UNSEEN and beyond < gaps[2] / 2:
+    if gaps[2] > LIMITS.unseen_gap and beyond < gaps[2] / 2:
         note += (
             f" Of the {gaps[2]:.3g} that are left all but {beyond:.3g} is what the starts of the {split} runs leave open: they "
             "begin in motion, and their first samples tell only so much. Runs that begin at rest (at_rest), with a stated "
@@ -74,7 +73,7 @@ def measure(
         )
     if verdict == "none":
         reason = "the verdict is none: there is no gap to shrink"
-        if beyond > UNSEEN:
+        if beyond > LIMITS.unseen_gap:
             note += (
                 f" The {split} runs are {times(gaps[2])} times the noise away all the same: they go where fit and validation "
                 "runs do not, with numbers that those do not determine. Fit runs that go there tell more."

@@ -11,16 +11,11 @@ from dataclasses import replace
 
 import numpy as np
 
+from jaxid.diagnosis.thresholds import LIMITS
 from jaxid.fitting.least_squares import descend, Path
 from jaxid.problem.problem import Problem
 
 
-#: A direction is left open where going all the way back costs less than this (half of the sum of squares, in noise variances).
-COST = 2.0
-#: A way back that is shorter than this, in typical changes of a parameter, is not gone.
-NEAR = 1.0
-#: A path that leaves so many times what the best of them leaves is not moved: nothing comes of it.
-FAR = 10.0
 #: So many numbers are put back at most, those that are further away than this.
 TRIED, SHORT = 3, 0.1
 
@@ -28,13 +23,13 @@ TRIED, SHORT = 3, 0.1
 def brought_back(paths: Sequence[Path], theta: np.ndarray, index: Sequence[int]) -> list[Path]:
     """The paths; those whose data leave directions open are moved along them towards where the numbers at `index` are those of
     `theta`, if that costs nothing."""
-    most = FAR * min((path.cost for path in paths), default=0.0)
+    most = LIMITS.pull_hopeless * min((path.cost for path in paths), default=0.0)
     moves = [_way_back(path, theta, index) if path.cost <= most else None for path in paths]
     moved = [k for k, move in enumerate(moves) if move is not None]
     jobs = [(paths[k].problem, np.clip(paths[k].z + moves[k], paths[k].problem.lower, paths[k].problem.upper)) for k in moved]
     out = list(paths)
     for k, end in zip(moved, descend(jobs, 6, 1e-6) if jobs else [], strict=True):
-        if end.cost <= paths[k].cost + COST:
+        if end.cost <= paths[k].cost + LIMITS.pull_cost:
             out[k] = replace(end, linearisations=paths[k].linearisations + end.linearisations)
     return out
 
@@ -59,7 +54,7 @@ def put_back(path: Path, theta: np.ndarray, index: Sequence[int], problem: Calla
     free, now, starts = [int(i) for i in p.free], p.theta(path.z), p.starts(path.z)
     rest = [int(p.free[k]) for k in np.argsort(price) if away[k] > SHORT * p.scale[k]][:TRIED]
     as_it_is = problem(free, now)
-    most = descend([(as_it_is, as_it_is.z(now, starts))], 0, 1e-6)[0].cost + COST if rest else 0.0
+    most = descend([(as_it_is, as_it_is.z(now, starts))], 0, 1e-6)[0].cost + LIMITS.pull_cost if rest else 0.0
     moved = False
     while rest:  # all that are left at once, the first that may go back goes, and those behind it are tried without it
         jobs = []
@@ -78,7 +73,7 @@ def put_back(path: Path, theta: np.ndarray, index: Sequence[int], problem: Calla
     if not moved:
         return path
     end = descend([(p, p.z(now, starts))], 1, 1e-6)[0]
-    return end if end.cost <= path.cost + COST else path
+    return end if end.cost <= path.cost + LIMITS.pull_cost else path
 
 
 def moved_to(path: Path, theta: np.ndarray) -> Path:
@@ -88,7 +83,7 @@ def moved_to(path: Path, theta: np.ndarray) -> Path:
     still = Problem(p.runs, theta, [], lower, upper, p.records, p.loss_name, scale, p.differences).with_targets(p.targets)
     starts = still.starts(descend([(still, still.z(theta, p.starts(path.z)))], 8, 1e-6)[0].z)
     end = descend([(p, p.z(theta, starts))], 0, 1e-6)[0]
-    return end if end.cost <= path.cost + COST + p.free.size else path
+    return end if end.cost <= path.cost + LIMITS.pull_cost + p.free.size else path
 
 
 def _way_back(path: Path, theta: np.ndarray, index: Sequence[int]) -> np.ndarray | None:
@@ -102,6 +97,6 @@ def _way_back(path: Path, theta: np.ndarray, index: Sequence[int]) -> np.ndarray
     way[:n] = (p.z(home)[:n] - path.z[:n]) / p.scale[:n]
     w, V = np.linalg.eigh(p.scale[:, None] * path.hessian * p.scale)
     share = V.T @ way
-    open_ = share**2 * np.maximum(w, 0.0) / 2 < COST
+    open_ = share**2 * np.maximum(w, 0.0) / 2 < LIMITS.pull_cost
     move = V[:, open_] @ share[open_]
-    return p.scale * move if np.linalg.norm(move) > NEAR else None
+    return p.scale * move if np.linalg.norm(move) > LIMITS.pull_short else None

@@ -23,11 +23,11 @@ from jaxid.diagnosis.last_resort import asked_last, first_asked
 from jaxid.diagnosis.next_experiment import advice, rivals_of
 from jaxid.diagnosis.result import Diagnosis, HowFar, Ranked, Which
 from jaxid.diagnosis.search import Searcher
-from jaxid.diagnosis.selection import WHITE
+from jaxid.diagnosis.thresholds import LIMITS
 from jaxid.diagnosis.torque.reference import Reference
 from jaxid.diagnosis.torque.run import diagnose_by_torque
 from jaxid.diagnosis.unseen import Look, Looker
-from jaxid.diagnosis.verdict import astray, Diverged, judge, not_reached, SEEN, standing_still, upheld, withheld
+from jaxid.diagnosis.verdict import astray, Diverged, judge, not_reached, standing_still, upheld, withheld
 from jaxid.dynamics.effect import Effect
 from jaxid.errors import UsageError
 from jaxid.fitters import LevenbergMarquardt
@@ -48,8 +48,6 @@ from jaxid.storage.interim import Interim
 from jaxid.wording import number, percent, times
 
 
-#: Free runs that forget how they began are not trusted where they find no answer, or one that leaves so many times the noise.
-REMAINDER = 10.0
 #: Verdict by free runs that are not trusted -> verdicts by windows that take its place.
 PREFERRED = {"unknown": ("none", "partly", "named"), "partly": ("named",), "named": ("unknown", "partly", "named")}
 
@@ -152,7 +150,7 @@ def _run(
     question = Question(binding, own, allowed, max_effects, seed, progress, known, still)
     found, grown = _diagnosed(question)
     verdict = found.which.verdict
-    doubtful = verdict in ("unknown", "partly") or (verdict == "named" and found.how_far.gap_after > REMAINDER)
+    doubtful = verdict in ("unknown", "partly") or (verdict == "named" and found.how_far.gap_after > LIMITS.remainder)
     long_decay = residual is None and doubtful and by_windows(binding) and decays(binding)
     if residual is None and (grown > SENSITIVE or long_decay) and doubtful and not still:
         known.tell(found)
@@ -221,9 +219,9 @@ def _diagnosed(question: Question, scatter: timing.Scatter | None = None) -> tup
         verdict, text = upheld(verdict, text, far.gap_retuned, far.gap_after, search.several, far.gap_before)
         # Unless the model follows the fit runs and what they leave open can account for it, where it is not better without; what
         # is `partly` there has to hold as it is.
-        if judged == "named" and verdict != judged and far.gap_retuned > SEEN:
+        if judged == "named" and verdict != judged and far.gap_retuned > LIMITS.seen:
             told = [knowledge(h.path) for h in (nominal, final)]
-            follow = [None, final.path if final.fit_loss <= WHITE else None]
+            follow = [None, final.path if final.fit_loss <= LIMITS.white else None]
             seen = held_out(bench, "report", [nominal.theta, final.theta], residual, told, follow)
             gaps = [float(np.sqrt(max(held.loss, 0.0))) for held in seen]
             verdict, text = upheld(judged, judged_text, gaps[0], gaps[1], search.several, far.gap_before)
@@ -250,7 +248,7 @@ def _diagnosed(question: Question, scatter: timing.Scatter | None = None) -> tup
             follow = [None if repeated else final.path]
             within = held_out(bench, "report", [final.theta], residual, [knowledge(final.path)], follow)[0]
             places = astray(*shrinking.parts(bench, residual, "report", within), within.gap_settled)
-            if places or within.gap_settled > SEEN:
+            if places or within.gap_settled > LIMITS.seen:
                 verdict, text = "unknown", not_reached(places, how_far.gap_retuned)
                 how_far = measure(verdict, final.theta)
     estimates = _effect_estimates(binding, final, named)

@@ -27,11 +27,9 @@ from jaxid.diagnosis.proposals import (
 )
 from jaxid.diagnosis.screen import each_probe, Screened, screened
 from jaxid.diagnosis.selection import (
-    ALIKE,
     at_floor,
     best,
     close_to_noise,
-    CONFLICT,
     equals,
     finished,
     indistinct,
@@ -40,9 +38,9 @@ from jaxid.diagnosis.selection import (
     outweighed,
     rivals_among,
     significant,
-    WHITE,
 )
 from jaxid.diagnosis.shortlist import shortlist
+from jaxid.diagnosis.thresholds import LIMITS
 from jaxid.fitting.fitter import Progress
 from jaxid.fitting.least_squares import descend, Path, race
 from jaxid.fitting.problem_builder import Bench, estimate_starts
@@ -57,18 +55,8 @@ STARTS = 4
 SURE = 3
 #: How often the step may be halved, and how often its defect is worked out anew for a chosen hypothesis.
 HALVINGS, CORRECTIONS = 3, 2
-#: What is refitted where a model is close above the noise already: candidates that explain so much of the sum of squares.
-STANDING_OUT = 25.0
 #: Iterations and tolerance of a descent to the end, and of that of a nominal model to which something better is compared.
 THOROUGH, BRIEF = (20, 1e-8), (6, 1e-5)
-#: A nominal model that leaves more (mean square over the noise) is one that something better will be compared to; it was in a
-#: local minimum if less than this share is left from where a richer one ended.
-FAR, FREED = 10.0, 0.5
-#: What leaves at most so many times what the best of a batch leaves of the fit runs, and so many times the noise (mean squares),
-#: is followed on validation runs.
-CLOSE, NEAR = 1.5, 6.0
-#: Validation runs that are so much further away than they need be with what the fit runs leave open (mean squares) settle it.
-OPEN = 0.3
 
 
 class Searcher:
@@ -92,7 +80,10 @@ class Searcher:
         thetas = [path.problem.theta(path.z) for _, path in found]
         # Only what fits as well as the best, and almost down to the noise, may turn out to be right elsewhere.
         losses = [path.loss for _, path in found]
-        follow = [p if loss <= min(CLOSE * min(losses), NEAR) else None for (_, p), loss in zip(found, losses, strict=True)]
+        follow = [
+            p if loss <= min(LIMITS.followed * min(losses), LIMITS.followed_near) else None
+            for (_, p), loss in zip(found, losses, strict=True)
+        ]
         told = [knowledge(path) for _, path in found]
         validations = held_out(self.bench, "validation", thetas, self.residual, told, follow)
         return [Hypothesis(e, t, p, v) for (e, p), t, v in zip(found, thetas, validations, strict=True)]
@@ -128,14 +119,16 @@ class Searcher:
         has more: it may have been in a local minimum."""
         jobs: dict[int, tuple[Problem, np.ndarray]] = {}
         for k, h in enumerate(found):
-            richer = [g for g in found if key_of(h.effects) < key_of(g.effects) and g.fit_loss < FREED * h.fit_loss]
+            richer = [
+                g for g in found if key_of(h.effects) < key_of(g.effects) and g.fit_loss < LIMITS.local_minimum * h.fit_loss
+            ]
             if lead := min(richer, key=lambda g: g.fit_loss, default=None):
                 theta, more = lead.theta.copy(), [i for c in lead.effects if c not in h.effects for i in c.index]
                 theta[more] = self.bench.binding.theta[more]
                 p = self.problem(h.effects, theta)
                 jobs[k] = p, self._z(p, replace(lead, theta=theta))
         ends = zip(jobs, descend(list(jobs.values()), *THOROUGH) if jobs else [], strict=True)
-        better = {k: end for k, end in ends if end.loss < FREED * found[k].fit_loss}
+        better = {k: end for k, end in ends if end.loss < LIMITS.local_minimum * found[k].fit_loss}
         new = self._hypotheses([(found[k].effects, end) for k, end in better.items()]) if better else []
         return [dict(zip(better, new, strict=True)).get(k, h) for k, h in enumerate(found)]
 
@@ -237,7 +230,7 @@ class Searcher:
         most = len(h.effects) + room
         out = self.refit([(effects, starts) for effects, starts in pairs(self.bench, found) if len(effects) <= most])
         lead = min(found, key=lambda f: f.fit_loss, default=h)
-        if lead.fit_loss < CONFLICT * h.fit_loss and len(lead.effects) < most:
+        if lead.fit_loss < LIMITS.conflict * h.fit_loss and len(lead.effects) < most:
             out += self._extend(lead, [c for c in pool if c not in lead.effects])
         return out
 
@@ -268,26 +261,26 @@ class Searcher:
             return h
         path = put_back(h.path, self.bench.binding.theta, self.base_free, partial(self._quick.problem, self.residual, "fit"))
         after = h if path is h.path else self._hypotheses([(h.effects, path)])[0]
-        return after if after.validation.loss < h.validation.loss * ALIKE else h
+        return after if after.validation.loss < h.validation.loss * LIMITS.alike else h
 
     def _taught(self, h: Hypothesis) -> Hypothesis:
         """What the fit runs leave open, as the validation runs have it, for a model that follows the fit runs."""
-        held, theta, far = h.validation, h.validation.theta, h.fit_loss > NEAR
-        if theta is None and held.gap**2 > held.loss + OPEN and self.residual.free_run and not far:
+        held, theta, far = h.validation, h.validation.theta, h.fit_loss > LIMITS.followed_near
+        if theta is None and held.gap**2 > held.loss + LIMITS.left_open and self.residual.free_run and not far:
             starts = estimate_starts(self._quick, "validation", [h.theta])
             theta = (end := together(self._quick, "validation", [h.path], starts)[0]).problem.theta(end.z)
         if theta is None or far:
             return h
         paths = [brought_back([h.path], theta, h.path.problem.free)[0], moved_to(h.path, theta)]
         moved = [(h.effects, path) for path in paths if path is not h.path]
-        good = [g for g in (self._hypotheses(moved) if moved else []) if g.validation.loss < h.validation.loss * ALIKE]
+        good = [g for g in (self._hypotheses(moved) if moved else []) if g.validation.loss < h.validation.loss * LIMITS.alike]
         return min([h, *good], key=lambda g: g.validation.gap)
 
     def _refined(self, chosen: Hypothesis) -> Hypothesis:
         """The chosen hypothesis descended to the end, with steps so fine that they no longer matter against the noise: what the
         step leaves behind would look like another effect. The search itself stays on its steps: what finer ones add to the
         chosen hypothesis is taken off the data."""
-        chosen = self._descended(chosen, THOROUGH if chosen.effects or chosen.fit_loss < FAR else BRIEF)
+        chosen = self._descended(chosen, THOROUGH if chosen.effects or chosen.fit_loss < LIMITS.far else BRIEF)
         error = np.nan
         for _ in range(HALVINGS):
             p = self.accurate.problem(self.residual, "fit", chosen.path.problem.free, chosen.theta)
@@ -310,8 +303,8 @@ class Searcher:
     def _freed(self, h: Hypothesis, richer: Hypothesis) -> Hypothesis:
         """`h` from where a richer one ended, if far less is left there or, as fit runs show no gap, nothing for the richer one to
         add: an effect may have led out of a local minimum, or along what the fit runs leave open, and be of no other use."""
-        quiet = h.fit_inflation < WHITE
-        if joint_loss(h) < FAR and not quiet:
+        quiet = h.fit_inflation < LIMITS.white
+        if joint_loss(h) < LIMITS.far and not quiet:
             return h
         theta = richer.theta.copy()
         for c in richer.effects:
@@ -319,7 +312,7 @@ class Searcher:
         p, starts = self.problem(h.effects, theta), richer.path.problem.starts(richer.path.z)
         freed = self._hypotheses([(h.effects, descend([(p, p.z(theta, starts))], *THOROUGH)[0])])[0]
         share = joint_loss(freed) / joint_loss(h)
-        if share > FREED and not (quiet and share * ALIKE < 1 and not significant(freed, richer)):
+        if share > LIMITS.local_minimum and not (quiet and share * LIMITS.alike < 1 and not significant(freed, richer)):
             return h
         self.known[key_of(h.effects)] = freed
         return freed
@@ -369,7 +362,7 @@ class Searcher:
         rest = [c for c in rest if sensible((*h.effects, *base[str(c)], c)) and len(base[str(c)]) < room]
         ranked = self.screen(h, rest) if rest else []
         if h.effects and close_to_noise(h):
-            ranked = [f for f in ranked if f[0] * h.fit_loss * h.path.count > STANDING_OUT]
+            ranked = [f for f in ranked if f[0] * h.fit_loss * h.path.count > LIMITS.standing_out]
             rest = [c for _, c, _ in ranked]
         # A free run that has gone far astray says little to first order: what the torque screen puts first is tried as well.
         by_torque = self.torque_screen(h, [c for _, c, _ in ranked] or rest) if rest else []

@@ -9,30 +9,9 @@ import numpy as np
 from jaxid.diagnosis.evidence import held_out, inflation, memory, worth
 from jaxid.diagnosis.hypothesis import family_of, Hypothesis, key_of
 from jaxid.diagnosis.shortlist import TIMING
+from jaxid.diagnosis.thresholds import LIMITS
 from jaxid.fitting.problem_builder import Bench
 from jaxid.problem.residual import Residual
-
-
-#: A difference of held-out evidence below this many chi-square units (3 sigma) decides nothing.
-DECISIVE = 9.0
-#: A hypothesis that leaves less than this share of what the best one on validation data leaves of the fit runs, and less over
-#: both (mean logarithm), is preferred to it: validation runs may go where the fit runs tell little of any hypothesis.
-CONFLICT = 0.5
-#: A law of fewer numbers is as good if it leaves less than so much more: the noise itself is not known better.
-ALIKE = 1.02
-#: An effect must remove at least this share of what is left of the gap on validation data.
-GAIN = 0.02
-#: Residuals of fit runs at the noise, and white: their sums of squares count as they are.
-WHITE = 1.5
-#: Fit runs that show no gap at all say nothing against an effect with which validation runs, refitted together with them, leave
-#: less than this (mean square), if without it they stand so many chi-square units higher.
-EXPLAINED, OVERWHELMING = 1.1, 200.0
-#: Nothing worth another effect is left below the first (mean square); below the second something small may be.
-NEAR_FLOOR, CLOSE_ABOVE = 1.02, 1.5
-#: Two simulations of one law differ by so much of what it does (0.3 % of its size, in mean square).
-FORM = 1e-5
-#: A hypothesis that explains so much of what another one explains is as good, where both are at the noise.
-NEARLY_ALL = 0.99
 
 
 def joint_loss(h: Hypothesis) -> float:
@@ -51,13 +30,13 @@ def significant(before: Hypothesis, after: Hypothesis) -> bool:
     left = max(before.validation.loss - 1.0, 1e-12)
     share = (before.validation.loss - after.validation.loss) / left
     size, more = after.size - before.size, max(1, len(after.effects) - len(before.effects))
-    silent = before.fit_inflation < WHITE and after.validation.loss < EXPLAINED and fitted > -DECISIVE
-    if silent and held > OVERWHELMING * more:
+    silent = before.fit_inflation < LIMITS.white and after.validation.loss < LIMITS.explained and fitted > -LIMITS.decisive
+    if silent and held > LIMITS.overwhelming * more:
         return True
     # Where the fit runs are at the noise, evidence is exact, and the best of dozens of candidates reaches some by chance.
-    chance = DECISIVE if after.fit_inflation < WHITE else 0.0
-    enough = fitted > chance + 2 * size and fitted + held > 3 * more * DECISIVE + 2 * size
-    return share > GAIN and enough
+    chance = LIMITS.decisive if after.fit_inflation < LIMITS.white else 0.0
+    enough = fitted > chance + 2 * size and fitted + held > 3 * more * LIMITS.decisive + 2 * size
+    return share > LIMITS.gain and enough
 
 
 def best(bench: Bench, before: Hypothesis, found: Sequence[Hypothesis]) -> Hypothesis | None:
@@ -78,11 +57,11 @@ def equals(bench: Bench, before: Hypothesis, found: Sequence[Hypothesis]) -> lis
     if top is None:
         return []
     rival = next(filter(good, sorted(found, key=both)))
-    if rival.fit_loss < CONFLICT * top.fit_loss:
+    if rival.fit_loss < LIMITS.conflict * top.fit_loss:
         top = rival
-        found = [h for h in found if CONFLICT * h.fit_loss < top.fit_loss]
+        found = [h for h in found if LIMITS.conflict * h.fit_loss < top.fit_loss]
     factor = inflation(top.validation)
-    near = [h for h in found if worth(top.validation, h.validation, factor) < DECISIVE or simpler(bench, before, h, top)]
+    near = [h for h in found if worth(top.validation, h.validation, factor) < LIMITS.decisive or simpler(bench, before, h, top)]
     return [h for h in near if good(h)]
 
 
@@ -90,11 +69,11 @@ def simpler(bench: Bench, before: Hypothesis, h: Hypothesis, top: Hypothesis) ->
     """Whether `h` has fewer numbers and leaves next to nothing more than `top`: a part of its effects, or others that explain all
     but a hundredth of what it does; or a law in the same place, of the same kind or where the larger law ended at a bound (as
     another one's limit)."""
-    if h.size >= top.size or h.validation.loss >= ALIKE * max(1.0, top.validation.loss):
+    if h.size >= top.size or h.validation.loss >= LIMITS.alike * max(1.0, top.validation.loss):
         return False
-    if joint_loss(h) < ALIKE * max(1.0, joint_loss(top)):
+    if joint_loss(h) < LIMITS.alike * max(1.0, joint_loss(top)):
         explained = lambda x: joint_loss(before) - joint_loss(x)
-        if set(h.effects) < set(top.effects) or explained(h) > NEARLY_ALL * explained(top):
+        if set(h.effects) < set(top.effects) or explained(h) > LIMITS.as_good * explained(top):
             return True
     place = lambda h: (h.effects[-1].location, h.effects[:-1])
     kind = lambda h: family_of(bench, h.effects[-1])
@@ -108,8 +87,8 @@ def indistinct(chosen: Hypothesis, h: Hypothesis) -> bool:
     """Whether neither the validation runs nor these and the fit runs together tell `h` from the chosen hypothesis."""
     factor = inflation(chosen.validation)
     both = (joint_loss(h) - joint_loss(chosen)) * (chosen.path.count + chosen.validation.count) / factor
-    doubt = max(2 * DECISIVE, unexplained(chosen)) if joint_loss(h) < CLOSE_ABOVE else 2 * DECISIVE
-    return worth(chosen.validation, h.validation, factor) < DECISIVE and both < doubt
+    doubt = max(2 * LIMITS.decisive, unexplained(chosen)) if joint_loss(h) < LIMITS.close_above else 2 * LIMITS.decisive
+    return worth(chosen.validation, h.validation, factor) < LIMITS.decisive and both < doubt
 
 
 def unexplained(h: Hypothesis) -> float:
@@ -123,13 +102,13 @@ def outweighed(nominal: Hypothesis, h: Hypothesis, without: Hypothesis) -> bool:
     """Whether an effect beside others, next to the noise, explains less than what stays unexplained with it, or so little that
     the exact form of the others' laws is not known as well."""
     gained = joint_loss(without) - joint_loss(h)
-    form = gained < FORM * (joint_loss(nominal) - joint_loss(h))
-    return joint_loss(without) < CLOSE_ABOVE and (form or gained * (h.path.count + h.validation.count) < unexplained(h))
+    form = gained < LIMITS.form * (joint_loss(nominal) - joint_loss(h))
+    return joint_loss(without) < LIMITS.close_above and (form or gained * (h.path.count + h.validation.count) < unexplained(h))
 
 
 def not_borne_out(bench: Bench, residual: Residual, h: Hypothesis, smaller: Sequence[Hypothesis]) -> list[Hypothesis]:
     """Those of smaller sets close to the noise that predict the report data as well: what these do not show is no claim."""
-    close = [s for s in smaller if joint_loss(s) < CLOSE_ABOVE]
+    close = [s for s in smaller if joint_loss(s) < LIMITS.close_above]
     if not close or not bench.binding.experiments("report"):
         return []
     whole, *parts = held_out(bench, "report", [x.theta for x in (h, *close)], residual)
@@ -145,13 +124,13 @@ def at_floor(h: Hypothesis) -> bool:
 
 def finished(h: Hypothesis) -> bool:
     """Nothing more is to be found. Something small is looked for beside other effects only."""
-    return max(h.validation.loss, h.fit_loss) < NEAR_FLOOR if h.effects else at_floor(h)
+    return max(h.validation.loss, h.fit_loss) < LIMITS.at_floor if h.effects else at_floor(h)
 
 
 def close_to_noise(h: Hypothesis) -> bool:
     """White and close above the noise: a stated noise may be a little low, or something small is left."""
     white = h.fit_inflation < 1.5 * max(1.0, h.fit_loss) and memory(h.validation.settled) <= 2
-    return max(h.validation.loss, h.fit_loss) < CLOSE_ABOVE and white
+    return max(h.validation.loss, h.fit_loss) < LIMITS.close_above and white
 
 
 def rivals_among(

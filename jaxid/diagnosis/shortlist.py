@@ -6,11 +6,12 @@ from collections.abc import Callable, Sequence
 
 from jaxid.diagnosis.hypothesis import Candidate, effect_of
 from jaxid.diagnosis.screen import Screened
+from jaxid.diagnosis.thresholds import LIMITS
 from jaxid.fitting.problem_builder import Bench
 
 
 #: Candidates within this share of the best screen value are refitted, at least MINIMUM and at most MAXIMUM of them.
-SCREEN_SHARE, MINIMUM, MAXIMUM = 0.02, 6, 16
+MINIMUM, MAXIMUM = 6, 16
 #: Timing comes before physics: these are always refitted first, and win a tie. One sample of offset between two channels, or the
 #: wrong hold of the command, is soon made and looks like lag, friction or inertia.
 TIMING = ("input_hold", "input_delay", "sensor_delay")
@@ -44,4 +45,4 @@ def shortlist(
 
 def _head(ranked: Sequence[Screened]) -> list[Screened]:
     """What is refitted of a ranking."""
-    return [f for k, f in enumerate(ranked) if k < MINIMUM or f[0] >= ranked[0][0] - SCREEN_SHARE]
+    return [f for k, f in enumerate(ranked) if k < MINIMUM or f[0] >= ranked[0][0] - LIMITS.screen_share]

@@ -17,22 +17,15 @@ from scipy.special import chdtrc
 from jaxid.diagnosis.evidence import knowledge, memory
 from jaxid.diagnosis.hypothesis import Candidate, Hypothesis, probes_of
 from jaxid.diagnosis.screen import each_probe, probe_residuals, Retuning
+from jaxid.diagnosis.thresholds import LIMITS
 from jaxid.fitting.least_squares import descend
 from jaxid.fitting.problem_builder import Bench, estimate_starts
 from jaxid.problem.problem import Problem, Rows, rows
 from jaxid.problem.residual import Residual
 
 
-#: Closer simulations than this (standard deviations of the noise, all samples together) are not told apart.
-TOLD = 3.0
 #: A share of a probe so small that re-tuning takes out what is absorbed exactly but for this share.
 WEAK, ABSORBED = 1e-5, 5e-5
-#: A candidate that stands out by so many standard deviations is a sign, and so is a number that differs between parts of the
-#: recordings with less than this probability by chance: a fine encoder and what steps leave behind reach 6 and 1e-7.
-SIGN, CHANCE = 8.0, 1e-12
-#: An effect hides in a number that it moves by this share (of its value, or of its typical change) and so many of the standard
-#: deviations that the fit states.
-MOVED, BEYOND = 0.05, 2.0
 #: So many effects are re-tuned in earnest, in so many rounds and iterations, at a size that moves no number further than this (in
 #: factors of e, or in so many typical changes), where the first order still leads.
 MOST, ROUNDS, ITERATIONS, REACH, CHANGES = 20, 3, 16, 0.7, 5.0
@@ -116,7 +109,7 @@ class Probe:
     @property
     def size(self) -> float:
         """As many times as large it is not seen, to first order."""
-        return min(self.largest, 0.8 * TOLD / max(self.left, 1e-300))
+        return min(self.largest, 0.8 * LIMITS.told / max(self.left, 1e-300))
 
 
 @dataclass(eq=False)
@@ -146,7 +139,7 @@ class Match:
     def improving(self) -> bool:
         """Whether more re-tuning may help: neither as good as the same already, nor still far from it."""
         limit = next((share for count, share in HOPELESS if self.trials >= count), np.inf)
-        return self.failed < FAILED and TOLD / 10 < self.distance < limit * TOLD
+        return self.failed < FAILED and LIMITS.told / 10 < self.distance < limit * LIMITS.told
 
     def next(self, retuning: Retuning) -> np.ndarray:
         """What is left is made small along the secants first, and then along the slopes without the effect."""
@@ -193,7 +186,7 @@ class Looker:
         hiding = sorted((q for q in probes if self._hides(q.size * q.step).size), key=lambda q: (q.absorbed, -self._worst(q)))
         found = self._matched(hiding[:MOST])
         found.sort(key=lambda f: f[0].absorbed)
-        still = [q for q in probes if q.stirred < TOLD and q not in hiding]
+        still = [q for q in probes if q.stirred < LIMITS.told and q not in hiding]
         unstirred = [
             Unseen(c.effect, c.location, self._numbers(c, q.full), q.left, q.stirred, q.absorbed, ())
             for c, q in ((q.candidate, q) for q in still)
@@ -241,7 +234,7 @@ class Looker:
             )
             if c not in best or self._worst(probe) >= self._worst(best[c]):
                 best[c] = probe
-        strongest = sorted(((s, c) for c, s in told.items() if s > SIGN), key=lambda found: -found[0])
+        strongest = sorted(((s, c) for c, s in told.items() if s > LIMITS.sign), key=lambda found: -found[0])
         signs = [
             f"{c} would explain something that stands out by {s:.2g} standard deviations, although the gap as a whole is at the "
             "noise."
@@ -264,7 +257,7 @@ class Looker:
         """Positions of the free numbers that a change of z moves by far more than they are said to be uncertain."""
         n = self.p.free.size
         share = np.abs(step[:n]) / np.where(self.p.log, 1.0, np.maximum(np.abs(self.z[:n]), self.p.scale[:n]))
-        return np.flatnonzero((share > MOVED) & (np.abs(step[:n]) > BEYOND * self.std))
+        return np.flatnonzero((share > LIMITS.hidden_share) & (np.abs(step[:n]) > LIMITS.hidden_beyond * self.std))
 
     def _worst(self, q: Probe) -> float:
         n = self.p.free.size
@@ -284,10 +277,10 @@ class Looker:
             self._retune(tried)
             for k, end in zip(again, tried, strict=True):
                 before = sizes[k]
-                if end.distance < TOLD:
+                if end.distance < LIMITS.told:
                     kept[k], steps[k] = end, (end.z - self.z) / sizes[k]
                 if np.isfinite(end.distance):  # more or less is left of it than the first order said
-                    sizes[k] = min(sizes[k] * 0.8 * TOLD / max(end.distance, 1e-9), hiding[k].largest)
+                    sizes[k] = min(sizes[k] * 0.8 * LIMITS.told / max(end.distance, 1e-9), hiding[k].largest)
                 if kept[k] is end and sizes[k] < 1.05 * before:
                     sizes[k] = np.nan  # as large as it goes
             again = [k for k in again if np.isfinite(sizes[k])]
@@ -346,7 +339,7 @@ class Looker:
             level = max(1.0, float(np.mean((rest - told) ** 2)))
             gain = float(told @ told) / (level * memory(after))
             chance = float(chdtrc(max(int(rank), 1), gain))
-            if chance < CHANCE / self.p.free.size and (worst is None or chance < worst[0]):
+            if chance < LIMITS.chance / self.p.free.size and (worst is None or chance < worst[0]):
                 every = np.full(len(pieces), np.nan)
                 every[seen] = -shift / size[seen]
                 worst = chance, k, every

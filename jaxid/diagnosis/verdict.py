@@ -15,23 +15,12 @@ import numpy as np
 from jaxid.diagnosis import how_far as shrinking
 from jaxid.diagnosis.breakdown import Share
 from jaxid.diagnosis.hypothesis import Hypothesis, Search
-from jaxid.diagnosis.selection import ALIKE
+from jaxid.diagnosis.thresholds import LIMITS
 from jaxid.errors import UsageError
 from jaxid.fitting.scores import scored
 from jaxid.problem.binding import Binding
 from jaxid.simulation.sample_buffers import columns
 from jaxid.wording import listed, percent, times
-
-
-#: Shares of the gap (mean square above the floor, validation data) that the verdicts need.
-NAMED, PARTLY = 0.97, 0.5
-#: Gap of the re-tuned model on report data, times the noise, above which they can withdraw a verdict.
-SEEN = 1.2
-#: Near the noise: what is `named` closes that share of the gap on fit and report data too, or leaves no more than so many times
-#: the noise there; with `none` no run and no direction of motion of the report data leaves more.
-LEFT = 1.5
-#: A channel stands still where it scatters by less than so many times its noise.
-STILL = 2.0
 
 
 class Diverged(UsageError):
@@ -60,12 +49,12 @@ def judge(search: Search) -> tuple[str, str]:
     each = ", ".join(f"without {c} {times(gap)}" for c, gap in search.without)
     each = f" What each contributes: {each} times the noise." if each else ""
     # Several that leave more than the noise may together only come close to something else.
-    close = search.several and max(left, np.sqrt(search.chosen.fit_loss)) > LEFT
+    close = search.several and max(left, np.sqrt(search.chosen.fit_loss)) > LIMITS.left
     followed = shrinking.closed(search.nominal.fit_loss, search.chosen.fit_loss)
-    closed_on_both = closed >= NAMED and (followed >= NAMED or search.chosen.fit_loss <= LEFT**2)
+    closed_on_both = closed >= LIMITS.named and (followed >= LIMITS.named or search.chosen.fit_loss <= LIMITS.left**2)
     if chosen.loss <= max(floor, 1.1) or (closed_on_both and not close):
         return "named", f"The model lacks {names}; with it {times(left)} times the noise is left on validation data.{each}"
-    if closed >= PARTLY:
+    if closed >= LIMITS.partly:
         return "partly", (
             f"The model lacks {names}, which explains {np.floor(100 * closed):.0f} % of the gap on validation data; a clear "
             f"remainder ({times(left)} times the noise) stays unexplained.{each}"
@@ -104,11 +93,11 @@ def upheld(
 ) -> tuple[str, str]:
     """A verdict and its sentence once the report data have been seen, where the model re-tuned, the one with the effects
     (`several` of them) and the one as stated leave so many times the noise."""
-    room = retuned**2 > ALIKE  # beyond what is known of the noise
+    room = retuned**2 > LIMITS.alike  # beyond what is known of the noise
     without = min(retuned, before)
     closed = shrinking.closed(retuned**2, after**2)
-    if retuned <= SEEN and (after < retuned or not (room or after**2 > ALIKE * retuned**2)):
-        if verdict == "named" and room and closed < PARTLY:
+    if retuned <= LIMITS.seen and (after < retuned or not (room or after**2 > LIMITS.alike * retuned**2)):
+        if verdict == "named" and room and closed < LIMITS.partly:
             return "unknown", (
                 f"{text.replace('The model lacks', 'Nearest comes', 1)} On the report data {times(after)} times the noise is "
                 f"left with it, {times(retuned)} without: that is not most of what little there is, so it is not claimed."
@@ -120,9 +109,9 @@ def upheld(
             f"{text} On the report data that model is {times(after)} times the noise away, {times(retuned)} without{stated}: it "
             "is not claimed."
         )
-    if verdict == "named" and several and after > LEFT:
+    if verdict == "named" and several and after > LIMITS.left:
         return "partly", f"{text} On the report data {times(after)} times the noise is left."
-    if verdict == "named" and (closed < PARTLY or (closed < NAMED and after > LEFT)):
+    if verdict == "named" and (closed < LIMITS.partly or (closed < LIMITS.named and after > LIMITS.left)):
         return "partly", f"{text} On the report data it explains {percent(closed)} of the gap."
     return verdict, text
 
@@ -133,7 +122,9 @@ def astray(runs: Sequence[Share], regimes: Sequence[Share], whole: float) -> lis
     found = [(s.part, s.retuned) for s in runs]
     found += [(f"{s.joint} moving {s.part}s", s.retuned) for s in regimes if s.part in ("forward", "backward")]
     found = found or [("all report runs", whole)]
-    return sorted((place for place in found if not place[1] <= LEFT), key=lambda place: -np.nan_to_num(place[1], nan=np.inf))
+    return sorted(
+        (place for place in found if not place[1] <= LIMITS.left), key=lambda place: -np.nan_to_num(place[1], nan=np.inf)
+    )
 
 
 def not_reached(places: Sequence[tuple[str, float]], gap: float) -> str:
@@ -156,7 +147,7 @@ def standing_still(binding: Binding) -> tuple[str, ...]:
         moves = False
         for e in runs:
             keep = scored(e, split)
-            moves |= bool(np.any(np.std(e.y[keep][:, iy], axis=0) > STILL * binding.sigma)) or _changes(e.u[keep][:, iu])
+            moves |= bool(np.any(np.std(e.y[keep][:, iy], axis=0) > LIMITS.still * binding.sigma)) or _changes(e.u[keep][:, iu])
         if runs and not moves:
             out.append(split)
     return tuple(out)
@@ -166,7 +157,9 @@ def _changes(u: np.ndarray) -> bool:
     """Whether any input [time inputs] does more than scatter from sample to sample."""
     if len(u) < 2:
         return False
-    return bool(np.any(np.std(u, axis=0) > STILL * np.std(np.diff(u, axis=0), axis=0) / np.sqrt(2) + 1e-12 * np.abs(u).max(0)))
+    return bool(
+        np.any(np.std(u, axis=0) > LIMITS.still * np.std(np.diff(u, axis=0), axis=0) / np.sqrt(2) + 1e-12 * np.abs(u).max(0))
+    )
 
 
 def withheld(still: Sequence[str]) -> str:

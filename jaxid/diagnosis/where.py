@@ -18,6 +18,7 @@ from jaxid.data.splits import LATE
 from jaxid.diagnosis.cause import span, variable, words
 from jaxid.diagnosis.regimes import regimes
 from jaxid.diagnosis.result import Finding, MissingForce, Regime
+from jaxid.diagnosis.thresholds import LIMITS
 from jaxid.dynamics.joint_readings import joint_motion, stated_positions
 from jaxid.fitting.problem_builder import Bench
 from jaxid.fitting.result import EffectEstimate
@@ -31,9 +32,6 @@ from jaxid.wording import number, percent
 #: Simulated repetitions for the null of every regime.
 NULLS = 12
 WINDOW_S = 0.5
-#: What named effects supply is what was missing if taking it away leaves less by so many times its own energy, and by that share
-#: of what is missing above the noise.
-OWN, SHARE = 0.3, 0.5
 
 
 @dataclass
@@ -137,9 +135,6 @@ _WORDS = {
     "low_load": ("lies under low load", "load"),
 }
 
-#: What a named effect supplies lies in a regime if that share of it does; else it lies wherever the effect acts.
-NEARLY_ALL = 0.9
-
 
 def supplied(found: Sequence[Missing], after: Sequence[Missing], joint: int) -> list[np.ndarray] | None:
     """The force [time] that the named effects supply at a joint in each run: what is missing without them less what is missing
@@ -149,7 +144,7 @@ def supplied(found: Sequence[Missing], after: Sequence[Missing], joint: int) -> 
     energy = sum(float(g @ g) for g in given)
     gained = sum(float(np.sum(m.force[:, joint] ** 2 - a.force[:, joint] ** 2)) for m, a in zip(found, after, strict=True))
     above = sum(float(np.sum(m.force[:, joint] ** 2 - np.mean(m.null[:, :, joint] ** 2, 0))) for m in found)
-    return given if energy > 0 and gained >= max(OWN * energy, SHARE * above) else None
+    return given if energy > 0 and gained >= max(LIMITS.own_energy * energy, LIMITS.own_share * above) else None
 
 
 def table(found: Sequence[Missing], joints: Sequence[str], given: dict[str, list[np.ndarray]]) -> list[Regime]:
@@ -220,7 +215,7 @@ def findings(
             inside = [regimes(m, j).get(row.regime, np.zeros(len(m.force), bool)) for m in found]
             energy = energy_of(j, inside)
             lift = row.ratio / max(row.null[1], 1e-9) if row.supplied is None else row.supplied
-            if row.stands_out and energy > (NEARLY_ALL * energy_of(j, None) if joint in given else 0.05 * total):
+            if row.stands_out and energy > (LIMITS.own_regime * energy_of(j, None) if joint in given else 0.05 * total):
                 # Elsewhere there may be less than noise, which is no reason to see more than all of it here.
                 share = min(1.0, energy / total)
                 scored_rows.append((lift * np.sqrt(share), share, row.regime, inside))

@@ -10,12 +10,9 @@ import numpy as np
 
 from jaxid.diagnosis.goals.propose import shown
 from jaxid.diagnosis.goals.study import LedStudy
+from jaxid.diagnosis.thresholds import LIMITS
 from jaxid.dynamics.effect import Effect
 from jaxid.problem.binding import Binding
-
-
-#: An effect of which re-tuning leaves less than this share is taken up; two are alike where each leaves less of the other.
-LEFT = 0.02
 
 
 def alike_under_goals(
@@ -37,7 +34,7 @@ def alike_under_goals(
         share = float(np.linalg.norm(beside) / max(float(np.linalg.norm(column)), 1e-300))
         left[place] = max(left.get(place, 0.0), share)
         rest.setdefault(place, []).append(beside)
-    seen = [p for p in left if left[p] > LEFT]
+    seen = [p for p in left if left[p] > LIMITS.equivalent_goals]
     pairs = [frozenset(pair) for pair in itertools.combinations(seen, 2) if _alike(*(rest[p] for p in pair))]
     return left, pairs, sorted(k.name for k in library if not shown(k))
 
@@ -51,5 +48,5 @@ def _span(columns: np.ndarray) -> np.ndarray:
 
 def _alike(a: Sequence[np.ndarray], b: Sequence[np.ndarray]) -> bool:
     """Whether each shape of one is what some shape of the other can do, and the other way round."""
-    inside = lambda x, y: np.linalg.norm(x - (q := _span(y)) @ (q.T @ x)) < LEFT * np.linalg.norm(x)
+    inside = lambda x, y: np.linalg.norm(x - (q := _span(y)) @ (q.T @ x)) < LIMITS.equivalent_goals * np.linalg.norm(x)
     return all(any(inside(x, y) for y in b) for x in a) and all(any(inside(y, x) for x in a) for y in b)

@@ -9,11 +9,11 @@ import numpy as np
 
 from jaxid.data.dataset import Dataset
 from jaxid.diagnosis.goals.study import LedStudy
+from jaxid.diagnosis.thresholds import LIMITS
 from jaxid.diagnosis.torque.algebra import better, BLOCKS, gram
 from jaxid.diagnosis.torque.answer import of_model
-from jaxid.diagnosis.torque.choose import Chooser, Model, SURE
+from jaxid.diagnosis.torque.choose import Chooser, Model
 from jaxid.diagnosis.torque.library import Unit
-from jaxid.diagnosis.verdict import SEEN
 from jaxid.dynamics.effect import BodyEffect, Effect, InputEffect, JointEffect
 from jaxid.problem.binding import Binding
 
@@ -49,7 +49,7 @@ def proposals(study: LedStudy, most: int) -> tuple[Proposal, list[Proposal]]:
 
     def at_noise(m: Model) -> bool:
         answer = of_model(study, rows, m)
-        return all(not answer.gap(which, j) > SEEN for which in (fit, held) for j in joints)
+        return all(not answer.gap(which, j) > LIMITS.seen for which in (fit, held) for j in joints)
 
     chooser = study.chooser(rows, white, fit, held, most, at_noise)
     bare = _proposal(study, chooser, chooser.nominal)
@@ -104,7 +104,7 @@ def goes_the_other_way(stated: LedStudy, other: LedStudy) -> bool:
         owner = both[1].owner
     fitted, kept = (held[0], held[2]), (held[1], held[3])
     total, worst = better(*kept, owner)
-    return bool(total > SURE and worst > 0 and fitted[1].sum() < fitted[0].sum())
+    return bool(total > LIMITS.sure and worst > 0 and fitted[1].sum() < fitted[0].sum())
 
 
 def kinds_of(sets: Sequence[Proposal]) -> list[str]:

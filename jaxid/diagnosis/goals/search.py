@@ -10,7 +10,8 @@ import numpy as np
 from jaxid.diagnosis.evidence import held_out, knowledge
 from jaxid.diagnosis.goals.propose import as_vector, Proposal
 from jaxid.diagnosis.hypothesis import Candidate, candidates, Hypothesis, Search
-from jaxid.diagnosis.selection import DECISIVE, GAIN, indistinct, significant
+from jaxid.diagnosis.selection import indistinct, significant
+from jaxid.diagnosis.thresholds import LIMITS
 from jaxid.diagnosis.verdict import judge, level
 from jaxid.fitting.fitter import Progress
 from jaxid.fitting.least_squares import descend, Path
@@ -118,4 +119,4 @@ class Decider:
         d = h.path.z[at] - b.theta[p.free[at]]
         missed = float(d @ S @ d)
         share = missed / h.path.count / max(h.fit_loss - 1.0, 1e-12)
-        return missed / h.fit_inflation > SURELY * (3 * DECISIVE + 2 * len(c.index)) and share > SURELY * GAIN
+        return missed / h.fit_inflation > SURELY * (3 * LIMITS.decisive + 2 * len(c.index)) and share > SURELY * LIMITS.gain

@@ -33,8 +33,6 @@ FIRST, EASIER, HARDER, LAST = 1e-2, 5.0, 4.0, 1e3
 ENOUGH = 0.1
 #: A number that is neutral from here on is a limit; shares of the time in which the drive stays below those that are asked for.
 ENDLESS, LEVELS = 1e9, (0.5, 0.7, 0.8, 0.9, 0.95, 0.98, 0.99, 0.995, 0.999)
-#: Coefficient below which an effect without a strength of its own is not there.
-PRESENT = 0.3
 
 
 class LedStudy(Study):

@@ -13,11 +13,10 @@ from functools import cached_property
 
 import numpy as np
 
+from jaxid.diagnosis.thresholds import LIMITS
 from jaxid.diagnosis.torque.rows import Run
 
 
-#: Rows that are correlated by less than this share no noise.
-LOST = 0.05
 #: Rounds in which the size of what is left and the weight of rows of which less is known settle.
 ROUNDS = 5
 #: A direction of the scaled columns in which the data say less than this share of what they say elsewhere stays where it was.
@@ -69,7 +68,7 @@ def _memory(series: Sequence[np.ndarray]) -> float:
     power, found = sum(float(r @ r) for r in series), 1.0
     for lag in range(1, max(map(len, series)) // 3 + 1):
         share = sum(float(r[lag:] @ r[:-lag]) for r in series) / max(power, 1e-300)
-        if share < LOST:
+        if share < LIMITS.correlated:
             break
         found += 2 * share
     return found

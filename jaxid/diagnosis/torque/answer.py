@@ -12,6 +12,7 @@ from jaxid.diagnosis import where as location
 from jaxid.diagnosis.breakdown import Share
 from jaxid.diagnosis.how_far import closed, shrink
 from jaxid.diagnosis.result import ChannelGap, Finding, HowFar, MissingForce, Ranked, Regime
+from jaxid.diagnosis.thresholds import LIMITS
 from jaxid.diagnosis.torque.choose import Chooser, Model
 from jaxid.diagnosis.torque.library import BODY, Unit
 from jaxid.diagnosis.torque.study import Rows, Study
@@ -25,8 +26,6 @@ from jaxid.wording import listed, percent, times
 
 #: Simulated repetitions of the noise in every regime.
 DRAWS = 12
-#: A number whose standard deviation is more than this share of what is known of it beforehand is not determined.
-TOLD = 0.5
 
 
 @dataclass(frozen=True, eq=False)
@@ -124,7 +123,7 @@ def _unit(study: Study, unit: Unit, field: str) -> str:
 def _body(unit: Unit, values: np.ndarray, covariance: np.ndarray) -> dict[str, Estimate]:
     """Mass, centre of mass and inertia about the link's origin of a body, from its ten numbers."""
     m, inf = float(values[0]), float("inf")
-    told = lambda v, var, spread: np.sqrt(max(var, 0.0)) < TOLD * spread
+    told = lambda v, var, spread: np.sqrt(max(var, 0.0)) < LIMITS.determined * spread
 
     def quantity(value: float, variance: float, unit_: str, sure: bool) -> Estimate:
         return Estimate(value, float(np.sqrt(max(variance, 0.0))) if sure else None, unit_, -inf, inf, False, sure)

@@ -14,14 +14,11 @@ from itertools import combinations
 
 import numpy as np
 
+from jaxid.diagnosis.thresholds import LIMITS
 from jaxid.diagnosis.torque.algebra import better, Gram, Known, Solution, solve
 from jaxid.diagnosis.torque.library import Unit
 
 
-#: Standard errors by which more effects have to predict better, and by which fewer may predict worse.
-SURE, MISSED = 3.0, 2.0
-#: A column of which less than this share lies outside of what is there already shows nothing of its own.
-OWN = 1e-6
 #: So many sets of a kind go before the held-out runs.
 HEARD = 16
 #: Most laws of one joint.
@@ -51,7 +48,7 @@ Enough = Callable[[Model], bool]
 def explained(H: np.ndarray, b: np.ndarray) -> tuple[float, np.ndarray]:
     """Sum of squares that columns with these products explain, and their strengths."""
     values, vectors = np.linalg.eigh(H)
-    seen = values > OWN
+    seen = values > LIMITS.shows_itself
     along = vectors[:, seen].T @ b
     return float(np.sum(along**2 / values[seen])), vectors[:, seen] @ (along / values[seen])
 
@@ -110,16 +107,16 @@ class Chooser:
         """Whether the larger set stands."""
         total, worst = better(small.held, large.held, self.held.owner)
         more = self.price(large.units) - self.price(small.units)
-        return total > SURE and worst > -MISSED and small.cost - large.cost > max(more, 0.0)
+        return total > LIMITS.sure and worst > -LIMITS.missed and small.cost - large.cost > max(more, 0.0)
 
     def missed(self, small: Model, large: Model) -> bool:
         """Whether what the larger set has more of would be missed."""
         more = self.price(large.units) - self.price(small.units)
-        return better(small.held, large.held, self.held.owner)[0] > MISSED and small.cost - large.cost > max(more, 0.0)
+        return better(small.held, large.held, self.held.owner)[0] > LIMITS.missed and small.cost - large.cost > max(more, 0.0)
 
     def alike(self, a: Model, b: Model) -> bool:
         """Whether held-out and fit runs leave open which of two sets of one size it is."""
-        return abs(better(a.held, b.held, self.held.owner)[0]) < MISSED and b.cost - a.cost < self.price(b.units) + 6
+        return abs(better(a.held, b.held, self.held.owner)[0]) < LIMITS.missed and b.cost - a.cost < self.price(b.units) + 6
 
     # ---- search
 
@@ -152,7 +149,7 @@ class Chooser:
         """What each unit alone would explain of the fit runs beside a set, nothing where it has nothing of its own."""
         out, (H, b, _) = np.zeros(len(self.units)), self.beside(units)
         for k, own in enumerate(self.columns):
-            if k not in units and np.any(np.diag(H)[own] > OWN):
+            if k not in units and np.any(np.diag(H)[own] > LIMITS.shows_itself):
                 out[k] = explained(H[np.ix_(own, own)], b[own])[0]
         return out
 

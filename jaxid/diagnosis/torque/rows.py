@@ -9,6 +9,7 @@ import numpy as np
 
 from jaxid.data.dataset import Experiment
 from jaxid.data.signals import filter_ends, zero_phase
+from jaxid.diagnosis.thresholds import LIMITS
 from jaxid.dynamics.joint_readings import joint_motion, joint_readings, stated_positions
 from jaxid.errors import UsageError
 from jaxid.problem.binding import Binding
@@ -20,8 +21,6 @@ from jaxid.simulation.sample_buffers import bucket, columns
 ROWS_PER_CUTOFF = 4.0
 #: Positions are smoothed at so many times the cutoff of the torque before they are differentiated.
 MOTION = 2.0
-#: A joint whose readings span less than so many times their noise stands still.
-STILL = 12.0
 #: Where a joint turns about, its dry friction counts as going over smoothly within this share of its top speed.
 TURN = 0.005
 
@@ -105,7 +104,7 @@ def _read(binding: Binding, e: Experiment, iy: Sequence[int], cutoff_hz: float, 
 
 def _moving(binding: Binding, q: np.ndarray) -> np.ndarray:
     noise = np.array([binding.readings[r.q] if r.q is not None else 0.0 for r in joint_readings(binding.chain)])
-    return np.ptp(q, axis=0) > STILL * np.maximum(noise, 1e-9)
+    return np.ptp(q, axis=0) > LIMITS.standing * np.maximum(noise, 1e-9)
 
 
 def turning_speeds(runs: Sequence[Run]) -> np.ndarray:

@@ -11,6 +11,7 @@ import numpy as np
 from jaxid.diagnosis.how_far import closed
 from jaxid.diagnosis.next_experiment import advice
 from jaxid.diagnosis.result import Diagnosis, Which
+from jaxid.diagnosis.thresholds import LIMITS
 from jaxid.diagnosis.torque.algebra import BLOCKS, gram, Weights
 from jaxid.diagnosis.torque.answer import Answer, estimates, how_far, of_model, places, ranking, scores, traces
 from jaxid.diagnosis.torque.ceiling import ceiling
@@ -19,7 +20,7 @@ from jaxid.diagnosis.torque.library import Unit, units
 from jaxid.diagnosis.torque.reference import Reference
 from jaxid.diagnosis.torque.rows import MOTION
 from jaxid.diagnosis.torque.study import BY_TORQUE, Rows, Study
-from jaxid.diagnosis.verdict import LEFT, level, PARTLY, SEEN
+from jaxid.diagnosis.verdict import level
 from jaxid.dynamics.effect import Effect
 from jaxid.fitting.assemble import fitted_chain
 from jaxid.fitting.fitter import Progress
@@ -28,10 +29,6 @@ from jaxid.fitting.scores import lost
 from jaxid.fitting.stated import stated_numbers
 from jaxid.problem.binding import Binding
 from jaxid.wording import listed, percent, times
-
-
-#: Held-out runs that are so many times further away than those that were fitted are asked what is different in them.
-DIFFERENT = 2.0
 
 
 #: So often at most the search is done along the torque that what it found implies.
@@ -109,12 +106,12 @@ def _at_floor(study: Study, rows: Rows, chooser: Chooser, fit: Sequence[int], ch
     """Whether the re-tuned model reaches the noise, at every joint, on data that were and that were not fitted."""
     answer = of_model(study, rows, chooser.nominal)
     gaps = [answer.gap(which, j) for which in (fit, choose) for j in range(len(study.noise))]
-    return all(not gap > SEEN for gap in gaps) and answer.gap(fit) ** 2 <= level(round(chooser.fit.rows)) + 0.1
+    return all(not gap > LIMITS.seen for gap in gaps) and answer.gap(fit) ** 2 <= level(round(chooser.fit.rows)) + 0.1
 
 
 def _differs(found: Found) -> bool:
     inside, outside = found.final.gap(found.fit), found.final.gap(found.choose)
-    return outside > max(DIFFERENT * inside, LEFT)
+    return outside > max(LIMITS.different * inside, LIMITS.left)
 
 
 def _difference(study: Study, found: Found, most: int) -> Found | None:
@@ -138,7 +135,7 @@ def _difference(study: Study, found: Found, most: int) -> Found | None:
     if not chosen.units:
         return None
     final = of_model(study, own, chosen)
-    if base.units and final.gap(found.judge) > LEFT * max(1.0, base.gap(found.fit)):
+    if base.units and final.gap(found.judge) > LIMITS.left * max(1.0, base.gap(found.fit)):
         return None
     nominal = Answer(study, own, np.arange(len(base.at)), base.numbers, base.units)
     return Found(chooser, own, found.weights, chosen, nominal, final, found.fit, found.choose, found.judge, found)
@@ -175,7 +172,7 @@ def _judged(study: Study, found: Found) -> tuple[str, str]:
     lacks = f"The model lacks {listed(_said(u) for u in base)}. " if base else ""
     if not final.units:
         gaps = [nominal.gap(w) for w in (found.fit, *sets) if w]
-        if all(not g > SEEN for g in gaps):
+        if all(not g > LIMITS.seen for g in gaps):
             return "none", "The model reaches the noise of the torque on data that were not fitted: there is no gap."
         return "unknown", (
             f"There is a gap ({times(max(gaps))} times the noise), and no effect of the library predicts the runs that were not "
@@ -186,10 +183,10 @@ def _judged(study: Study, found: Found) -> tuple[str, str]:
     left = f"{times(max(after))} times the noise is left on held-out data"
     # Where the question is what differs, what the model leaves of the runs that it was fitted to is what repeats would differ by.
     least = max(1.0, nominal.gap(found.fit)) if found.different else 1.0
-    if max(after) <= LEFT * least and all(a < b for a, b in zip(after, before, strict=True)):
-        fitted = f", {times(least)} times on the runs that were fitted" if least > SEEN else ""
+    if max(after) <= LIMITS.left * least and all(a < b for a, b in zip(after, before, strict=True)):
+        fitted = f", {times(least)} times on the runs that were fitted" if least > LIMITS.seen else ""
         return "named", f"{what} {names}; with it {left}{fitted}."
-    if all(a < b for a, b in zip(after, before, strict=True)) and min(shares) >= PARTLY:
+    if all(a < b for a, b in zip(after, before, strict=True)) and min(shares) >= LIMITS.partly:
         return "partly", (
             f"{what} {names}, which explains {percent(min(shares))} of the gap on held-out data; a clear remainder stays "
             f"unexplained: {left}."

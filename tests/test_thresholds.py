@@ -1,0 +1,28 @@
+"""The numbers that the diagnosis decides by stand in one place, each with its unit and its reason."""
+
+from __future__ import annotations
+
+import re
+from dataclasses import FrozenInstanceError
+from pathlib import Path
+
+import pytest
+
+from jaxid.diagnosis.thresholds import LIMITS, Thresholds
+
+
+SOURCES = Path(__file__).parents[1] / "jaxid" / "diagnosis"
+
+
+def test_each_has_a_unit_and_a_reason_and_none_can_be_moved():
+    for name, value, unit, reason in LIMITS.table():
+        assert isinstance(value, float) and unit and len(reason) > 20, name
+    with pytest.raises(FrozenInstanceError):
+        LIMITS.named = 0.5  # pyright: ignore[reportAttributeAccessIssue]
+
+
+def test_each_decides_something():
+    text = "".join(p.read_text() for p in SOURCES.rglob("*.py"))
+    text += "".join(p.read_text() for p in (SOURCES.parent / "report").rglob("*.py"))
+    unused = [f for f, *_ in Thresholds().table() if not re.search(rf"LIMITS\.{f}\b", text)]
+    assert not unused
