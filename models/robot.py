@@ -335,7 +335,7 @@ class Robot(Staged):
 
     def rotors(self):
         own = jnp.asarray(self.armature)
-        return own if self.coupling is None else np.array(self.coupling).T ** 2 @ own
+        return own if self.coupling is None else jnp.asarray(self.coupling).T ** 2 @ own
 
     def drive(self, signature, u, q, qd):
         tau = u[: q.shape[0]] if signature.inputs else jnp.zeros_like(q)

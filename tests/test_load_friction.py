@@ -54,13 +54,14 @@ def test_a_measured_motion_with_it_lacks_nothing(model, load, rotor):
     with float64():
         chain = Chain(mechanism, [ReflectedInertia(inertia=rotor), friction(load)])  # pyright: ignore[reportArgumentType]
         body = chain.body()
-        needed = np.asarray(body.inverse(q, qd, qdd))
-        on = np.asarray(mechanism.inverse(q, qd, qdd)) - np.asarray(mechanism.rotors()) * qdd
+        motion = jnp.asarray(q), jnp.asarray(qd), jnp.asarray(qdd)
+        needed = np.asarray(body.inverse(*motion))
+        on = np.asarray(mechanism.inverse(*motion)) - np.asarray(mechanism.rotors()) * qdd
         drive = needed
         for _ in range(80):
             drive = needed + 0.2 * np.abs(SHARE[load] * drive + (1 - SHARE[load]) * on)
         u = jnp.asarray(drive)
-        missing, _ = chain.inverse(held(u), chain.start(jnp.asarray(q), jnp.asarray(qd), u).z, *map(jnp.asarray, (q, qd, qdd)))
+        missing, _ = chain.inverse(held(u), chain.start(*motion[:2], u).z, *motion)
         assert np.allclose(missing, 0, atol=1e-9 * np.abs(drive).max())
 
 

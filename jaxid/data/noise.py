@@ -150,7 +150,7 @@ def _grid_of(values: np.ndarray) -> tuple[float, bool, float] | None:
     on_grid = np.abs(multiple - np.round(multiple)) < 0.05
     # Repeated values speak for a step; so do many distances of several steps (one step each is but steady motion).
     enough = len(distinct) <= len(values) / 2 or np.count_nonzero(multiple > 1.5) >= 12
-    return step, enough, float(on_grid.mean())
+    return step, bool(enough), float(on_grid.mean())
 
 
 def repeats(runs: Sequence[Experiment]) -> list[list[Experiment]]:
