@@ -334,8 +334,7 @@ class Robot(Staged):
         return self._leading(tau + self.armature * qdd + self._spring(q))
 
     def rotors(self):
-        own = jnp.asarray(self.armature)
-        return own if self.coupling is None else jnp.asarray(self.coupling).T ** 2 @ own
+        return jnp.asarray(self.armature if self.coupling is None else np.array(self.coupling).T ** 2 @ self.armature)
 
     def drive(self, signature, u, q, qd):
         tau = u[: q.shape[0]] if signature.inputs else jnp.zeros_like(q)
