@@ -99,6 +99,9 @@ def test_what_is_withheld_is_named(law, tmp_path):
     d = asked(ARMS[arm], [run(ARMS[arm], s, more=more) for s in (1, 2, 3)])
     assert d.which.verdict in ("named", "partly") and named(d) == truth, d.which.text
     assert d.how_far.gap_after < 1.6 < d.how_far.gap_retuned
+    # All joints move in every row: the errors of the table, over the noise beside them, are the gap.
+    each = [(c.rmse_retuned / c.noise, c.rmse_after / c.noise) for c in d.how_far.per_channel.values()]
+    assert np.sqrt(np.mean(np.square(each), 0)) == pytest.approx([d.how_far.gap_retuned, d.how_far.gap_after], rel=1e-6)
     if law.startswith("load"):
         (effect,) = d.which.effects
         reading = effect.parameters["drive_share"].value

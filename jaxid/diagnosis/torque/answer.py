@@ -28,6 +28,10 @@ from jaxid.wording import listed, percent, times
 DRAWS = 12
 
 
+#: What the noise of a torque is.
+NOISE = "noise of torque and motion"
+
+
 @dataclass(frozen=True, eq=False)
 class Answer:
     """One model of a study, ready to be looked at: its columns and numbers."""
@@ -51,6 +55,11 @@ class Answer:
             r = (self.residual(k) / self.study.noise_of(k))[:, inside]
             total, count = total + float(np.sum(r**2)), count + r.size
         return float(np.sqrt(total / count)) if count else float("nan")
+
+    def rms(self, which: Sequence[int], joint: int) -> float:
+        """Root mean square of what it leaves at a joint, N m, each row counted by how well it is known: that over
+        `Study.typical` is the gap."""
+        return self.gap(which, joint) * self.study.typical(which, joint)
 
     def measured(self, run: int) -> np.ndarray:
         r = self.study.runs[run]
@@ -176,11 +185,8 @@ def how_far(
     channels: dict[str, ChannelGap] = {}
     for j, (name, unit) in enumerate(study.binding.chain.torque_channels):
         moving = [k for k in which if study.runs[k].moves[j]]
-        rmse = [float(np.sqrt(np.mean(np.concatenate([m.residual(k)[:, j] for k in moving]) ** 2))) for m in models if moving]
-        if rmse:
-            channels[name] = ChannelGap(
-                unit, rmse[0], rmse[1], rmse[2], float(study.noise[j]), "noise of torque and motion, low-passed alike"
-            )
+        if moving:
+            channels[name] = ChannelGap(unit, *(m.rms(moving, j) for m in models), study.typical(moving, j), NOISE)
     runs = tuple(
         Share(study.runs[k].experiment.name, "", len(m0), before.gap([k]), retuned.gap([k]), after.gap([k]))
         for k in which
@@ -201,6 +207,7 @@ def how_far(
     text += f", {times(gaps[2])} with the effects added" if verdict in ("named", "partly") else ""
     if ceiling is not None:
         text += f"; any law of a joint's own position, speed and load would close {percent(ceiling)} of it"
+    text += ". Torque and motion are low-passed alike, and rows count by how well they are known"
     return HowFar(
         gaps[0], gaps[1], gaps[2], 1.0, shrinkage, None, reason, channels, f"{text}. {note}".strip(), runs,
         _by_regime(study, models, which), "", split, ceiling=ceiling,
@@ -262,7 +269,7 @@ def traces(study: Study, nominal: Answer, final: Answer, label: str) -> tuple[Tr
             needed[label] = measured - final.residual(k)
         for j, (name, unit) in enumerate(study.binding.chain.torque_channels):
             series = {key: y[:, j] for key, y in needed.items()}
-            out.append(Trace(run.experiment.name, run.split, name, unit, run.t, measured[:, j], series, float(study.noise[j])))
+            out.append(Trace(run.experiment.name, run.split, name, unit, run.t, measured[:, j], series, study.typical([k], j)))
     return tuple(out)
 
 

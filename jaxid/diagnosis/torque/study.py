@@ -297,6 +297,12 @@ class Study:
         """Standard deviation of each row of a run that a perfect model would leave, N m [samples n]."""
         return np.hypot(self.measured, self.unsure[run])
 
+    def typical(self, which: Sequence[int], joint: int) -> float:
+        """The noise of a joint's rows in some runs as one number, N m: mean of 1 / variance, so that where a joint turns about,
+        and little is known of its friction, counts little."""
+        known = np.concatenate([self.noise_of(k)[:, joint] for k in which])
+        return float(1 / np.sqrt(np.mean(1 / known**2)))
+
     def _longest(self) -> Run:
         return max((self.runs[k] for k in self.of("fit") or range(len(self.runs))), key=lambda r: len(r.q))
 
