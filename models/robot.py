@@ -97,6 +97,7 @@ class Robot(Staged):
     prepared: Any = None
     added: Any = None  # ten numbers more at each node
     tilt: Any = None  # (angle, axis): the base turned further
+    floats: bool = eqx.field(static=True, default=False)  # on a free base: see `jaxid.robots.floating`
     tree: Any = eqx.field(static=True, default=None)  # the file's own numbers: a `Stated`
     drive_law: Any = eqx.field(static=True, default=None)
     rides: bool = eqx.field(static=True, default=False)  # whether the last inputs are the motion of the base
@@ -105,7 +106,7 @@ class Robot(Staged):
         tree = chain_of_rods(2, 0.3, 0.5) if tree is None else tree  # slender links in a plane
         leading = tree.leading
         S, c = tree.follow()
-        self.tree = Stated(tree)
+        self.tree, self.floats = Stated(tree), tree.floats
         self.joints, self.parent, self.slides = tree.joints, tree.parent, tree.slides
         self.carriers = tuple(k for k, link in enumerate(tree.links) if link)
         self.links = tuple(tree.links[k] for k in self.carriers)
@@ -246,7 +247,7 @@ class Robot(Staged):
         out |= {f"{field}@{j}" for field in ("encoder_bias", "stiffness", "quadratic_damping") for j in self.joints}
         out |= {"base_roll", "base_pitch"}
         out |= {f"armature@{j}" for j in self.joints if j not in self.tree.tree.driven}
-        if self.tree.tree.floats:
+        if self.floats:
             out |= {f"{field}@{j}" for field in ("damping", "frictionloss") for j in ANGLES}
         law = ("kp", "kd", "ki", "lowest", "highest", "delay", "timeconst")
         return frozenset(out | {f"{field}@{j}" for field in law for j in joints} - fitted)
@@ -337,7 +338,7 @@ class Robot(Staged):
         E = dynamics.frames(plan, body, q - np.array(self.reference))
         M = dynamics.mass_matrix(plan, body, E) + jnp.diag(jnp.asarray(self.armature))
         bias = dynamics.inverse_dynamics(plan, body, E, base, qd, jnp.zeros_like(qd)) + self._spring(q)
-        if self.tree.tree.floats:
+        if self.floats:
             M, bias = without_slides(M, bias)
         if self.coupling is None:
             return M, bias
@@ -350,7 +351,7 @@ class Robot(Staged):
         q, qd, qdd = self.all_joints(q - self.encoder_bias), self.all_joints(qd, True), self.all_joints(qdd, True)
         E = dynamics.frames(plan, body, q - np.array(self.reference))
         force = lambda a: dynamics.inverse_dynamics(plan, body, E, base, qd, a)
-        tau = balanced(force, qdd, body) if self.tree.tree.floats else force(qdd)
+        tau = balanced(force, qdd, body) if self.floats else force(qdd)
         return self._leading(tau + self.armature * qdd + self._spring(q))
 
     def rotors(self):
@@ -368,7 +369,7 @@ class Robot(Staged):
 
     def drive(self, signature, u, q, qd):
         tau = u[: q.shape[0]] if signature.inputs else jnp.zeros_like(q)
-        if self.tree.tree.floats and signature.inputs:  # nothing drives the angles of the base
+        if self.floats and signature.inputs:  # nothing drives the angles of the base
             tau = jnp.concatenate([u[: q.shape[0] - 3], jnp.zeros(3, u.dtype)])
         if self.rides and signature.inputs:
             tau = tau - self._carried(u[-len(RIDE) :], q, qd)

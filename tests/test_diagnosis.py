@@ -24,6 +24,7 @@ from jaxid.diagnosis.proposals import exchanged
 from jaxid.diagnosis.run import growth
 from jaxid.diagnosis.search import Searcher, THOROUGH
 from jaxid.diagnosis.selection import not_borne_out, outweighed, simpler
+from jaxid.diagnosis.thresholds import LIMITS
 from jaxid.diagnosis.verdict import judge, upheld
 from jaxid.fitting.least_squares import descend
 from jaxid.fitting.problem_builder import Bench, start_values
@@ -739,7 +740,9 @@ def test_an_effect_that_only_led_out_of_a_local_minimum_is_not_named(monkeypatch
     theta[binding.layout.index("inertia")] *= 1.2
     off = descend([(p, p.z(theta, p.starts(right.z)))], 0, 1e-8)[0]
     assert off.loss > 100
-    monkeypatch.setattr("jaxid.diagnosis.search.FAR", np.inf)  # as if it were too close to be freed
+    monkeypatch.setattr(
+        "jaxid.diagnosis.search.LIMITS", dataclasses.replace(LIMITS, far=np.inf)
+    )  # as if it were too close to be freed
     found = Held(bench, OutputError(), off, None).run(candidates(bench, ["quadratic_drag"]), 3)
     assert any(h.effects and h.fit_loss < 1.1 for h in found.tried)
     assert not found.chosen.effects and not found.confusable and found.nominal.fit_loss < 1.1

@@ -105,7 +105,7 @@ def test_joints_of_the_recording_in_another_order_go_by_name(tmp_path):
     (tmp_path / "dataset.toml").write_text("\n".join(text))
     found = jaxid.identify(None, jaxid.load_dataset(tmp_path))
     assert abs(found.theta[found.names.index("mx3")] - 0.18) < 0.02
-    assert any("1 pan, 2 lift, 3 elbow" in n for n in found.answers)
+    assert any("1 pan, 2 lift, 3 elbow" in n for n in found.notes)
 
 
 def test_an_end_is_named_where_a_robot_branches(tmp_path, capsys):

@@ -115,8 +115,9 @@ def _next(binding: Binding, fit: ForceFit, m: Motion, names: Names, many: bool =
     left = fit.fit(change(m), laws=False)
     # Effects come near where laws of the joints' own motion close as much of the gap as recorded.
     beyond = left.worst + FLOOR <= ALIKE * (laws.worst + FLOOR) or with_laws.worst + FLOOR <= BEYOND_LAWS * (laws.worst + FLOOR)
-    decisive = best.left <= DECISIVE * before and beyond and not others
-    if not decisive and (best.left > DECISIVE * before or not beyond):
+    closes = max(best.left, left.worst + FLOOR) <= DECISIVE * before  # with its known value, too
+    decisive = closes and beyond and not others
+    if not (closes and beyond):
         return None, None
     mending = mending_of(best.reading, value, {})
     noise = max(fit.noise(left, binding, few), 1e-6)
@@ -171,7 +172,8 @@ def _refined(fit: ForceFit, m: Motion, best: Judged, names: Names, near: list[Ju
     if best.reading.kind == "scale":
         factor, what = nearest_factor(value, names.unit(best.reading.channels[0]))
         change = _scaled(replace(best.reading, value=factor), names)
-        alike = fit.fit(change(m), laws=False).worst + FLOOR <= ALIKE * (fitted.worst + FLOOR)
+        alike = abs(np.log(value / factor)) <= FAR
+        alike = alike and fit.fit(change(m), laws=False).worst + FLOOR <= ALIKE * (fitted.worst + FLOOR)
         if alike and not any(
             t.reading.channels == best.reading.channels and abs(np.log(t.reading.value / factor)) > FAR for t in near
         ):
