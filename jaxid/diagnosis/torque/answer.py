@@ -186,7 +186,8 @@ def how_far(
     for j, (name, unit) in enumerate(study.binding.chain.torque_channels):
         moving = [k for k in which if study.runs[k].moves[j]]
         if moving:
-            channels[name] = ChannelGap(unit, *(m.rms(moving, j) for m in models), study.typical(moving, j), NOISE)
+            stated, again, final = (m.rms(moving, j) for m in models)
+            channels[name] = ChannelGap(unit, stated, again, final, study.typical(moving, j), NOISE)
     runs = tuple(
         Share(study.runs[k].experiment.name, "", len(m0), before.gap([k]), retuned.gap([k]), after.gap([k]))
         for k in which
