@@ -116,9 +116,9 @@ def _next(binding: Binding, fit: ForceFit, m: Motion, names: Names, many: bool =
     # Effects come near where laws of the joints' own motion close as much of the gap as recorded.
     beyond = left.worst + FLOOR <= ALIKE * (laws.worst + FLOOR) or with_laws.worst + FLOOR <= BEYOND_LAWS * (laws.worst + FLOOR)
     closes = max(best.left, left.worst + FLOOR) <= DECISIVE * before  # with its known value, too
-    decisive = closes and beyond and not others
     if not (closes and beyond):
         return None, None
+    decisive = not others
     mending = mending_of(best.reading, value, {})
     noise = max(fit.noise(left, binding, few), 1e-6)
     alike = tuple(

@@ -34,8 +34,8 @@ from jaxid.problem.residual import OutputError
 from jaxid.robots.match import is_file, robot_from
 
 
-#: An effect is absorbed where re-tuning leaves less than this share of what a weak one (WEAK of a probe) changes: as much as a
-#: first-order re-tuning leaves of one that is absorbed exactly goes with its strength, what it cannot absorb does not.
+#: A weak effect is this share of a probe: what a first-order re-tuning leaves of one that is absorbed exactly goes with its
+#: strength, what it cannot absorb does not.
 WEAK = 5e-5
 RATE, SECONDS = 200, 5.0
 #: The motion that is compared on travels so far at most (rad, m).

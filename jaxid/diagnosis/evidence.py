@@ -15,8 +15,7 @@ from jaxid.problem.problem import rows
 from jaxid.problem.residual import OutputError, Residual
 
 
-#: A model that leaves more than so many times the noise (mean square) is refitted to the fit runs and those of a split at once,
-#: in so many iterations.
+#: Iterations of a refit to the fit runs and those of a split at once.
 TOGETHER = 12
 
 

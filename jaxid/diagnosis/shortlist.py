@@ -10,7 +10,7 @@ from jaxid.diagnosis.thresholds import LIMITS
 from jaxid.fitting.problem_builder import Bench
 
 
-#: Candidates within this share of the best screen value are refitted, at least MINIMUM and at most MAXIMUM of them.
+#: At least and at most so many candidates are refitted.
 MINIMUM, MAXIMUM = 6, 16
 #: Timing comes before physics: these are always refitted first, and win a tie. One sample of offset between two channels, or the
 #: wrong hold of the command, is soon made and looks like lag, friction or inertia.

@@ -301,8 +301,9 @@ RESIDUALS: dict[str, type[Residual]] = {r.name: r for r in (OutputError, Multipl
 def resolve_residual(residual: Residual | str | None, cutoff_hz: float | None = None) -> Residual | None:
     """The residual that is meant; `cutoff_hz` is that of `inverse_dynamics` and `momentum`. Raises `UsageError` for one that does
     not exist."""
-    for module in ("closed_loop", "frequency_response", "momentum"):  # which enter their own
-        import_module(f"jaxid.problem.{module}")
+    if residual is not None or cutoff_hz is not None:
+        for module in ("closed_loop", "frequency_response", "momentum"):  # which enter their own
+            import_module(f"jaxid.problem.{module}")
     if cutoff_hz is not None:
         name = residual if isinstance(residual, str | None) else residual.name
         if name not in (InverseDynamics.name, "momentum"):
