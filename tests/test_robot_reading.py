@@ -2,6 +2,8 @@
 
 import importlib
 import re
+import subprocess
+import sys
 from typing import Any
 
 import numpy as np
@@ -91,6 +93,18 @@ def test_what_a_tree_cannot_express_is_refused_by_name():
     refused("<mujoco", "not XML")
 
 
+@pytest.mark.parametrize("head", ["", '<compiler inertiafromgeom="true"/>'])
+def test_inertias_from_geometry_come_with_the_command_that_states_them(tmp_path, head):
+    robot = tmp_path / "robot.xml"
+    robot.write_text(mjcf(head=head, body='<geom type="capsule" size="0.02 0.1" mass="0.7"/>'))
+    with pytest.raises(UsageError) as refusal:
+        read_mjcf(robot)
+    command = re.search(r'python -c "(.*)"$', str(refusal.value))
+    assert command
+    subprocess.run([sys.executable, "-c", command[1]], check=True)
+    assert read_mjcf(tmp_path / "robot_inertial.xml").inertia[0][9] == 0.7
+
+
 def test_geometry_that_weighs_nothing_or_moves_nothing_is_dropped():
     mesh = '<geom type="mesh" mesh="arm"/>'
     asset = '<asset><mesh name="arm" file="nowhere.stl"/><texture name="t" type="2d" file="nowhere.png"/></asset>'
@@ -152,3 +166,18 @@ def test_urdf_with_branches_names_impossible_inertias():
     mimic = URDF.replace('<dynamics damping="0.3" friction="0.1"/>', '<mimic joint="right" multiplier="2" offset="0.1"/>')
     assert read_urdf_tree("tree.urdf", mimic).follow()[0].tolist() == [[2.0], [1.0]]
     refused(mimic.replace('joint="right" m', 'joint="wrong" m'), "left", "wrong", reader=read_urdf_tree, file="tree.urdf")
+
+
+def test_joints_that_move_nothing_of_mass_are_held():
+    finger = (
+        '<link name="tip"/><joint name="finger" type="revolute"><parent link="la"/><child link="tip"/><axis xyz="0 0 1"/>'
+        '<limit lower="-1" upper="1" effort="9" velocity="9"/></joint></robot>'
+    )
+    tree = read_urdf_tree("tree.urdf", URDF.replace("</robot>", finger))
+    assert tree.joints == ("left", "right") and tree.held == {"finger": 0.0}
+    assert any("finger" in note and "tip" in note for note in tree.notes)
+    follows = finger.replace("<axis", '<mimic joint="left"/><axis')
+    assert read_urdf_tree("tree.urdf", URDF.replace("</robot>", follows)).followers == ("finger",)
+    hollow = re.sub(r"<inertial>.*?</inertial>", "", URDF, flags=re.S)
+    refused(hollow, "left", "la", "<inertial>", reader=read_urdf_tree, file="tree.urdf")
+    refused('<robot name="empty"/>', "no <link>", reader=read_urdf_tree, file="tree.urdf")

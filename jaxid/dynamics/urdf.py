@@ -266,6 +266,8 @@ def _root(robot: _Robot, root: str | None, path: Any) -> str:
     used = {j.parent for j in robot.joints.values()} & set(roots)
     if len(roots) > 1 and len(used) == 1:  # links that no joint names belong to nothing
         return next(iter(used))
+    if not robot.inertia:
+        raise UsageError(f"{path}: it has no <link> (a file that xacro made of macros alone?)")
     if len(roots) != 1:
         raise UsageError(
             f"{path}: {len(roots)} links have no parent ({', '.join(roots) or 'a closed loop'}); name where the chain begins: "

@@ -83,8 +83,9 @@ def of_the_file(joints: Mapping[str, str], tree: Tree, have: set[str]) -> tuple[
             found[channel] = alike[0]
         else:
             gone[channel] = joint
-    if gone and not set(tree.leading) <= {*found.values(), *(have - set(gone))}:
-        first = next(iter(gone.values()))
+    lacking = [joint for joint in gone.values() if joint not in tree.held]
+    if lacking and not set(tree.leading) <= {*found.values(), *(have - set(gone))}:
+        first = lacking[0]
         raise UsageError(f"[model.joints] names {first!r}, no joint of {tree.file}{nearest(first, tree.joints)}")
     return found, gone
 

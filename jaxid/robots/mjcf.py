@@ -18,6 +18,7 @@ from jaxid.errors import UsageError
 from jaxid.robots.bodies import fault
 from jaxid.robots.mjcf_text import expanded
 from jaxid.robots.tree import Actuator, Coupling, Tree, turned
+from jaxid.wording import listed
 
 
 #: What is drawn, touched or sensed, and moves nothing.
@@ -55,12 +56,12 @@ def compilable(path: Path, text: str) -> Any:
         raise UsageError(f"{path}: MuJoCo does not take it: {' '.join(str(error).split())}") from None
     if spec.compiler.inertiafromgeom == mujoco.mjtInertiaFromGeom.mjINERTIAFROMGEOM_TRUE:
         raise UsageError(f'{path}: <compiler inertiafromgeom="true"> takes every inertia from geometry, which is not read; state '
-                         "<inertial> in each body and remove it")  # fmt: skip
+                         f"<inertial> in each body and remove it. {_written_by_mujoco(path)}")  # fmt: skip
     lacking = [b.name or "a body without a name" for b in spec.bodies if _moves(b) and not b.explicitinertial and _heavy(b)]
     if lacking:
         raise UsageError(
-            f"{path}: the inertia of {', '.join(lacking)} comes from geometry, which is not read: add "
-            '<inertial pos="…" mass="…" diaginertia="…"/> to each (MuJoCo prints them: m.body_ipos, m.body_mass, m.body_inertia)'
+            f"{path}: the inertia of {_first(lacking)} comes from geometry, which is not read: add "
+            f'<inertial pos="…" mass="…" diaginertia="…"/> to each. {_written_by_mujoco(path)}'
         )
     faults = [f for b in spec.bodies if b.explicitinertial and (f := _fault(b))]
     if faults:
@@ -75,6 +76,19 @@ def compilable(path: Path, text: str) -> Any:
     spec.compiler.fusestatic = False
     spec.compiler.discardvisual = False
     return spec
+
+
+def _first(names: list[str], most: int = 8) -> str:
+    return listed(names if len(names) <= most else [*names[:most], f"{len(names) - most} more"])
+
+
+def _written_by_mujoco(path: Path) -> str:
+    """The command that states every inertia in a copy of the file, where its meshes are."""
+    copy = path.with_name(f"{path.stem}_inertial.xml").as_posix()
+    return (
+        f'MuJoCo writes a copy with all of them: python -c "import mujoco; s = mujoco.MjSpec.from_file({path.as_posix()!r}); '
+        f"s.compiler.saveinertial = True; s.compiler.inertiafromgeom = 2; s.compile(); open({copy!r}, 'w').write(s.to_xml())\""
+    )
 
 
 def _moves(body: Any) -> bool:

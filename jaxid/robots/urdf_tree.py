@@ -45,21 +45,36 @@ def read_urdf_tree(path: str | Path, text: str | None = None) -> Tree:
     limits = np.array([j.limits for j in joints]).T
     dissipation = np.array([j.dynamics for j in joints])
     parent = tuple(up for _, up, _ in nodes)
-    for k, j in enumerate(joints):
-        below = [i for i in range(len(nodes)) if _behind(i, k, parent)]
-        if not sum(bodies[i][9] for i in below) > 0:
-            raise UsageError(f"{path}: nothing of mass hangs on joint {j.name!r}; give link {j.child!r} an <inertial>")
+    couplings = _couplings(path, joints)
+    massless = _massless(joints, parent, bodies, couplings)
+    if len(massless) == len(joints):
+        raise UsageError(
+            f"{path}: nothing of mass hangs on joint {massless[0].name!r}; give link {massless[0].child!r} an <inertial>"
+        )
     damping = np.zeros((len(joints), 3))
     damping[:, 0] = dissipation[:, 0]
     zero = np.zeros(len(joints))
-    return Tree(
+    tree = Tree(
         str(path), tuple(j.name for j in joints), tuple(j.child for j in joints), parent,
         tuple(j.kind == "prismatic" for j in joints), np.array([j.axis for j in joints]), np.array([T for _, _, T in nodes]),
         zero, np.array(bodies), np.zeros((len(joints), 3)), zero, damping, dissipation[:, 1].copy(), zero, zero,
-        limits[0], limits[1], limits[2], limits[3], _couplings(path, joints), base=base,
+        limits[0], limits[1], limits[2], limits[3], couplings, base=base,
         trunk=tuple(trunk.tolist()), carrier=base,
         impossible=tuple(f for name, phi in robot.inertia.items() if (f := fault(name, phi))),
+        notes=tuple(f"joint {j.name}: by the file nothing of mass hangs on it (link {j.child} has no <inertial>), held at 0"
+                    for j in massless),
     )  # fmt: skip
+    return tree.locked({j.name: 0.0 for j in massless})
+
+
+def _massless(joints: list[Any], parent: tuple[int, ...], bodies: list[np.ndarray], couplings: tuple[Coupling, ...]) -> list[Any]:
+    """Joints that move nothing of mass, neither by themselves nor by what follows them or what they follow (fingers without
+    <inertial>, wheels for show)."""
+    alone = {
+        j.name for k, j in enumerate(joints) if not sum(body[9] for i, body in enumerate(bodies) if _behind(i, k, parent)) > 0
+    }
+    heavy = {name for c in couplings for name in (c.follower, c.leader) if not {c.follower, c.leader} <= alone}
+    return [j for j in joints if j.name in alone - heavy]
 
 
 def _behind(node: int, joint: int, parent: tuple[int, ...]) -> bool:
