@@ -21,12 +21,12 @@ from jaxid.diagnosis.how_far import interval_of_further_run, shrink
 from jaxid.diagnosis.hypothesis import candidates, Hypothesis, Search
 from jaxid.diagnosis.prior_pull import brought_back, put_back
 from jaxid.diagnosis.proposals import exchanged
-from jaxid.diagnosis.run import growth
 from jaxid.diagnosis.search import Searcher, THOROUGH
 from jaxid.diagnosis.selection import not_borne_out, outweighed, simpler
 from jaxid.diagnosis.thresholds import LIMITS
 from jaxid.diagnosis.verdict import judge, upheld
 from jaxid.fitting.least_squares import descend
+from jaxid.fitting.lost_runs import growth
 from jaxid.fitting.problem_builder import Bench, start_values
 from jaxid.problem.binding import bind
 from jaxid.problem.objective import FunctionProblem

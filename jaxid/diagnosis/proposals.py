@@ -8,7 +8,8 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 
 from jaxid.diagnosis.hypothesis import Candidate, effect_of, family_of, Hypothesis, probes_of, sensible
-from jaxid.fitting.least_squares import descend
+from jaxid.diagnosis.screen import each_probe
+from jaxid.fitting.least_squares import descend, Path
 from jaxid.fitting.problem_builder import Bench
 from jaxid.problem.residual import InverseDynamics
 
@@ -17,6 +18,8 @@ from jaxid.problem.residual import InverseDynamics
 PAIRED = 4
 #: So many of those that an accepted effect was not clearly better than are tried in its place later on.
 RIVALS = 3
+#: Starts of each refit that come from the screen: two of the best to first order, and the best of all probes as they simulate.
+STARTS = 4
 #: So many of the starts also with the numbers of the model as the user gave them.
 GIVEN = 1
 
@@ -97,6 +100,20 @@ def torque_starts(
         comparable = all(effect_of(bench, c).location == "joint" for c in effects)
         found = [best.problem.theta(best.z)] if np.isfinite(best.cost) else []
         out.append((best.cost if comparable else np.inf, found))
+    return out
+
+
+def promising(nominal: Path, sets: Sequence[Proposal]) -> list[tuple[tuple[Candidate, ...], list[np.ndarray]]]:
+    """The first two starts of each set, and those of the others that simulate best: first order says little where a resonance
+    or a play has to be found."""
+    thetas = [theta for _, starts in sets for theta in starts]
+    found = each_probe(nominal.problem, nominal.z, thetas)
+    out = []
+    for effects, starts in sets:
+        with np.errstate(over="ignore"):  # a start that diverges
+            cost = np.nan_to_num([float(r @ r) for _, r in zip(starts, found, strict=False)], nan=np.inf)
+        order = [int(k) for k in np.argsort(cost, kind="stable")]
+        out.append((effects, [starts[k] for k in dict.fromkeys([*range(min(2, len(starts))), *order])][:STARTS]))
     return out
 
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import time
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable
 from typing import Any
 
 import jax
@@ -14,14 +14,15 @@ from jaxid import catalogue
 from jaxid.data.capacity import need, shortened
 from jaxid.data.dataset import Dataset
 from jaxid.data.time_stamps import scattered_stamps, with_scatter
-from jaxid.diagnosis import how_far as shrinking, jitter as timing, where as location
+from jaxid.diagnosis import how_far as shrinking, jitter as timing
+from jaxid.diagnosis.account import effect_estimates, fit_of, notes_of, ranked, traces, where_it_lies
 from jaxid.diagnosis.believable import doubts
-from jaxid.diagnosis.evidence import held_out, inflation, knowledge, worth
+from jaxid.diagnosis.evidence import held_out, knowledge
 from jaxid.diagnosis.goals.run import dear, diagnose_led, led, Offer, TOO_DEAR
-from jaxid.diagnosis.hypothesis import Candidate, candidates, check_asked, Hypothesis, possible, Search
+from jaxid.diagnosis.hypothesis import candidates, check_asked, possible, Search
 from jaxid.diagnosis.last_resort import asked_last, first_asked
 from jaxid.diagnosis.next_experiment import advice, rivals_of
-from jaxid.diagnosis.result import Diagnosis, HowFar, Ranked, Which
+from jaxid.diagnosis.result import Diagnosis, HowFar, Which
 from jaxid.diagnosis.search import Searcher
 from jaxid.diagnosis.thresholds import LIMITS
 from jaxid.diagnosis.torque.reference import Reference
@@ -32,20 +33,18 @@ from jaxid.dynamics.effect import Effect
 from jaxid.errors import UsageError
 from jaxid.fitters import LevenbergMarquardt
 from jaxid.fitting.assemble import assemble
-from jaxid.fitting.covariance import covariance
 from jaxid.fitting.fitter import Minimum, Progress
 from jaxid.fitting.least_squares import descend
 from jaxid.fitting.lost_runs import by_torque, by_windows, decays, DIVERGES, growth, SENSITIVE
-from jaxid.fitting.problem_builder import Bench, default_residual, estimate_starts, start_values
+from jaxid.fitting.problem_builder import Bench, default_residual, start_values
 from jaxid.fitting.result import EffectEstimate, Fit
-from jaxid.fitting.scores import free_runs, make_traces
 from jaxid.problem.binding import bind, Binding, JITTER, resolve_model
 from jaxid.problem.residual import InverseDynamics, MultipleShooting, OutputError, Residual
 from jaxid.robots.yardstick import with_effects
 from jaxid.runtime import Interrupted
 from jaxid.simulation.sample_buffers import STEP
 from jaxid.storage.interim import Interim
-from jaxid.wording import number, percent, times
+from jaxid.wording import times
 
 
 #: Verdict by free runs that are not trusted -> verdicts by windows that take its place.
@@ -251,15 +250,15 @@ def _diagnosed(question: Question, scatter: timing.Scatter | None = None) -> tup
             if places or within.gap_settled > LIMITS.seen:
                 verdict, text = "unknown", not_reached(places, how_far.gap_retuned)
                 how_far = measure(verdict, final.theta)
-    estimates = _effect_estimates(binding, final, named)
+    estimates = effect_estimates(binding, final, named)
     if verdict == "named" and (against := doubts(estimates)):
         verdict, text = "partly", f"{text} It is not to be believed as it stands: {'; '.join(against)}."
-    assembled = lambda: _fit(bench, final, residual, seed, compile_time, time.perf_counter() - began)
+    assembled = lambda: fit_of(bench, final, residual, seed, compile_time, time.perf_counter() - began)
     final_fit = assembled() if named or question.search is None else nominal_fit
     how_far = dataclasses.replace(how_far, per_joint=with_effects(nominal_fit.per_joint, final_fit.per_joint))
     mates = search.confusable if named else []
-    findings, pictures, rows = _where(bench, nominal, final, verdict, estimates, seed)
-    ranking = (*(scatter.ranked(bench, residual, search.nominal) if scatter else ()), *_ranked(search))
+    findings, pictures, rows = where_it_lies(bench, nominal, final, verdict, estimates, seed)
+    ranking = (*(scatter.ranked(bench, residual, search.nominal) if scatter else ()), *ranked(search))
     looked, pair, stopped = Look(), search.rivals, None
     if verdict in ("none", "unknown") and not question.still:
         pool = candidates(bench, question.allowed) if verdict == "none" else []
@@ -278,8 +277,8 @@ def _diagnosed(question: Question, scatter: timing.Scatter | None = None) -> tup
     found = Diagnosis(
         binding.chain.mechanism.name, binding.dataset.name, binding.dataset.sha256, seed, residual.name, findings, which,
         how_far, advised, time.perf_counter() - began,
-        nominal_fit, final_fit, _traces(bench, residual, nominal, final, named), pictures, rows,
-        (*binding.dataset.notes, *_notes(binding, final_fit, compile_time)),
+        nominal_fit, final_fit, traces(bench, residual, nominal, final, named), pictures, rows,
+        (*binding.dataset.notes, *notes_of(binding, final_fit, compile_time)),
         looked.unseen, rivals,
     )  # fmt: skip
     if stopped:
@@ -332,112 +331,11 @@ def _so_far(question: Question, bench: Bench, nominal: Fit, search: Search, bega
     binding, residual = question.binding, question.residual
     before, note = shrinking.model_before(binding, search.nominal.theta)
     how_far = shrinking.measure(bench, residual, before, search.nominal.theta, search.nominal.theta, "unknown", note, bench)
-    findings, pictures, rows = _where(bench, search.nominal, search.nominal, "unknown", (), question.seed)
-    ranking = tuple(_ranked(search))
+    findings, pictures, rows = where_it_lies(bench, search.nominal, search.nominal, "unknown", (), question.seed)
+    ranking = tuple(ranked(search))
     text = f"Stopped before the effects of the library were compared: {len(ranking) or 'none'} had been."
     return Diagnosis(
         binding.chain.mechanism.name, binding.dataset.name, binding.dataset.sha256, question.seed, residual.name, findings,
         Which("unknown", (), (), ranking, text), how_far, "Let the diagnosis run to its end.", time.perf_counter() - began,
-        nominal, nominal, _traces(bench, residual, search.nominal, search.nominal, ()), pictures, rows, binding.dataset.notes,
+        nominal, nominal, traces(bench, residual, search.nominal, search.nominal, ()), pictures, rows, binding.dataset.notes,
     )  # fmt: skip
-
-
-def _effect_estimates(binding: Binding, h: Hypothesis, named: Sequence[Candidate]) -> tuple[EffectEstimate, ...]:
-    from jaxid.fitting.assemble import estimates
-
-    if not named:
-        return ()
-    cov = covariance(h.path.problem, h.path.z)
-    found = estimates(binding, h.path.problem, h.path.z, cov)
-    return tuple(
-        EffectEstimate(c.effect, c.location, {binding.layout.entries[i].field: found[i] for i in c.index}) for c in named
-    )
-
-
-def _fit(bench: Bench, h: Hypothesis, residual: Residual, seed: int, compile_time: float, wall_time: float) -> Fit:
-    problem = h.path.problem
-    minimum = Minimum(h.path.z, h.fit_loss, h.path.converged, h.path.stopped, h.path.linearisations)
-    return assemble(bench, problem, minimum, residual, "lm", seed, compile_time, wall_time)
-
-
-def _starts(bench: Bench, h: Hypothesis) -> np.ndarray:
-    """Starts of the fit runs."""
-    if list((problem := h.path.problem).records) == list(bench.runs(OutputError(), "fit").records):
-        return problem.starts(h.path.z)
-    return estimate_starts(bench, "fit", [h.theta])[0]
-
-
-def _where(bench: Bench, nominal: Hypothesis, final: Hypothesis, verdict: str, named: Sequence[EffectEstimate], seed: int):
-    """Findings, pictures and regime table; no finding where there is no gap."""
-    starts = _starts(bench, nominal)
-    joints = bench.binding.chain.signature.joints
-    inputs = [n for n, _ in bench.binding.chain.signature.inputs]
-    causes: dict[str, EffectEstimate] = {}
-    for e in named:
-        joint = e.location if e.location in joints else None
-        if joint is None and e.location in inputs and inputs.index(e.location) < len(joints):
-            joint = joints[inputs.index(e.location)]
-        if joint is not None:
-            causes.setdefault(joint, e)
-    places = {joint: e.location for joint, e in causes.items()}
-    own = causes if verdict == "named" else {}
-    only = tuple(places) if verdict == "named" else ()  # else what is left may lie anywhere
-    before = location.missing_forces(bench, nominal.theta, starts, seed)
-    found, rows, pictures = [], [], []
-    if before:
-        also = lambda: location.missing_forces(bench, final.theta, _starts(bench, final), seed, draws=0)
-        after = before if final is nominal else also()
-        forces = {j: location.supplied(before, after, joints.index(j)) for j in only}
-        given = {j: force for j, force in forces.items() if force is not None}
-        rows = location.table(before, joints, given)
-        pictures = location.pictures(bench, before, after)
-        if verdict != "none":
-            found = location.findings(bench, before, rows, places, only, given, causes=own)
-    if not found and verdict != "none":  # not measured, or too weak to be seen through derivatives
-        found = location.output_findings(bench, nominal.theta, starts, places, only, own)
-    return tuple(found), tuple(pictures), tuple(rows)
-
-
-def _ranked(search: Search) -> list[Ranked]:
-    """Every hypothesis that was refitted, best validation gap first; those with several effects name the last one added."""
-    out, seen = [], set()
-    nominal = search.nominal
-    for h in sorted([*search.tried, search.chosen], key=lambda h: h.validation.loss):
-        key = frozenset(str(c) for c in h.effects)
-        if key in seen or not h.effects:
-            continue
-        seen.add(key)
-        last: Candidate = h.effects[-1]
-        gap = float(np.sqrt(max(h.validation.loss, 0.0)))
-        evidence = worth(h.validation, nominal.validation, inflation(h.validation))
-        beside = f" beside {' and '.join(str(c) for c in h.effects[:-1])}" if len(h.effects) > 1 else ""
-        share = shrinking.closed(nominal.validation.loss, h.validation.loss)
-        words = "closes nothing of the gap" if not share else f"closes {percent(share)} of the gap"
-        sentence = f"{last}{beside}: {words} on validation data"
-        others = tuple(str(c) for c in h.effects[:-1])
-        out.append(Ranked(last.effect, last.location, gap, float(h.bic), float(evidence), sentence, others))
-    return out
-
-
-def _traces(bench: Bench, residual: Residual, nominal: Hypothesis, final: Hypothesis, named):
-    """Measured and simulated series of every split, for the report."""
-    out = []
-    thetas = [nominal.theta] + ([final.theta] if named else [])
-    labels = ["nominal model, re-tuned"] + (["with " + " and ".join(str(c) for c in named)] if named else [])
-    for split in ("report", "validation", "fit"):
-        if not bench.binding.experiments(split):
-            continue
-        if split == "fit":
-            starts = np.array([_starts(bench, h) for h in (nominal, final)[: len(thetas)]])
-        else:
-            starts = estimate_starts(bench, split, thetas)
-        predictions = free_runs(bench, split, thetas, starts)
-        out += make_traces(bench.binding, split, dict(zip(labels, predictions, strict=True)))
-    return tuple(out)
-
-
-def _notes(binding: Binding, fit: Fit, compile_time: float) -> list[str]:
-    own = [n for n in fit.notes if n not in binding.dataset.notes]
-    friction = "tanh(qd / v) with v = " + f"{binding.chain.smoothing_velocity:g}"
-    law = "true sticking" if binding.chain.smoothing_velocity == 0 else friction
-    return [*own, f"Coulomb friction: {law}", f"compilation took {number(compile_time)} s"]

@@ -6,9 +6,11 @@ from collections.abc import Iterator, Sequence
 
 import numpy as np
 
-from jaxid.diagnosis.hypothesis import Candidate, probes_of
+from jaxid.diagnosis.hypothesis import Candidate, Hypothesis, probes_of, read_off_of
+from jaxid.fitting.least_squares import descend
 from jaxid.fitting.problem_builder import Bench
 from jaxid.problem.problem import Problem, Rows, rows
+from jaxid.problem.residual import InverseDynamics
 
 
 #: (share explained, candidate, starts of a refit: each probe re-tuned and as it is, best first)
@@ -62,6 +64,25 @@ def screened(bench: Bench, p: Problem, z: np.ndarray, theta0: np.ndarray, pool: 
         found.sort(key=lambda f: -f[0])
         ranked.append((found[0][0], who[name], [start for _, *both in found for start in both]))
     return sorted(ranked, key=lambda f: -f[0])
+
+
+def torque_tells(bench: Bench) -> bool:
+    """Whether the torque of the measured motion says something."""
+    return bool(bench.binding.motions) and not bench.binding.chain.mechanism.hidden_states
+
+
+def torque_screened(bench: Bench, h: Hypothesis, pool: Sequence[Candidate]) -> list[Screened]:
+    """What each candidate explains beside `h` of the torque that the measured motion lacks. It is blind to what has no place in
+    an inverse (play, springs, sensors) and biased by the noise of derivatives, but it does not depend on how far the free run
+    has gone astray."""
+    if not torque_tells(bench):
+        return []
+    p = bench.problem(InverseDynamics(decimate=1), "fit", h.path.problem.free, h.theta)
+    path = descend([(p, p.z(h.theta))], 12, 1e-6)[0]
+    if not np.isfinite(path.cost):
+        return []
+    found = screened(bench, p, path.z, p.theta(path.z), pool)
+    return [(share, c, [*read_off_of(bench, p, path.z, c), *starts]) for share, c, starts in found]
 
 
 class Retuning:

@@ -14,18 +14,19 @@ from functools import partial
 import numpy as np
 
 from jaxid.diagnosis.evidence import held_out, knowledge, together
-from jaxid.diagnosis.hypothesis import Candidate, Hypothesis, key_of, read_off_of, refined_by, Search, sensible, without_each
+from jaxid.diagnosis.hypothesis import Candidate, Hypothesis, key_of, refined_by, Search, sensible, without_each
 from jaxid.diagnosis.prior_pull import brought_back, moved_to, put_back
 from jaxid.diagnosis.proposals import (
     as_given,
     exchanged,
     pairs,
     plain_pairs,
+    promising,
     RIVALS,
     torque_starts,
     with_refined,
 )
-from jaxid.diagnosis.screen import each_probe, Screened, screened
+from jaxid.diagnosis.screen import Screened, screened, torque_screened, torque_tells
 from jaxid.diagnosis.selection import (
     at_floor,
     best,
@@ -45,12 +46,10 @@ from jaxid.fitting.fitter import Progress
 from jaxid.fitting.least_squares import descend, Path, race
 from jaxid.fitting.problem_builder import Bench, estimate_starts
 from jaxid.problem.problem import Problem
-from jaxid.problem.residual import InverseDynamics, Residual
+from jaxid.problem.residual import Residual
 from jaxid.problem.step_error import finer_predictions, step_error, STEP_SHARE
 
 
-#: Starts of each refit that come from the screen: two of the best to first order, and the best of all probes as they simulate.
-STARTS = 4
 #: So many hypotheses that explain the torque of the measured motion best are refitted to the end, however they do at first.
 SURE = 3
 #: How often the step may be halved, and how often its defect is worked out anew for a chosen hypothesis.
@@ -97,8 +96,8 @@ class Searcher:
         if not sets:
             return []
         starts = self.nominal.path.problem.starts(self.nominal.path.z)
-        sets = self._promising(sets)
-        groups, by_torque = [], torque_starts(self.bench, self.base_free, sets, self._torque_tells)
+        sets = promising(self.nominal.path, sets)
+        groups, by_torque = [], torque_starts(self.bench, self.base_free, sets, torque_tells(self.bench))
         for (effects, thetas), (_, more) in zip(sets, by_torque, strict=True):
             p = self.problem(effects, thetas[0])
             # The race favours the first two.
@@ -132,45 +131,11 @@ class Searcher:
         new = self._hypotheses([(found[k].effects, end) for k, end in better.items()]) if better else []
         return [dict(zip(better, new, strict=True)).get(k, h) for k, h in enumerate(found)]
 
-    def _promising(
-        self, sets: Sequence[tuple[tuple[Candidate, ...], Sequence[np.ndarray]]]
-    ) -> list[tuple[tuple[Candidate, ...], list[np.ndarray]]]:
-        """The first two starts of each set, and those of the others that simulate best: first order says little where a resonance
-        or a play has to be found."""
-        nominal = self.nominal.path
-        thetas = [theta for _, starts in sets for theta in starts]
-        found = each_probe(nominal.problem, nominal.z, thetas)
-        out = []
-        for effects, starts in sets:
-            with np.errstate(over="ignore"):  # a start that diverges
-                cost = np.nan_to_num([float(r @ r) for _, r in zip(starts, found, strict=False)], nan=np.inf)
-            order = [int(k) for k in np.argsort(cost, kind="stable")]
-            out.append((effects, [starts[k] for k in dict.fromkeys([*range(min(2, len(starts))), *order])][:STARTS]))
-        return out
-
-    @property
-    def _torque_tells(self) -> bool:
-        """Whether the torque of the measured motion says something."""
-        b = self.bench.binding
-        return bool(b.motions) and not b.chain.mechanism.hidden_states
-
     # ---- screen
 
     def screen(self, h: Hypothesis, pool: Sequence[Candidate]) -> list[Screened]:
         """What each candidate explains beside `h` of the residual."""
         return screened(self.bench, h.path.problem, h.path.z, h.theta, pool)
-
-    def torque_screen(self, h: Hypothesis, pool: Sequence[Candidate]) -> list[Screened]:
-        """The same by the torque that the measured motion lacks. It is blind to what has no place in an inverse (play, springs,
-        sensors) and biased by the noise of derivatives, but it does not depend on how far the free run has gone astray."""
-        if not self._torque_tells:
-            return []
-        p = self.bench.problem(InverseDynamics(decimate=1), "fit", h.path.problem.free, h.theta)
-        path = descend([(p, p.z(h.theta))], 12, 1e-6)[0]
-        if not np.isfinite(path.cost):
-            return []
-        found = screened(self.bench, p, path.z, p.theta(path.z), pool)
-        return [(share, c, [*read_off_of(self.bench, p, path.z, c), *starts]) for share, c, starts in found]
 
     # ---- search
 
@@ -365,7 +330,7 @@ class Searcher:
             ranked = [f for f in ranked if f[0] * h.fit_loss * h.path.count > LIMITS.standing_out]
             rest = [c for _, c, _ in ranked]
         # A free run that has gone far astray says little to first order: what the torque screen puts first is tried as well.
-        by_torque = self.torque_screen(h, [c for _, c, _ in ranked] or rest) if rest else []
+        by_torque = torque_screened(self.bench, h, [c for _, c, _ in ranked] or rest) if rest else []
         if not (ranked or by_torque):
             return []
         if self.progress:

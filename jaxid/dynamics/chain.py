@@ -19,7 +19,6 @@ from jaxtyping import Array, Bool, Float
 from jaxid.dynamics.carry import Carry, first_command, first_state
 from jaxid.dynamics.dry_friction import solve_dry
 from jaxid.dynamics.effect import (
-    Applied,
     BodyEffect,
     Command,
     Effect,
@@ -32,6 +31,7 @@ from jaxid.dynamics.effect import (
 )
 from jaxid.dynamics.mechanism import Mechanism, Signature
 from jaxid.dynamics.parameter import specs, with_fields
+from jaxid.dynamics.present import at_time, numbers_of
 from jaxid.numerics.fast_math import dot, fence, inverse
 
 
@@ -44,12 +44,6 @@ Port = TypeVar("Port", bound=Effect)
 
 #: Structure of a chain -> which of its effects have states: tracing takes a while.
 _REMEMBERING: dict[Any, tuple[bool, ...]] = {}
-#: Structure of a chain -> its numbers that may change in time.
-_NUMBERS: dict[Any, tuple[Any, ...]] = {}
-
-
-#: Least share that a change leaves of a number which is positive by its nature.
-LEAST = 0.02
 
 
 class Chain(eqx.Module):
@@ -156,16 +150,8 @@ class Chain(eqx.Module):
 
     @property
     def numbers(self) -> tuple[Any, ...]:
-        """Entries (`parameter_vector.Entry`) of the mechanism's and its built-in effects' own numbers that may change during a
-        run; none where its states are coordinates that such a change would turn."""
-        if self.mechanism.hidden_states:
-            return ()
-        key = jax.tree.structure(self)
-        if key not in _NUMBERS:  # asked for the first time by a `Layout`, of a chain that is not traced
-            from jaxid.dynamics.parameter_vector import own_entries
-
-            _NUMBERS[key] = tuple(e for e in own_entries(self) if not e.spec.fixed)
-        return _NUMBERS[key]
+        """Entries (`parameter_vector.Entry`) of its own numbers that may change during a run."""
+        return numbers_of(self)
 
     @property
     def timed(self) -> bool:
@@ -173,24 +159,8 @@ class Chain(eqx.Module):
         return any(isinstance(e, NumberEffect) for e in self.effects)
 
     def present(self, t: Float[Array, ""], h: Float[Array, ""]) -> Chain:
-        """The chain with its numbers as they are in a step. A number that is searched by its logarithm stays above 0."""
-        numbers = self.numbers
-        owner = lambda chain, i: chain.mechanism if i < 0 else chain.effects[i]
-        before = jnp.stack([jnp.ravel(getattr(owner(self, e.owner), e.field))[e.place] for e in numbers])
-        after = before
-        for _, e in self.at(NumberEffect):
-            after = e(after, t, h)
-        positive = np.array([e.spec.log for e in numbers])
-        after = jnp.where(positive & (before > 0), jnp.maximum(after, LEAST * before), after)
-        fields = dict.fromkeys((e.owner, e.field) for e in numbers)
-        value: dict[tuple[int, str], Any] = {}
-        for i, field in fields:
-            old = jnp.asarray(getattr(owner(self, i), field))
-            new = {e.place: after[k] for k, e in enumerate(numbers) if (e.owner, e.field) == (i, field)}
-            value[i, field] = jnp.stack([new.get(k, old[k]) for k in range(old.shape[0])]) if old.ndim else new[0]
-        effects = tuple(Applied() if isinstance(e, NumberEffect) else e for e in self.effects)
-        chain = eqx.tree_at(lambda c: c.effects, self, effects)
-        return eqx.tree_at(lambda c: [getattr(owner(c, i), f) for i, f in value], chain, list(value.values()))
+        """The chain with its numbers as they are in a step."""
+        return at_time(self, t, h)
 
     # ---- one step
 

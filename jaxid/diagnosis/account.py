@@ -1,0 +1,123 @@
+"""What a diagnosis tells of its hypotheses: where the gap lies, their numbers and ranking, measured and simulated series."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from jaxid.diagnosis import how_far as shrinking, where as location
+from jaxid.diagnosis.evidence import inflation, worth
+from jaxid.diagnosis.hypothesis import Candidate, Hypothesis, Search
+from jaxid.diagnosis.result import Ranked
+from jaxid.fitting.assemble import assemble, estimates
+from jaxid.fitting.covariance import covariance
+from jaxid.fitting.fitter import Minimum
+from jaxid.fitting.problem_builder import Bench, estimate_starts
+from jaxid.fitting.result import EffectEstimate, Fit
+from jaxid.fitting.scores import free_runs, make_traces
+from jaxid.problem.binding import Binding
+from jaxid.problem.residual import OutputError, Residual
+from jaxid.wording import number, percent
+
+
+def effect_estimates(binding: Binding, h: Hypothesis, named: Sequence[Candidate]) -> tuple[EffectEstimate, ...]:
+    """The numbers of the named effects with their standard deviations."""
+    if not named:
+        return ()
+    cov = covariance(h.path.problem, h.path.z)
+    found = estimates(binding, h.path.problem, h.path.z, cov)
+    return tuple(
+        EffectEstimate(c.effect, c.location, {binding.layout.entries[i].field: found[i] for i in c.index}) for c in named
+    )
+
+
+def fit_of(bench: Bench, h: Hypothesis, residual: Residual, seed: int, compile_time: float, wall_time: float) -> Fit:
+    """A hypothesis as a fit."""
+    problem = h.path.problem
+    minimum = Minimum(h.path.z, h.fit_loss, h.path.converged, h.path.stopped, h.path.linearisations)
+    return assemble(bench, problem, minimum, residual, "lm", seed, compile_time, wall_time)
+
+
+def _starts(bench: Bench, h: Hypothesis) -> np.ndarray:
+    """Starts of the fit runs."""
+    if list((problem := h.path.problem).records) == list(bench.runs(OutputError(), "fit").records):
+        return problem.starts(h.path.z)
+    return estimate_starts(bench, "fit", [h.theta])[0]
+
+
+def where_it_lies(bench: Bench, nominal: Hypothesis, final: Hypothesis, verdict: str, named: Sequence[EffectEstimate], seed: int):
+    """Findings, pictures and regime table; no finding where there is no gap."""
+    starts = _starts(bench, nominal)
+    joints = bench.binding.chain.signature.joints
+    inputs = [n for n, _ in bench.binding.chain.signature.inputs]
+    causes: dict[str, EffectEstimate] = {}
+    for e in named:
+        joint = e.location if e.location in joints else None
+        if joint is None and e.location in inputs and inputs.index(e.location) < len(joints):
+            joint = joints[inputs.index(e.location)]
+        if joint is not None:
+            causes.setdefault(joint, e)
+    places = {joint: e.location for joint, e in causes.items()}
+    own = causes if verdict == "named" else {}
+    only = tuple(places) if verdict == "named" else ()  # else what is left may lie anywhere
+    before = location.missing_forces(bench, nominal.theta, starts, seed)
+    found, rows, pictures = [], [], []
+    if before:
+        also = lambda: location.missing_forces(bench, final.theta, _starts(bench, final), seed, draws=0)
+        after = before if final is nominal else also()
+        forces = {j: location.supplied(before, after, joints.index(j)) for j in only}
+        given = {j: force for j, force in forces.items() if force is not None}
+        rows = location.table(before, joints, given)
+        pictures = location.pictures(bench, before, after)
+        if verdict != "none":
+            found = location.findings(bench, before, rows, places, only, given, causes=own)
+    if not found and verdict != "none":  # not measured, or too weak to be seen through derivatives
+        found = location.output_findings(bench, nominal.theta, starts, places, only, own)
+    return tuple(found), tuple(pictures), tuple(rows)
+
+
+def ranked(search: Search) -> list[Ranked]:
+    """Every hypothesis that was refitted, best validation gap first; those with several effects name the last one added."""
+    out, seen = [], set()
+    nominal = search.nominal
+    for h in sorted([*search.tried, search.chosen], key=lambda h: h.validation.loss):
+        key = frozenset(str(c) for c in h.effects)
+        if key in seen or not h.effects:
+            continue
+        seen.add(key)
+        last: Candidate = h.effects[-1]
+        gap = float(np.sqrt(max(h.validation.loss, 0.0)))
+        evidence = worth(h.validation, nominal.validation, inflation(h.validation))
+        beside = f" beside {' and '.join(str(c) for c in h.effects[:-1])}" if len(h.effects) > 1 else ""
+        share = shrinking.closed(nominal.validation.loss, h.validation.loss)
+        words = "closes nothing of the gap" if not share else f"closes {percent(share)} of the gap"
+        sentence = f"{last}{beside}: {words} on validation data"
+        others = tuple(str(c) for c in h.effects[:-1])
+        out.append(Ranked(last.effect, last.location, gap, float(h.bic), float(evidence), sentence, others))
+    return out
+
+
+def traces(bench: Bench, residual: Residual, nominal: Hypothesis, final: Hypothesis, named):
+    """Measured and simulated series of every split, for the report."""
+    out = []
+    thetas = [nominal.theta] + ([final.theta] if named else [])
+    labels = ["nominal model, re-tuned"] + (["with " + " and ".join(str(c) for c in named)] if named else [])
+    for split in ("report", "validation", "fit"):
+        if not bench.binding.experiments(split):
+            continue
+        if split == "fit":
+            starts = np.array([_starts(bench, h) for h in (nominal, final)[: len(thetas)]])
+        else:
+            starts = estimate_starts(bench, split, thetas)
+        predictions = free_runs(bench, split, thetas, starts)
+        out += make_traces(bench.binding, split, dict(zip(labels, predictions, strict=True)))
+    return tuple(out)
+
+
+def notes_of(binding: Binding, fit: Fit, compile_time: float) -> list[str]:
+    """What a fit notes beyond its dataset's notes, the friction law, and the time that compiling took."""
+    own = [n for n in fit.notes if n not in binding.dataset.notes]
+    friction = "tanh(qd / v) with v = " + f"{binding.chain.smoothing_velocity:g}"
+    law = "true sticking" if binding.chain.smoothing_velocity == 0 else friction
+    return [*own, f"Coulomb friction: {law}", f"compilation took {number(compile_time)} s"]
