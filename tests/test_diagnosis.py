@@ -21,10 +21,11 @@ from jaxid.diagnosis.how_far import interval_of_further_run, shrink
 from jaxid.diagnosis.hypothesis import candidates, Hypothesis, Search
 from jaxid.diagnosis.prior_pull import brought_back, put_back
 from jaxid.diagnosis.proposals import exchanged
+from jaxid.diagnosis.reasons import Lacks
 from jaxid.diagnosis.search import Searcher, THOROUGH
 from jaxid.diagnosis.selection import not_borne_out, outweighed, simpler
 from jaxid.diagnosis.thresholds import LIMITS
-from jaxid.diagnosis.verdict import judge, upheld
+from jaxid.diagnosis.verdict import Gaps, judge, upheld, Verdict
 from jaxid.fitting.least_squares import descend
 from jaxid.fitting.lost_runs import growth
 from jaxid.fitting.problem_builder import Bench, start_values
@@ -534,8 +535,8 @@ def leaving(fit_loss: float, loss: float, *effects: str) -> Any:
 @pytest.mark.parametrize(("several", "left", "verdict"), [(False, 9.0, "named"), (True, 9.0, "partly"), (True, 2.0, "named")])
 def test_several_effects_must_come_down_to_the_noise(several, left, verdict):
     """Three effects that leave three times the noise of two thousand come close to something else."""
-    found, text = judge(Search(leaving(4e6, 4e6), leaving(left, left, "one", "two", "three"), several=several))
-    assert found == verdict and "100 %" not in text
+    found = judge(Search(leaving(4e6, 4e6), leaving(left, left, "one", "two", "three"), several=several))
+    assert found.name == verdict and "100 %" not in found.text
 
 
 @pytest.mark.parametrize(
@@ -568,7 +569,7 @@ def test_a_part_of_the_effects_is_enough_where_the_rest_is_within_the_noise(fit_
 @pytest.mark.parametrize("fit_loss, verdict", [(1.0, "named"), (2.0, "named"), (8.0, "named"), (15.5, "partly")])
 def test_what_is_named_closes_the_gap_of_the_fit_runs_too(fit_loss, verdict):
     """On a tracker whose motors are not as their formula has them, one effect left 15.5 of 429 there."""
-    assert judge(Search(leaving(429.0, 366.0), leaving(fit_loss, 7.1, "one"), several=False))[0] == verdict
+    assert judge(Search(leaving(429.0, 366.0), leaving(fit_loss, 7.1, "one"), several=False)).name == verdict
 
 
 @pytest.mark.parametrize(
@@ -588,10 +589,11 @@ def test_what_is_named_closes_the_gap_of_the_fit_runs_too(fit_loss, verdict):
     ],
 )
 def test_report_data_withdraw_what_does_not_hold_on_them(retuned, after, verdict):
-    found, text = upheld("named", "The model lacks drag.", retuned, after)
-    assert found == verdict and text.startswith("The model lacks drag.")
-    together, _ = upheld("named", "The model lacks drag and a lag.", retuned, after, several=True)
-    assert together == ("partly" if verdict == "named" and after > 1.5 else verdict)
+    judged, gaps = Verdict("named", (Lacks("drag", 1.0),)), Gaps(np.inf, retuned, after)
+    found = upheld(judged, gaps)
+    assert found.name == verdict and "drag" in found.text
+    assert found.text.startswith("The model lacks drag") != (verdict == "unknown" and after < retuned)
+    assert upheld(judged, gaps, several=True).name == ("partly" if verdict == "named" and after > 1.5 else verdict)
 
 
 @pytest.mark.parametrize("bad", [np.nan, np.inf, 1e300])

@@ -15,9 +15,10 @@ from jaxid import wording
 from jaxid.diagnosis.breakdown import Share
 from jaxid.diagnosis.hypothesis import Search
 from jaxid.diagnosis.next_experiment import advice
+from jaxid.diagnosis.reasons import Remark, ReportNotReached
 from jaxid.diagnosis.result import ChannelGap, Finding, HowFar, Ranked, Which
 from jaxid.diagnosis.thresholds import LIMITS
-from jaxid.diagnosis.verdict import astray, judge, level, not_reached, upheld
+from jaxid.diagnosis.verdict import astray, Gaps, judge, level, upheld, Verdict
 from jaxid.fitting.result import EffectEstimate, Estimate
 from jaxid.fitting.stated import sentence_of, Stated
 from jaxid.report import answer, identified, text, write_diagnosis
@@ -51,7 +52,8 @@ def test_verdicts_by_fit_and_validation_data(fit0, loss0, fit1, loss1, others, s
     nominal, chosen = hypothesis(fit0, loss0), hypothesis(fit1, loss1, "drag at q")
     tried = [hypothesis(a, b, f"effect {k} at q") for k, (a, b) in enumerate(others)]
     for search in (Search(nominal, nominal, tried), Search(nominal, chosen, [chosen, *tried], several=several)):
-        verdict, words = judge(search)
+        judged = judge(search)
+        verdict, words = judged.name, judged.text
         check_numbers(words)
         left, before = search.chosen.validation.loss, nominal.validation.loss
         share = 1 - (left - 1) / (before - 1) if before > 1 else 0.0
@@ -69,7 +71,8 @@ def test_verdicts_by_fit_and_validation_data(fit0, loss0, fit1, loss1, others, s
 @many
 @given(st.sampled_from(["named", "partly"]), gaps, gaps, gaps, st.booleans())
 def test_verdicts_hold_on_report_data(verdict, before, retuned, after, several):
-    found, words = upheld(verdict, "The model lacks drag.", retuned, after, several, before)
+    held = upheld(Verdict(verdict, (Remark("The model lacks drag."),)), Gaps(before, retuned, after), several)
+    found, words = held.name, held.text
     check_numbers(words)
     if found in ("named", "partly"):
         at_noise = retuned <= LIMITS.seen and after**2 <= 1.02 * max(1.02, retuned**2)
@@ -210,7 +213,7 @@ def test_stated_numbers_are_refuted_as_their_deviations_say(numbers):
 @many
 @given(st.lists(st.tuples(st.sampled_from(["run_1", "run_2"]), gaps), max_size=4), gaps)
 def test_what_is_left_on_report_data_is_said_with_its_figures(places, gap):
-    words = not_reached(places, gap)
+    words = ReportNotReached(gap, tuple(places)).sentence
     check_numbers(words)
     for name, left in places[:3]:
         assert f"{wording.times(left)} times the noise in {name}" in words

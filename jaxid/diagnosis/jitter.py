@@ -10,7 +10,9 @@ import numpy as np
 from jaxid.data.time_stamps import Stamps
 from jaxid.diagnosis.evidence import held_out
 from jaxid.diagnosis.hypothesis import Candidate, Hypothesis
+from jaxid.diagnosis.reasons import Remark
 from jaxid.diagnosis.result import Ranked
+from jaxid.diagnosis.verdict import Verdict
 from jaxid.fitting.problem_builder import Bench
 from jaxid.problem.binding import Binding, JITTER
 from jaxid.problem.residual import Residual
@@ -28,14 +30,14 @@ class Scatter:
         index = lambda channel: tuple(self.alike.layout.of_effect(JITTER, channel))
         return tuple(Candidate(JITTER, channel, index(channel)) for channel in self.stamps)
 
-    def verdict(self, verdict: str, text: str) -> tuple[str, str]:
+    def verdict(self, verdict: Verdict) -> Verdict:
         """Of the search by readings that count as their stamps make them, with what the stamps do."""
         found = "; ".join(s.text for s in self.stamps.values())
-        found = found[0].upper() + found[1:]
-        if verdict == "none":
-            nothing_else = "Beside that the model lacks nothing: what is left is that noise, on data that were not fitted."
-            return "named", f"{found}. {nothing_else}"
-        return verdict, f"{found}. {text}"
+        stamps = Remark(f"{found[0].upper()}{found[1:]}.")
+        if verdict.name == "none":
+            rest = Remark("Beside that the model lacks nothing: what is left is that noise, on data that were not fitted.")
+            return Verdict("named", (stamps, rest))
+        return Verdict(verdict.name, (stamps, *verdict.reasons))
 
     def bench(self, like: Bench) -> Bench:
         """For comparison: the bench on which all readings count alike."""

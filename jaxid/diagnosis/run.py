@@ -17,18 +17,19 @@ from jaxid.data.time_stamps import scattered_stamps, with_scatter
 from jaxid.diagnosis import how_far as shrinking, jitter as timing
 from jaxid.diagnosis.account import effect_estimates, fit_of, notes_of, ranked, traces, where_it_lies
 from jaxid.diagnosis.believable import doubts
-from jaxid.diagnosis.evidence import held_out, knowledge
+from jaxid.diagnosis.claim import Judge
 from jaxid.diagnosis.goals.run import dear, diagnose_led, led, Offer, TOO_DEAR
 from jaxid.diagnosis.hypothesis import candidates, check_asked, possible, Search
 from jaxid.diagnosis.last_resort import asked_last, first_asked
 from jaxid.diagnosis.next_experiment import advice, rivals_of
-from jaxid.diagnosis.result import Diagnosis, HowFar, Which
+from jaxid.diagnosis.reasons import NotBelievable, Remark, Stopped
+from jaxid.diagnosis.result import Diagnosis, Which
 from jaxid.diagnosis.search import Searcher
 from jaxid.diagnosis.thresholds import LIMITS
 from jaxid.diagnosis.torque.reference import Reference
 from jaxid.diagnosis.torque.run import diagnose_by_torque
 from jaxid.diagnosis.unseen import Look, Looker
-from jaxid.diagnosis.verdict import astray, Diverged, judge, not_reached, standing_still, upheld, withheld
+from jaxid.diagnosis.verdict import Diverged, standing_still
 from jaxid.dynamics.effect import Effect
 from jaxid.errors import UsageError
 from jaxid.fitters import LevenbergMarquardt
@@ -190,89 +191,36 @@ def _diagnosed(question: Question, scatter: timing.Scatter | None = None) -> tup
         bench = Bench(binding, question.step, differences=1, together=True)
         keep = lambda fit, now: question.known.offer(lambda: _so_far(question, bench, fit(), now, began))
         (nominal_fit, search), compile_time = question.search(bench, keep), bench.compile_time()
-    chosen = search.chosen
-    verdict, text = judge(search)
-    stamps = ()
-    if scatter:
-        verdict, text = scatter.verdict(verdict, text)
-        stamps = scatter.effects() if verdict in ("named", "partly") else ()
-    named = (*stamps, *chosen.effects) if verdict in ("named", "partly") else ()
-    nominal, end = search.settled or (search.nominal, chosen)
-    final = end if named else nominal
     if progress:
         progress("how far", 0, 1, "report data")
-
-    repeated = any(n.source == "repeatability" for n in binding.noise.values())
-    before, note = shrinking.model_before(binding, nominal.theta)
-    alike = scatter.bench(bench) if scatter else bench
-
-    def measure(verdict: str, after: np.ndarray) -> HowFar:
-        return shrinking.measure(bench, residual, before, nominal.theta, after, verdict, note, alike, question.still)
-
-    how_far = measure(verdict, final.theta)
-    if "validation" in question.still:
-        verdict, text = "unknown", withheld(question.still)
-    elif named and binding.experiments("report") and "report" not in question.still:
-        judged, judged_text = verdict, text
-        far = how_far
-        verdict, text = upheld(verdict, text, far.gap_retuned, far.gap_after, search.several, far.gap_before)
-        # Unless the model follows the fit runs and what they leave open can account for it, where it is not better without; what
-        # is `partly` there has to hold as it is.
-        if judged == "named" and verdict != judged and far.gap_retuned > LIMITS.seen:
-            told = [knowledge(h.path) for h in (nominal, final)]
-            follow = [None, final.path if final.fit_loss <= LIMITS.white else None]
-            seen = held_out(bench, "report", [nominal.theta, final.theta], residual, told, follow)
-            gaps = [float(np.sqrt(max(held.loss, 0.0))) for held in seen]
-            verdict, text = upheld(judged, judged_text, gaps[0], gaps[1], search.several, far.gap_before)
-            if verdict == judged:
-                text += (
-                    f" The report data are {times(far.gap_after)} times the noise away, but go where fit and validation data "
-                    "leave numbers of the model open; within what is known of these it holds there too."
-                )
-            if verdict == judged and far.gap_after >= min(far.gap_retuned, far.gap_before):
-                verdict, text = upheld(judged, judged_text, far.gap_retuned, far.gap_after, search.several, far.gap_before)
-        if verdict == "unknown":
-            named, final = (), nominal
-            verdict, plain = judge(Search(search.nominal, search.nominal))
-            if verdict == "none":  # the gap was one next to the noise
-                text = (
-                    f"{plain} {' and '.join(map(str, chosen.effects))} would follow fit and validation data more closely, but "
-                    f"leaves {times(far.gap_after)} times the noise of the report data, {times(far.gap_retuned)} without: not "
-                    "claimed."
-                )
-        how_far = how_far if verdict == judged else measure(verdict, final.theta)
-    if verdict == "none" and binding.experiments("report") and "report" not in question.still:
-        if astray(how_far.per_run, how_far.per_regime, how_far.gap_retuned):
-            # Scatter between repeated runs is taken up whole by a refit to report runs: that would show nothing.
-            follow = [None if repeated else final.path]
-            within = held_out(bench, "report", [final.theta], residual, [knowledge(final.path)], follow)[0]
-            places = astray(*shrinking.parts(bench, residual, "report", within), within.gap_settled)
-            if places or within.gap_settled > LIMITS.seen:
-                verdict, text = "unknown", not_reached(places, how_far.gap_retuned)
-                how_far = measure(verdict, final.theta)
+    judge = Judge(bench, residual, search, question.still, scatter)
+    claim, nominal = judge.claim(), judge.nominal
+    verdict, named, final, how_far = claim.verdict, claim.named, claim.final, claim.how_far
     estimates = effect_estimates(binding, final, named)
-    if verdict == "named" and (against := doubts(estimates)):
-        verdict, text = "partly", f"{text} It is not to be believed as it stands: {'; '.join(against)}."
+    if verdict.name == "named" and (against := doubts(estimates)):
+        verdict = verdict.but("partly", NotBelievable(tuple(against)))
     assembled = lambda: fit_of(bench, final, residual, seed, compile_time, time.perf_counter() - began)
     final_fit = assembled() if named or question.search is None else nominal_fit
     how_far = dataclasses.replace(how_far, per_joint=with_effects(nominal_fit.per_joint, final_fit.per_joint))
     mates = search.confusable if named else []
-    findings, pictures, rows = where_it_lies(bench, nominal, final, verdict, estimates, seed)
+    findings, pictures, rows = where_it_lies(bench, nominal, final, verdict.name, estimates, seed)
     ranking = (*(scatter.ranked(bench, residual, search.nominal) if scatter else ()), *ranked(search))
     looked, pair, stopped = Look(), search.rivals, None
-    if verdict in ("none", "unknown") and not question.still:
-        pool = candidates(bench, question.allowed) if verdict == "none" else []
+    if verdict.name in ("none", "unknown") and not question.still:
+        pool = candidates(bench, question.allowed) if verdict.name == "none" else []
         try:
             looked = Looker(bench, residual, search.nominal).look([c for c in pool if c.effect != JITTER])
         except KeyboardInterrupt as stop:
-            stopped, text = stop, f"{text} Stopped before it was known what these recordings would not show."
-        text = " ".join((text, *looked.signs))
-    if verdict == "none":
+            stopped, verdict = stop, verdict.because(Stopped())
+        verdict = verdict.because(*map(Remark, looked.signs))
+    if verdict.name == "none":
         pair = (search.nominal, looked.rival) if looked.rival else None
     rivals = None if pair is None else rivals_of(bench, pair)
-    which = Which(verdict, estimates if named else (), tuple(EffectEstimate(c.effect, c.location) for c in mates), ranking, text)
+    confusable = tuple(EffectEstimate(c.effect, c.location) for c in mates)
+    which = Which(verdict.name, estimates if named else (), confusable, ranking, verdict.text)
+    repeated = any(n.source == "repeatability" for n in binding.noise.values())
     advised = advice(
-        verdict, [c.effect for c in named], [c.effect for c in mates], rivals, looked.unseen, repeated, question.still
+        verdict.name, [c.effect for c in named], [c.effect for c in mates], rivals, looked.unseen, repeated, question.still
     )
     found = Diagnosis(
         binding.chain.mechanism.name, binding.dataset.name, binding.dataset.sha256, seed, residual.name, findings, which,

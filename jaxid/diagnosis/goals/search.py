@@ -64,7 +64,7 @@ class Decider:
     def decided(self, nominal: Hypothesis, sets: Sequence[Proposal]) -> Search:
         """Of the sets that were proposed the one that simulations bear out; its effects taken back where they are not missed.
         None is asked where the re-tuned model reaches the noise: what two simulators differ by is coloured, and is no effect."""
-        if not sets or judge(Search(nominal, nominal))[0] == "none":
+        if not sets or judge(Search(nominal, nominal)).name == "none":
             return Search(nominal, nominal)
         pool = {(c.effect, c.location): c for c in candidates(self.bench, [u.effect for s in sets for u in s.units])}
         self.total = self.done + len(sets)

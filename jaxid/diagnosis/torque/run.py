@@ -10,6 +10,7 @@ import numpy as np
 
 from jaxid.diagnosis.how_far import closed
 from jaxid.diagnosis.next_experiment import advice
+from jaxid.diagnosis.reasons import HeldOut, NothingPredicts, NotMostHeldOut, Remark, TorqueAtTheNoise, Undetermined
 from jaxid.diagnosis.result import Diagnosis, Which
 from jaxid.diagnosis.thresholds import LIMITS
 from jaxid.diagnosis.torque.algebra import BLOCKS, gram, Weights
@@ -20,7 +21,7 @@ from jaxid.diagnosis.torque.library import Unit, units
 from jaxid.diagnosis.torque.reference import Reference
 from jaxid.diagnosis.torque.rows import MOTION
 from jaxid.diagnosis.torque.study import BY_TORQUE, Rows, Study
-from jaxid.diagnosis.verdict import level
+from jaxid.diagnosis.verdict import level, Verdict
 from jaxid.dynamics.effect import Effect
 from jaxid.fitting.assemble import fitted_chain
 from jaxid.fitting.fitter import Progress
@@ -28,7 +29,7 @@ from jaxid.fitting.result import EffectEstimate, Estimate, Fit
 from jaxid.fitting.scores import lost
 from jaxid.fitting.stated import stated_numbers
 from jaxid.problem.binding import Binding
-from jaxid.wording import listed, percent, times
+from jaxid.wording import listed
 
 
 #: So often at most the search is done along the torque that what it found implies.
@@ -159,42 +160,32 @@ def _second(study: Study, rows: Rows, found: Found, most: int) -> Chooser:
 # ---- the answer
 
 
-def _judged(study: Study, found: Found) -> tuple[str, str]:
-    """Verdict, and its sentence: what is named comes down to the noise on runs that chose and on runs that did not."""
+def _judged(study: Study, found: Found) -> Verdict:
+    """What is named comes down to the noise on runs that chose and on runs that did not."""
     nominal, final, split = found.nominal, found.final, [found.choose, found.judge]
     sets = [w for w in split if w] or [found.fit]
     before = [nominal.gap(w) for w in sets]
     after = [final.gap(w) for w in sets]
     if astray := _astray(study, final):
-        return "unknown", f"The re-tuned model is {astray[0]}: these data do not determine it, and no effect is named beside it."
-    names = listed(_said(u) for u in final.units)
-    base = found.base.final.units if found.base else ()
-    lacks = f"The model lacks {listed(_said(u) for u in base)}. " if base else ""
+        return Verdict("unknown", (Undetermined(astray[0]),))
     if not final.units:
         gaps = [nominal.gap(w) for w in (found.fit, *sets) if w]
         if all(not g > LIMITS.seen for g in gaps):
-            return "none", "The model reaches the noise of the torque on data that were not fitted: there is no gap."
-        return "unknown", (
-            f"There is a gap ({times(max(gaps))} times the noise), and no effect of the library predicts the runs that were not "
-            "fitted better."
-        )
-    shares = [closed(b**2, a**2) for b, a in zip(before, after, strict=True)]
-    what = f"{lacks}What is different in the runs that were not fitted is" if found.different else "The model lacks"
-    left = f"{times(max(after))} times the noise is left on held-out data"
+            return Verdict("none", (TorqueAtTheNoise(),))
+        return Verdict("unknown", (NothingPredicts(max(gaps)),))
+    names = tuple(_said(u) for u in final.units)
+    base = found.base.final.units if found.base else ()
+    beside = (Remark(f"The model lacks {listed(_said(u) for u in base)}."),) if base else ()
+    better = all(a < b for a, b in zip(after, before, strict=True))
+    share = min(closed(b**2, a**2) for b, a in zip(before, after, strict=True))
     # Where the question is what differs, what the model leaves of the runs that it was fitted to is what repeats would differ by.
     least = max(1.0, nominal.gap(found.fit)) if found.different else 1.0
-    if max(after) <= LIMITS.left * least and all(a < b for a, b in zip(after, before, strict=True)):
-        fitted = f", {times(least)} times on the runs that were fitted" if least > LIMITS.seen else ""
-        return "named", f"{what} {names}; with it {left}{fitted}."
-    if all(a < b for a, b in zip(after, before, strict=True)) and min(shares) >= LIMITS.partly:
-        return "partly", (
-            f"{what} {names}, which explains {percent(min(shares))} of the gap on held-out data; a clear remainder stays "
-            f"unexplained: {left}."
-        )
-    return "unknown", (
-        f"No effect explains most of the gap: {names} explains {percent(min(shares))} of it on held-out data; {left}, so that it "
-        "is not claimed."
-    )
+    held = HeldOut(names, share, max(after), found.different, fitted=least if least > LIMITS.seen else 0.0)
+    if better and max(after) <= LIMITS.left * least:
+        return Verdict("named", (*beside, held))
+    if better and share >= LIMITS.partly:
+        return Verdict("partly", (*beside, replace(held, whole=False)))
+    return Verdict("unknown", (NotMostHeldOut(names, share, max(after)),))
 
 
 def _astray(study: Study, answer: Answer) -> tuple[str, ...]:
@@ -209,8 +200,8 @@ def _said(unit: Unit) -> str:
 
 def _answered(study: Study, found: Found, most: int, seed: int, began: float) -> Diagnosis:
     b = study.binding
-    verdict, text = _judged(study, found)
-    claimed = verdict in ("named", "partly")
+    judged = _judged(study, found)
+    verdict, claimed = judged.name, judged.claims
     final = found.final if claimed else found.nominal
     which = found.judge or found.choose or found.fit
     own, effects = estimates(study, found.chooser, found.chosen)
@@ -241,10 +232,10 @@ def _answered(study: Study, found: Found, most: int, seed: int, began: float) ->
     nominal_fit = _fit(study, found.nominal, plain, (), seed, began)
     final_fit = _fit(study, final, own if claimed else plain, named, seed, began)
     label = "with " + " and ".join(str(e) for e in named) if named else ""
+    ranked = ranking(study, found.chooser, found.rows, found.judge if found.different else found.choose or found.fit)
     return Diagnosis(
         b.chain.mechanism.name, b.dataset.name, b.dataset.sha256, seed, "inverse_dynamics", findings,
-        Which(verdict, named, tuple(EffectEstimate(u.effect, u.location) for u in mates),
-              ranking(study, found.chooser, found.rows, found.judge if found.different else found.choose or found.fit), text),
+        Which(verdict, named, tuple(EffectEstimate(u.effect, u.location) for u in mates), ranked, judged.text),
         far, advice(verdict, [e.effect for e in named], [u.effect for u in mates]), time.perf_counter() - began,
         nominal_fit, final_fit, traces(study, found.nominal, final, label), pictures, regimes,
         (*b.dataset.notes, *_notes(study, found)),
