@@ -73,6 +73,8 @@ def test_forty_names_in_every_field(tmp_path, capsys):
         for text in (result_text(result), status_text(result.study, result.outcomes, result.status)):
             terminal.say(text)
             assert visible(capsys.readouterr().out)
+        if k % 4:  # every page and table, and the command for some
+            continue
         bad = write_study(home, f"effects = [[{quoted(name)}]]", f"models = [{quoted(name)}]", f"fitters = [{quoted(name)}]")
         assert cli.main(["batch", str(bad)]) == 2
         told = capsys.readouterr()

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import warnings
+from functools import cache
 from typing import Any
 
 import jax
@@ -207,21 +208,33 @@ def data_of(model: str) -> jaxid.Dataset:
     )
 
 
-@pytest.fixture(scope="module", params=["joint", "pendulum", "planar_arm"])
-def fit_problem(request):
-    binding = bind(None, data_of(request.param))
+@cache
+def fit_problem(model):
+    binding = bind(None, data_of(model))
     return Bench(binding).problem(OutputError(), "fit", binding.free, binding.theta)
 
 
-@each_search
-def test_fits(fit_problem, kind):
+def quick_fit(model, kind):
+    return model == "joint" or kind is LevenbergMarquardt
+
+
+FITS = [
+    pytest.param(model, kind, id=f"{model}-{kind.name}", marks=[] if quick_fit(model, kind) else pytest.mark.slow)
+    for model in ("joint", "pendulum", "planar_arm")
+    for kind in SEARCHES
+]
+
+
+@pytest.mark.parametrize(("model", "kind"), FITS)
+def test_fits(model, kind):
     """Bounds, budget, monotone history; the same key gives the same bits; better than the start by far."""
-    start = fit_problem.z(fit_problem.base)
+    problem = fit_problem(model)
+    start = problem.z(problem.base)
     budget = 600
-    found = [fitter_for(kind).minimise(fit_problem, [start], jax.random.key(0), budget) for _ in range(2)]
-    check(fit_problem, found[0], budget)
+    found = [fitter_for(kind).minimise(problem, [start], jax.random.key(0), budget) for _ in range(2)]
+    check(problem, found[0], budget)
     assert np.array_equal(found[0].z, found[1].z) and found[0].history == found[1].history
-    assert found[0].loss < 0.5 * fit_problem.loss(start)
+    assert found[0].loss < 0.5 * problem.loss(start)
     if kind is LevenbergMarquardt:
         assert found[0].loss < 1.3 and found[0].converged
 
