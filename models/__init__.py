@@ -5,6 +5,7 @@ if __name__ != "jaxid.models":
     raise ImportError("import jaxid.models, not models")
 
 from .arm_presets import Panda, UR10, UR10e
+from .flexible_arm import FlexibleArm
 from .flexible_link import FlexibleLink
 from .joint import Joint
 from .pendulum import Pendulum
@@ -16,10 +17,13 @@ from .space_manipulator import SpaceManipulator
 from .tracker import Tracker
 
 
-MODELS = (Joint, Pendulum, Servo, Tracker, FlexibleLink, PlanarArm, SerialArm, UR10, UR10e, Panda, Robot, SpaceManipulator)
+MODELS = (
+    Joint, Pendulum, Servo, Tracker, FlexibleLink, FlexibleArm, PlanarArm, SerialArm, UR10, UR10e, Panda, Robot, SpaceManipulator,
+)  # fmt: skip
 
 __all__ = [
     "MODELS",
+    "FlexibleArm",
     "FlexibleLink",
     "Joint",
     "Panda",

@@ -240,7 +240,7 @@ def test_open_loop_models(model, tmp_path):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("model", ["tracker", "space_manipulator", "panda", "serial_arm", "robot"])
+@pytest.mark.parametrize("model", ["tracker", "space_manipulator", "panda", "serial_arm", "robot", "flexible_arm"])
 def test_every_other_model(model, tmp_path):
     made = excite(model, starts=2, iterations=25, duration_s=5.0)
     jaxid.load_dataset(made.save(tmp_path / "plan"))

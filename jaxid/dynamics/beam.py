@@ -124,6 +124,15 @@ def matrices(beam: Beam, n_elements: int) -> Matrices:
     return Matrices(M[2:, 2:], K[2:, 2:], c[2:], J, G[2:, 2:])
 
 
+def steady_load(beam: Beam, n_elements: int) -> Float[Array, " n"]:
+    """Density times the integral of each nodal coordinate's shape over the length, kg and kg m."""
+    le = beam.length / n_elements
+    nodes = jnp.zeros(2 * n_elements + 2)
+    for e in range(n_elements):
+        nodes = nodes.at[2 * e : 2 * e + 4].add(beam.density * le * jnp.stack([0.5, le / 12, 0.5, -le / 12]))
+    return nodes[2:]
+
+
 def modes(m: Matrices, count: int) -> Modes:
     """The `count` lowest clamped modes."""
     size = jnp.sqrt(jnp.diagonal(m.M))  # equal units, hence a well-conditioned factor
