@@ -25,10 +25,12 @@ IN_STEP, FRESH = 0.98, 0.6
 
 @dataclass(frozen=True)
 class Shown:
-    """A finding, and what mends it (nothing where it is but a question)."""
+    """A finding, and what mends it (nothing where it is but a question). `beside`: it was found beside any friction and spring
+    that the model may lack, whose gap a simulation of the model leaves as it is."""
 
     finding: DataFinding
     mending: Mending
+    beside: bool = False
 
 
 def series(dataset: Dataset, channel: Channel) -> Iterator[tuple[Experiment, np.ndarray]]:
