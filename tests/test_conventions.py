@@ -8,7 +8,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from scipy.signal import butter, lfilter
+from scipy.signal import butter, lfilter, sosfilt
 
 import jaxid
 from benchmarks.conventions import broken, found, KINDS, recording
@@ -95,6 +95,21 @@ def test_a_gap_that_remains_refutes_only_what_would_have_to_close_it(kind, stays
     r, _, _ = broken(kind, recording("pendulum", 5, "spring"), np.random.default_rng(0))
     (finding,) = [f for f in checking.run_check(None, r.dataset(), gap=lambda *_: 20.0).findings if f.kind == kind]
     assert finding.decisive is stays and finding.gap_before == finding.gap_if_mended == 20.0
+
+
+@pytest.mark.parametrize(("corner", "said"), [(0.1, True), (0.2, True), (0.35, False), (0.45, False)])
+def test_a_filter_is_told_only_far_below_the_rate(corner, said):
+    r = recording("pendulum", 5)
+    noise = 0.01 * np.random.default_rng(1).standard_normal(r.y.shape)
+    noisy = sosfilt(butter(4, corner * 200, fs=200, output="sos"), noise, axis=1)
+    kinds = [f.kind for f in checking.run_check(None, replace(r, y=r.y + noisy).dataset()).findings]
+    assert ("filtered" in kinds) is said
+
+
+def test_a_reading_that_leaves_the_whole_drive_is_not_asked_about():
+    """Another machine's torque beside the motion: many a reading leaves less of it than none, and all leave it whole."""
+    r, other = recording("pendulum", 5), recording("pendulum", 6)
+    assert not [f for f in found(replace(r, u=3 * other.u)) if f.kind in ("sign", "zero", "scale")]
 
 
 def test_small_faults_stay_the_effects_that_they_are():

@@ -119,7 +119,8 @@ def _claimed(
     left = fit.fit(change(m), laws)
     closes = max(best.left, left.worst + FLOOR) <= GONE * before  # with its known value, too
     # Beside any law it has to be the whole answer: what has another cause goes some way by many a reading.
-    if not closes or (laws and left.worst > FLOOR):
+    # What leaves as much as the whole drive explains nothing of it.
+    if not closes or left.worst > (FLOOR if laws else 1.0):
         return None
     beyond = laws or _beyond(fit, m, change(m), left, FREE not in what)
     if not beyond and left.worst + FLOOR > ASKED * before:
