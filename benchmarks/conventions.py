@@ -43,6 +43,7 @@ class Recording:
     u: np.ndarray
     y: np.ndarray
     at_rest: bool = False
+    made: tuple[int, str] = (0, "")  # seed, effect
 
     def dataset(self, **settings: Any) -> Dataset:
         """As a dataset of its model."""
@@ -70,7 +71,7 @@ def recording(model: str, seed: int, effect: str = "", reach: float = 1.0, noise
         q, v, a = (np.stack(x, 1) for x in zip(*(w(t + h / 2) for w in waves), strict=True))
         u[r] = torque(plant, q, v, a, effect)
     level = plant.noise if noise is None else noise
-    return Recording(plant, t, u, y + level * rng.standard_normal(y.shape))
+    return Recording(plant, t, u, y + level * rng.standard_normal(y.shape), made=(seed, effect))
 
 
 def _wave(rng: np.random.Generator, reach: float):
@@ -115,9 +116,11 @@ def broken(kind: str, r: Recording, rng: np.random.Generator) -> tuple[Recording
         return new(u[:, :-1], y[:, 1:], t[:-1]), tau, 1.0
     if kind == "swapped_channels":
         return new(u[:, :, ::-1].copy()), r.plant.inputs[0][0], 1.0
-    if kind == "wrapped":
-        y[:, :, j] = (y[:, :, j] * 4 + pi) % (2 * pi) - pi
-        return new(), out, 2 * pi
+    if kind == "wrapped":  # a wider motion, for it has to go beyond half a turn
+        wide = recording(r.plant.model, *r.made, reach=8.0)
+        y = wide.y.copy()
+        y[:, :, j] = (y[:, :, j] + pi) % (2 * pi) - pi
+        return new(wide.u, y), out, 2 * pi
     if kind == "glitch":
         for run in range(len(y)):
             y[run, rng.choice(len(t) - 40, 5, replace=False) + 20, j] = rng.choice([0.0, 2.5, -4.0], 5)
@@ -156,16 +159,28 @@ def broken(kind: str, r: Recording, rng: np.random.Generator) -> tuple[Recording
 def found(r: Recording, simulate: bool = False) -> list[Any]:
     """What the check says of a recording."""
     from jaxid.conventions import checking, runs
+    from jaxid.fitting.run import left_by_short_fit
 
     try:
         data = r.dataset()
     except DatasetError as error:
         return runs.refused(error)
-    return list(checking.run_check(r.plant.model, data, confirm=simulate).findings)
+    return list(checking.run_check(r.plant.model, data, gap=left_by_short_fit if simulate else None).findings)
+
+
+#: Faults of a clock or of rows that all inputs share, and of a start that all outputs do: found at any of them.
+SHARED = {"row_shift": "input", "clock": "input", "not_at_rest": "output"}
+
+
+def right(finding: Any, kind: str, channel: str, plant: Plant) -> bool:
+    """Whether a finding says what was broken."""
+    ports = {"input": plant.inputs, "output": plant.outputs}.get(SHARED.get(kind, ""), ())
+    at = {channel, *(n for n, _ in ports)}
+    return finding.kind == kind and bool(at & {finding.channel, *(c for _, c in finding.same_as)})
 
 
 #: The seed of the kept result: taken once, for it alone.
-FRESH = 31
+FRESH = 37
 
 
 def main(seed: int = FRESH, simulate: bool = False) -> dict[str, Any]:
@@ -180,23 +195,21 @@ def main(seed: int = FRESH, simulate: bool = False) -> dict[str, Any]:
                 rng = np.random.default_rng([seed, KINDS.index(kind), len(model)])
                 r, channel, value = broken(kind, recording(model, seed, effect), rng)
                 findings = found(r, simulate)
-                own = [f for f in findings if f.kind == kind and channel in (f.channel, *(c for _, c in f.same_as))]
+                own = [f for f in findings if right(f, kind, channel, r.plant)]
                 rest = [f for f in findings if f not in own and f.decisive]
                 counted["found" if own else "missed"].append(kind)
                 counted["something else claimed"] += [f"{f.kind} of {f.channel}, where {kind} is broken" for f in rest]
                 size = "" if not own else f"{own[0].value} (true {value}) {'decisive' if own[0].decisive else 'question'}"
                 print(f"{model:11} {kind:17} {effect or '-':5} {'found' if own else 'MISSED':6} {size}", end="")
                 print("".join(f"  ALSO {f.kind} of {f.channel} {f.value}" for f in rest), flush=True)
-        right, count = len(counted["found"]), len(counted["found"]) + len(counted["missed"])
+        hits, count = len(counted["found"]), len(counted["found"]) + len(counted["missed"])
         listed = lambda key, own=counted: ", ".join(dict.fromkeys(own[key])) or "-"
         rows.append(
-            {"model": model, "found": f"{right} of {count}"} | {k: listed(k) for k in ("missed", "something else claimed")}
+            {"model": model, "found": f"{hits} of {count}"} | {k: listed(k) for k in ("missed", "something else claimed")}
         )
     text = (
         "Recordings with one convention broken, 15 kinds on three models, with and without a drag that the model lacks; seed "
-        f"{seed}, run once. What all inputs or outputs share (a clock, a row, a start in motion) is one finding, at the first "
-        "of them: counted as missed and as something else where the last one is at fault. What is wrapped is four times too "
-        "large as well. The tracker has no gravity, so that its numbers take in zeros and scales."
+        f"{seed}, run once. What all inputs or outputs share (a clock, a row, a start in motion) is found at any of them."
     )
     return {"title": "Broken conventions", "text": text, "rows": rows}
 

@@ -93,8 +93,9 @@ def fit(
 def _checked(model: object, dataset: Dataset, without: tuple[str, ...], as_recorded: bool) -> Checked:
     """The check that comes before every answer."""
     from jaxid.conventions.checking import run_check
+    from jaxid.fitting.run import left_by_short_fit
 
-    return run_check(model, dataset, without, as_recorded)
+    return run_check(model, dataset, without, as_recorded, left_by_short_fit)
 
 
 def _fit(
@@ -179,9 +180,7 @@ def check(model: object, dataset: Dataset, *, without: Iterable[str] = (), as_re
     `model` as in `fit`; without one, what the samples show by themselves is found alone. The result's `mended` is the dataset
     with the decisive findings applied (`as_recorded`: with none).
     """
-    from jaxid.conventions.checking import run_check
-
-    return run_check(model, dataset, without, as_recorded)
+    return _checked(model, dataset, tuple(without), as_recorded)
 
 
 def simulate(

@@ -8,6 +8,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from scipy.signal import butter, lfilter, sosfilt
 
 import jaxid
 from benchmarks.conventions import broken, found, KINDS, recording
@@ -40,7 +41,7 @@ def case(name: str) -> Path:
 
 def checked(dataset: jaxid.Dataset):
     """Without the simulation that confirms."""
-    return checking.run_check(None, dataset, confirm=False)
+    return checking.run_check(None, dataset)
 
 
 @pytest.mark.parametrize("kind", KINDS)
@@ -67,6 +68,49 @@ def test_each_kind_is_found_with_its_size_and_its_line(model, effect, kind):
 @pytest.mark.parametrize("model", ["joint", "pendulum", "planar_arm"])
 def test_nothing_is_claimed_of_a_sound_recording(model, effect):
     assert not [f for f in found(recording(model, 11, effect)) if f.decisive]
+
+
+@pytest.mark.parametrize("kind", ["zero", "scale"])
+def test_a_fault_beside_a_strong_missing_effect_is_found_beside_its_law(kind):
+    r, channel, value = broken(kind, recording("tracker", 5, "drag"), np.random.default_rng(0))
+    (finding,) = [f for f in found(r) if f.decisive]
+    assert (finding.kind, finding.channel, finding.value) == (kind, channel, value)
+
+
+def test_counts_are_told_by_their_number_per_turn():
+    r = recording("pendulum", 5)
+    (finding,) = [f for f in found(replace(r, y=np.round(r.y * 4096 / (2 * pi)))) if f.decisive]
+    assert finding.kind == "scale" and finding.value == pytest.approx(4096 / (2 * pi))
+
+
+def test_a_slow_sensor_is_no_sign():
+    r = recording("pendulum", 5)
+    b, a = butter(1, 1.0, fs=200)  # pyright: ignore
+    assert not [f for f in found(replace(r, y=lfilter(b, a, r.y, axis=1))) if f.decisive]
+
+
+@pytest.mark.parametrize(("kind", "stays"), [("row_shift", True), ("sign", False)])
+def test_a_gap_that_remains_refutes_only_what_would_have_to_close_it(kind, stays):
+    """What is found beside any law that the model may lack need not close the gap of such a law."""
+    r, _, _ = broken(kind, recording("pendulum", 5, "spring"), np.random.default_rng(0))
+    (finding,) = [f for f in checking.run_check(None, r.dataset(), gap=lambda *_: 20.0).findings if f.kind == kind]
+    assert finding.decisive is stays and finding.gap_before == finding.gap_if_mended == 20.0
+
+
+@pytest.mark.parametrize(("corner", "said"), [(0.1, True), (0.2, True), (0.35, False), (0.45, False)])
+def test_a_filter_is_told_only_far_below_the_rate(corner, said):
+    r = recording("pendulum", 5)
+    noise = 0.01 * np.random.default_rng(1).standard_normal(r.y.shape)
+    noisy = sosfilt(butter(4, corner * 200, fs=200, output="sos"), noise, axis=1)
+    kinds = [f.kind for f in checking.run_check(None, replace(r, y=r.y + noisy).dataset()).findings]
+    assert ("filtered" in kinds) is said
+
+
+def test_a_reading_has_to_hold_in_the_runs_that_are_kept_back():
+    """A sign leaves more than the whole drive of a run whose torque is four times too large: it is not all that is wrong."""
+    r = recording("pendulum", 5)
+    claimed = found(replace(r, u=-r.u * np.array([1.0, 1.0, 4.0])[:, None, None]))
+    assert not [f for f in claimed if f.kind in ("sign", "zero", "scale")]
 
 
 def test_small_faults_stay_the_effects_that_they_are():

@@ -292,6 +292,9 @@ def test_normalised_values_need_what_they_stand_for(tmp_path):
         match="normalised by the recorder: pan .within -100..100, touching its end., lift.*--calibration FILE.*--range pan=",
     ):
         quiet(import_lerobot, folder, tmp_path / "out", unit="deg")
+    small = lerobot(tmp_path / "small", "v2.1", ["pan.pos", "lift.pos", "gripper.pos"], 0.9 * action, action * [1, 0.5, 1])
+    with pytest.raises(DatasetError, match="lift .within -100..100, beside one that touches its end"):
+        quiet(import_lerobot, small, tmp_path / "out", unit="deg", ranges=["pan=-110:110"])
     with pytest.raises(UsageError, match="is no unit of a joint"):
         quiet(import_lerobot, folder, tmp_path / "out", unit="%")
     with pytest.raises(UsageError, match="joints: pan, lift, gripper"):

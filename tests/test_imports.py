@@ -44,8 +44,6 @@ MODULE_LEVEL = {
 #: Imports inside functions that still point up: (module, package).
 INSIDE_FUNCTIONS = {
     ("catalogue", "fitters"),
-    ("conventions.checking", "fitters"),
-    ("conventions.checking", "fitting"),
     ("data.assemble", "catalogue"),
     ("data.assemble", "dynamics"),
     ("data.assemble_model", "robots"),

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from jaxid.data.signals import decimate, differentiate, filter_ends, followed, start_state, zero_phase
+from jaxid.data.signals import content_cutoff, decimate, differentiate, filter_ends, followed, start_state, zero_phase
 
 
 T = 0.001 * np.arange(4000)
@@ -109,3 +109,12 @@ def test_a_polynomial_is_asked_no_more_than_it_follows():
     short = followed(t, fast[:, None])
     near, far = (abs(float(start_state(t, fast, window)[0])) for window in (short, float(t[-1])))
     assert short < 0.06 and near < 0.1 < far
+
+
+@pytest.mark.parametrize("rows", [200, 500, 5000])
+def test_noise_of_a_short_record_is_no_content(rows):
+    """A spectrum of few segments reaches far above its mean by chance; motion at 1 Hz stays all that there is."""
+    t = np.arange(rows) / 100
+    for seed in range(20):
+        noise = 8e-4 * np.random.default_rng(seed).standard_normal(rows)
+        assert content_cutoff(t, 0.3 * np.sin(2 * np.pi * t + seed) + noise, 8e-4) < 6

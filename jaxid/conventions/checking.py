@@ -17,6 +17,7 @@ import numpy as np
 from jaxid.conventions import runs, samples
 from jaxid.conventions.decide import judged
 from jaxid.conventions.finding import Checked, DataFinding
+from jaxid.conventions.limits import GONE
 from jaxid.conventions.mending import mended, Mending
 from jaxid.conventions.missing_force import ForceFit, LONGEST, measured, NEIGHBOURS
 from jaxid.conventions.samples import Shown
@@ -28,8 +29,9 @@ from jaxid.problem.binding import bind, Binding
 from jaxid.robots.floating import wanted
 
 
-#: Evaluations of each of the two fits that confirm a finding, and the share of the gap that has to go.
-BUDGET, GONE = 400, 0.7
+#: What a short fit of a bound model leaves of a dataset, times the noise; None where nothing is simulated.
+Gap = Callable[[Binding, Dataset], float | None]
+
 #: Numbers of a model beyond which readings are gone through on few samples where it is linear, and nothing is simulated.
 MOST_NUMBERS = 15
 #: Kinds that a model tells, and that its simulation has to confirm.
@@ -37,9 +39,9 @@ BY_MODEL = ("sign", "zero", "scale", "swapped_channels", "row_shift", "clock")
 
 
 def run_check(
-    model: object, dataset: Dataset, without: Iterable[str] = (), as_recorded: bool = False, confirm: bool = True
+    model: object, dataset: Dataset, without: Iterable[str] = (), as_recorded: bool = False, gap: Gap | None = None
 ) -> Checked:
-    """See `jaxid.check`; `confirm`: by a simulation, as recorded and mended."""
+    """See `jaxid.check`; with `gap`, findings that need the model are confirmed by simulations, as recorded and mended."""
     began = time.perf_counter()
     found, data, change = _by_itself(dataset, as_recorded)
     notes: list[str] = []
@@ -53,7 +55,7 @@ def run_check(
         notes += [why] if why else []
         if binding is not None:
             try:
-                more, data = _by_model(binding, data, as_recorded, confirm)
+                more, data = _by_model(binding, data, as_recorded, gap)
                 found += more
             except UsageError as error:  # what these data do not allow is not the end of what comes after
                 notes.append(f"the model's readings of the recording could not be compared: {error}")
@@ -64,7 +66,9 @@ def run_check(
     )  # fmt: skip
 
 
-def check_folder(model: object, path: str | os.PathLike[str], without: Iterable[str] = (), as_recorded: bool = False) -> Checked:
+def check_folder(
+    model: object, path: str | os.PathLike[str], without: Iterable[str] = (), as_recorded: bool = False, gap: Gap | None = None
+) -> Checked:
     """The check of a dataset's folder; one that is refused for what a finding says is a result, not an error.
 
     Raises `DatasetError` for a folder with other faults.
@@ -81,7 +85,7 @@ def check_folder(model: object, path: str | os.PathLike[str], without: Iterable[
             raise
         name = os.path.basename(os.path.abspath(path))
         return Checked(name, "", tuple(found), None, usable=False)
-    return run_check(model, dataset, without, as_recorded)
+    return run_check(model, dataset, without, as_recorded, gap)
 
 
 def _usable(found: list[DataFinding], dataset: Dataset) -> bool:
@@ -156,19 +160,19 @@ def _beginnings(data: Dataset) -> Dataset:
     ))  # fmt: skip
 
 
-def _by_model(binding: Binding, data: Dataset, as_recorded: bool, confirm: bool) -> tuple[list[DataFinding], Dataset]:
+def _by_model(binding: Binding, data: Dataset, as_recorded: bool, gap: Gap | None) -> tuple[list[DataFinding], Dataset]:
     """What the model tells, confirmed by a simulation, applied."""
     driven = bool(binding.dataset.inputs)  # along a free motion every reading fits with another scale
     many = len(binding.free) > MOST_NUMBERS
-    motion = measured(binding, NEIGHBOURS if many else 1) if driven and binding.free else None
+    motion = measured(binding, NEIGHBOURS) if driven and binding.free else None
     if motion is None:
         return [], data
     shown = list(judged(binding, ForceFit(binding, motion), motion, many))
     total = Mending()
     for s in shown:
         total = total.then(s.mending)
-    if total and confirm and not many:  # the free run of an arm that was held by its controller says nothing
-        shown = _confirmed(binding, data, total, shown)
+    if total and gap is not None and not many:  # the free run of an arm that was held by its controller says nothing
+        shown = _confirmed(binding, data, total, shown, gap)
     out, change = [], Mending()
     for s in shown:
         applied = bool(s.mending) and s.finding.decisive and not as_recorded
@@ -177,12 +181,14 @@ def _by_model(binding: Binding, data: Dataset, as_recorded: bool, confirm: bool)
     return out, mended(data, change)
 
 
-def _confirmed(binding: Binding, data: Dataset, total: Mending, shown: list[Shown]) -> list[Shown]:
-    """Gaps by simulation as recorded and mended; what does not hold there is a question."""
+def _confirmed(binding: Binding, data: Dataset, total: Mending, shown: list[Shown], gap: Gap) -> list[Shown]:
+    """Gaps by simulation as recorded and mended; what does not hold there is a question. What was found beside any law that the
+    model may lack has only to leave no more: the gap of such a law remains."""
     before, after = gap(binding, data), gap(binding, mended(data, total))
     if before is None or after is None:
         return shown
-    held = after <= GONE * before
+    alone = all(s.beside for s in shown if s.mending)
+    held = after <= (1.0 if alone else GONE) * before
     out = []
     for s in shown:
         if not s.mending:
@@ -194,24 +200,6 @@ def _confirmed(binding: Binding, data: Dataset, total: Mending, shown: list[Show
             finding = replace(s.finding, gap_before=before, gap_if_mended=after, decisive=False, text=text)
             out.append(Shown(finding, Mending()))
     return out
-
-
-def gap(binding: Binding, data: Dataset) -> float | None:
-    """What the model as it stands leaves of a dataset after a short fit, times the noise; None where nothing is simulated."""
-    from jaxid.fitters import LevenbergMarquardt
-    from jaxid.fitting.problem_builder import default_residual
-    from jaxid.fitting.run import fit_binding
-
-    chain = binding.chain
-    try:
-        own = bind(chain, data)
-        residual = default_residual(own)
-        if residual.torques:
-            return None
-        found = fit_binding(own, LevenbergMarquardt(restarts=0), residual, "sum_of_squares", 0, BUDGET, None)
-    except UsageError:
-        return None
-    return float(np.sqrt(found.loss)) if np.isfinite(found.loss) and found.loss < 1e30 else None
 
 
 __all__ = ["Checked", "DataFinding", "run_check"]

@@ -61,10 +61,12 @@ class Forces:
         self._known: tuple[Any, ...] = ()
 
     def at(self, thetas: np.ndarray, m: Any) -> np.ndarray:
-        """Missing force [sets rows nq] at sets of numbers."""
+        """Missing force [sets rows nq] at sets of numbers, `ROWS` samples at a time."""
+        run = _program(self.binding.layout, None)
+        motion = m.q, m.qd, m.qdd, m.u
         with float64():
-            found = _program(self.binding.layout, None)(thetas, *(_padded(x, ROWS) for x in (m.q, m.qd, m.qdd, m.u)))
-        return _finite(found)[:, : len(m.q)]
+            found = [run(thetas, *(_padded(x[a : a + ROWS], ROWS) for x in motion)) for a in range(0, len(m.q), ROWS)]
+        return _finite(np.concatenate([np.asarray(f) for f in found], 1))[:, : len(m.q)]
 
     def missing(self, theta: np.ndarray, m: Any) -> np.ndarray:
         """Missing force [rows nq] at these numbers, of which those that are free may differ from the binding's."""

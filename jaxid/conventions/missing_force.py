@@ -185,6 +185,13 @@ class ForceFit:
         self.forces = Forces(binding, self.free, motion.thinned(FEW))
         self._known: tuple[Any, ...] = ()
 
+    @property
+    def _bounds(self) -> tuple[np.ndarray, np.ndarray]:
+        """Of the free numbers. Where a box reaches to nothing its end comes from how fast and far the recording moves, which a
+        reading may change: there only the sign is kept."""
+        lower, upper = self.binding.lower[self.free], self.binding.upper[self.free]
+        return np.where(lower < 0, -np.inf, lower), np.where(lower <= 0, np.inf, upper)
+
     def missing(self, theta: np.ndarray, m: Motion) -> np.ndarray:
         """Missing force [rows nq] at these numbers."""
         return m.mean(self.forces.missing(theta, m))
@@ -243,8 +250,9 @@ class ForceFit:
         for j in range(self.nq):
             blocks[:, j, j * count : (j + 1) * count] = law[:, j]
         p, k = len(free), size
-        lower = np.concatenate([b.lower[free], np.full(k, -np.inf), np.tile([-np.inf, 0, 0, 0, 0], self.nq) if laws else []])
-        upper = np.concatenate([b.upper[free], np.full(lower.size - p, np.inf)])
+        low, high = self._bounds
+        lower = np.concatenate([low, np.full(k, -np.inf), np.tile([-np.inf, 0, 0, 0, 0], self.nq) if laws else []])
+        upper = np.concatenate([high, np.full(lower.size - p, np.inf)])
         x = np.concatenate([b.theta[free], np.zeros(lower.size - p)])
         scale = np.concatenate([np.maximum(np.abs(b.theta[free]), b.scale[free]), np.ones(lower.size - p)])
 

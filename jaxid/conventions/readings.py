@@ -34,6 +34,8 @@ TURNS = 180 / pi, pi / 180, 2 * pi, 1 / (2 * pi), 4096 / (2 * pi), 0.03, 15.0, 3
 SIZES = 1000.0, 1e-3, 9.80665, 1 / 9.80665, 50.0, 0.02
 #: What sensor_scale and torque_scale may be: a factor in it stays theirs.
 EFFECT_RANGE = 0.1, 3.0
+#: What has no name of its own.
+FREE = "a factor, as of a gear"
 #: Up to so many inputs or outputs, all their signs are tried together.
 TOGETHER = 3
 
@@ -185,4 +187,4 @@ def nearest_convention(kind: str, unit: str, value: float, std: float, travel: f
     if abs(np.log(value / factor)) <= max(0.03, 3 * std) and std < 0.2:
         return factor, name
     low, high = EFFECT_RANGE
-    return (value, "a factor, as of a gear") if not low < value < high and std < 0.05 else None
+    return (value, FREE) if not low < value < high and std < 0.05 else None

@@ -25,10 +25,12 @@ IN_STEP, FRESH = 0.98, 0.6
 
 @dataclass(frozen=True)
 class Shown:
-    """A finding, and what mends it (nothing where it is but a question)."""
+    """A finding, and what mends it (nothing where it is but a question). `beside`: it was found beside any friction and spring
+    that the model may lack, whose gap a simulation of the model leaves as it is."""
 
     finding: DataFinding
     mending: Mending
+    beside: bool = False
 
 
 def series(dataset: Dataset, channel: Channel) -> Iterator[tuple[Experiment, np.ndarray]]:
@@ -237,7 +239,7 @@ def _corner(y: np.ndarray, rate: float) -> float | None:
     level = np.log10(np.maximum(power[1:-1] / shape[1:-1], 1e-300))
     f = f[1:-1]
     # Octaves: motion falls with frequency at first, white noise is flat, a filter ends it.
-    smooth = np.convolve(level, np.ones(5) / 5, mode="same")
+    smooth = np.convolve(np.pad(level, 2, mode="edge"), np.ones(5) / 5, mode="valid")
     top = smooth[(f > 0.4 * rate) & (f < 0.48 * rate)].mean()
     for k in range(8, len(f)):
         if f[k] > 0.25 * rate:
@@ -245,7 +247,7 @@ def _corner(y: np.ndarray, rate: float) -> float | None:
         flat = smooth[(f >= f[k]) & (f <= 2 * f[k])]
         if len(flat) > 6 and np.ptp(flat) < 0.5 and flat.mean() - top > 1.5:
             last = np.flatnonzero(smooth > flat.mean() - 0.3)[-1]
-            return float(f[last])
+            return float(f[last]) if f[last] <= 0.25 * rate else None
     return None
 
 

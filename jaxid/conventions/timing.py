@@ -2,11 +2,19 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import dataclass, replace
 
 import numpy as np
 
-from jaxid.conventions.missing_force import ForceFit, Motion
+from jaxid.conventions.finding import DataFinding
+from jaxid.conventions.limits import FLOOR, GONE
+from jaxid.conventions.mending import lines, Mending
+from jaxid.conventions.missing_force import Fitted, ForceFit, Motion
+from jaxid.conventions.readings import Names
+from jaxid.conventions.samples import Shown
+from jaxid.problem.binding import Binding
+from jaxid.wording import listed
 
 
 #: A delay is one of whole rows if it is known so well (rows) and lies so close to them.
@@ -75,3 +83,96 @@ def _own_laws(m: Motion) -> np.ndarray:
     """Any force of the joint's own motion [rows nq laws], whatever its sign."""
     parts = [np.ones_like(m.q), m.q, m.qd, m.qdd, np.sign(m.qd), m.qd * np.abs(m.qd), np.sin(m.q), np.cos(m.q)]
     return np.stack([a / max(1e-300, float(np.sqrt(np.mean(a**2)))) for a in map(m.mean, parts)], -1)
+
+
+# ---- findings
+
+
+def timed(binding: Binding, fit: ForceFit, m: Motion, names: Names) -> Iterator[Shown]:
+    """Whole rows and drifting clocks."""
+    plain = fit.fit(m)
+    if plain.worst > GONE or not names.inputs:  # what is missing is something else
+        if (drifting := _far_drift(fit, m, plain)) is None:
+            return
+        m = drifting
+    late, _ = lateness(fit, m)
+    column = lambda name: np.array([getattr(x, name) for x in late])
+    drifting = together(column("drift"), column("drift_std"))
+    if drifting is not None and DRIFT * m.step < abs(drifting[0]) * float(m.since.max()) and abs(drifting[0]) < 0.015:
+        yield _clock(binding, m, names, *drifting)
+        return
+    common = together(column("rows"), column("std"))
+    for k, x in enumerate(late):
+        rows, std = common if common is not None else (x.rows, x.std)
+        whole = round(rows)
+        if whole and abs(whole) <= 3 and std <= KNOWN and abs(rows - whole) <= CLOSE and abs(rows) > SURE * std:
+            yield _shifted(binding, names, k, whole, rows, std)
+
+
+def whole_rows_tell(fit: ForceFit, m: Motion) -> bool:
+    """Whether whole rows between inputs and motion close a share of the gap."""
+    before = fit.fit(m, laws=False).worst + FLOOR
+    moved = (fit.fit(replace(m, rows=m.rows + k), laws=False).worst + FLOOR for k in (-3, -2, -1, 1, 2, 3))
+    return before > 2 * FLOOR and min(moved) <= GONE * before
+
+
+def _far_drift(fit: ForceFit, m: Motion, plain: Fitted) -> Motion | None:
+    """The motion with clocks that drift by so much that nothing fits as recorded; None where that explains nothing."""
+    tried = []
+    for ppm in (200, 500, 1000, 2000, 5000, 10000):
+        for sign in (1, -1):
+            moved = replace(m, drift=m.drift + sign * 1e-6 * ppm)
+            tried.append((fit.fit(moved).worst, sign * ppm, moved))
+    left, _, moved = min(tried, key=lambda t: t[:2])
+    return moved if left < GONE * plain.worst else None
+
+
+def _clock(binding: Binding, m: Motion, names: Names, drift: float, std: float) -> Shown:
+    channels = names.inputs if len(names.inputs) == 1 or len(names.joints) > 1 else names.joints
+    way = 1 if channels is names.inputs else -1
+    ppm, spread = way * 1e6 * drift, 1e6 * std
+    forms = {"clock_ppm": float(f"{ppm:.4g}")}
+    text = (
+        f"The clocks of {listed(tuple(names.inputs))} and {listed(tuple(names.joints))} drift apart by {abs(ppm):.4g} ± "
+        f"{spread:.2g} ppm, {abs(drift) * m.since.max() / m.step:.2g} rows within a run: no delay grows like that."
+    )
+    other = names.joints if channels is names.inputs else names.inputs
+    several = len(channels) > 1
+    told = [lines(binding.dataset, c, forms) + (f"  # of {c}" if several else "") for c in channels]
+    finding = DataFinding(
+        "clock", channels[0], ppm, text, "\n".join(told), (ppm - 1.96 * spread, ppm + 1.96 * spread), decisive=True,
+        same_as=tuple(("clock", c) for c in other),
+        headline=f"the clock of {listed(tuple(channels))} drifts by {ppm:.4g} ppm; everything below takes that away",
+    )  # fmt: skip
+    return Shown(finding, Mending({c: dict(forms) for c in channels}), True)
+
+
+def _shifted(binding: Binding, names: Names, k: int, rows: int, late: float, std: float) -> Shown:
+    """Whole rows: the output before its cause is a convention; a cause that comes early is a delay as well."""
+    name = names.inputs[k]
+    forms = {"shift": rows}
+    interval = (late - 1.96 * std, late + 1.96 * std)
+    step = f"{abs(rows)} row{'s' * (abs(rows) > 1)}"
+    by = f"{abs(late):.2f} ± {std:.2f} rows"
+    if rows > 0:
+        moves = "moves" if len(names.joints) == 1 else "move"
+        text = (
+            f"{listed(tuple(names.joints))} {moves} {by} before {name}, the cause: row k seems to hold the {name} of the step "
+            "before it."
+        )
+        headline = f"{name} stands {step} late; everything below takes it that much earlier"
+        same = tuple(("row_shift", j) for j in names.joints) if len(names.inputs) == 1 else ()
+        finding = DataFinding(
+            "row_shift", name, float(rows), text, lines(binding.dataset, name, forms), interval, decisive=True,
+            same_as=same, headline=headline,
+        )  # fmt: skip
+        return Shown(finding, Mending({name: forms}), True)
+    text = (
+        f"The motion follows {name} {by} later: whole rows, as of a log that writes the output late, or a delay of the drive "
+        "or the sensor (input_delay, sensor_delay). The recording cannot tell; nothing is shifted."
+    )
+    finding = DataFinding(
+        "row_shift", name, float(rows), text, lines(binding.dataset, name, forms), interval,
+        same_as=(("input_delay", name), *(("sensor_delay", j) for j in names.joints)),
+    )  # fmt: skip
+    return Shown(finding, Mending())

@@ -9,9 +9,10 @@ import numpy as np
 
 from jaxid.data.dataset import Channel, Experiment, FrequencyResponse, Stated
 from jaxid.data.forms import FormError, Signal, signal
+from jaxid.data.sample_faults import sample_faults, without_time
 from jaxid.data.schema import ChannelEntry, ExperimentEntry
 from jaxid.data.table import ragged_rows, Table
-from jaxid.data.time_axis import impossible, seconds
+from jaxid.data.time_axis import contradicted, impossible, seconds
 from jaxid.data.units import Conversion
 from jaxid.errors import nearest, Problem
 
@@ -81,8 +82,13 @@ def read_record(
     if index is None or clock is None:
         return harvest
     index, torn = _readable(table, index, harvest)
-    t, said = seconds(table.columns[clock], table.numbers(clock).values, time_unit)
-    time_faults = [] if said else _sample_faults(table, clock, index)
+    counted = table.numbers(clock).values
+    if (why := contradicted(counted, time_unit)) is not None:
+        row = table.row(int(index[0])) if len(index) else None
+        harvest.problems.append(Problem(table.file, row, clock, why[0], f'Say time_unit = "{why[1]}"'))
+        return harvest
+    t, said = seconds(table.columns[clock], counted, time_unit)
+    time_faults = without_time(table, clock, t, index) if said else sample_faults(table, clock, index)
     harvest.problems += time_faults
     if said:
         harvest.notes.append(f"{table.file}: {said}")
@@ -229,28 +235,6 @@ def _readable(table: Table, index: np.ndarray, harvest: Harvest) -> tuple[np.nda
     return index[good], True
 
 
-def _sample_faults(table: Table, column: str, index: np.ndarray) -> list[Problem]:
-    """One problem for each kind of fault among the selected samples of a column."""
-    faults = table.numbers(column).faults
-    if not faults:
-        return []
-    kinds: dict[str, list[int]] = {}
-    for sample in sorted(set(faults) & set(index.tolist())):
-        kinds.setdefault(faults[sample].split(":")[0], []).append(sample)
-    problems = []
-    for kind, samples in kinds.items():
-        first = samples[0]
-        text = f"{table.place(first)} is {faults[first]}"
-        if len(samples) > 1:
-            text += f"; {len(samples)} samples in all are {kind}"
-        remedy = {
-            "missing": "Fill it, cut it out with `rows` or `window_s`, or leave the experiment out",
-            "infinite": "Correct the sample, or cut it out with `rows` or `window_s`",
-        }.get(kind, "Write a number with a decimal point")
-        problems.append(Problem(table.file, table.row(first), column, text, remedy))
-    return problems
-
-
 def _channel(table: Table, reading: Reading, index: np.ndarray, t: np.ndarray, harvest: Harvest) -> Signal | None:
     """The channel's samples in SI. Notes whether it moves."""
     entry = reading.entry
@@ -258,7 +242,7 @@ def _channel(table: Table, reading: Reading, index: np.ndarray, t: np.ndarray, h
     if entry.valid is not None and (found := table.find(entry.valid)) is not None:
         valid = np.nan_to_num(table.numbers(found).values[index]) != 0
     columns = [c for c in map(table.find, reading.columns) if c is not None]
-    faults = [f for c in columns for f in _sample_faults(table, c, index[valid])]
+    faults = [f for c in columns for f in sample_faults(table, c, index[valid])]
     harvest.problems += faults
     weights = entry.weights if entry.weights is not None else [1.0]
     raw = np.sum([w * table.numbers(c).values[index] for w, c in zip(weights, columns, strict=True)], axis=0)
@@ -370,7 +354,7 @@ def read_response(table: Table, entry: ExperimentEntry, name: str, units: dict[s
     index, _ = _readable(table, index, harvest)
     for key in keys:
         if key not in absent:
-            harvest.problems += _sample_faults(table, named[key], index)
+            harvest.problems += sample_faults(table, named[key], index)
     if harvest.problems or table.problems:
         return harvest
     first, a, b = (table.numbers(named[key]).values[index] for key in keys)

@@ -233,6 +233,7 @@ def content_cutoff(t: np.ndarray, y: np.ndarray, noise: float) -> float:
     """
     from scipy.fft import next_fast_len
     from scipy.signal import welch
+    from scipy.stats import chi2
 
     rate = 1 / float(np.median(np.diff(t)))
     grid = np.interp(np.linspace(t[0], t[-1], t.size), t, y)
@@ -242,7 +243,10 @@ def content_cutoff(t: np.ndarray, y: np.ndarray, noise: float) -> float:
         segment = next_fast_len(segment, real=True)
     f, power = welch(second, rate, nperseg=segment)
     floor = 2 * noise**2 / rate * (2 - 2 * np.cos(2 * np.pi * f / rate)) ** 2
-    above = np.flatnonzero((power > 4 * floor) & (f > 0))
+    # The fewer segments are averaged, the higher noise alone reaches: where one line of a hundred spectra does is no content.
+    freedom = 2 * max(1, second.size // segment)
+    chance = float(chi2.isf(0.01 / f.size, freedom)) / freedom
+    above = np.flatnonzero((power > max(4.0, chance) * floor) & (f > 0))
     top = f[above[-1]] if above.size else 0.0
     # A lone peak far up is not content: take the frequency below which 99.9 % of the power above the floor lies.
     excess = np.cumsum(np.maximum(power - floor, 0.0) * (f <= top))

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import csv
 import io
+import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -364,12 +365,23 @@ def _lists(cells: Any) -> np.ndarray | None:
     import json
 
     first = next((c for c in cells if c is not None and c != ""), None) if isinstance(cells, list) else None
-    if isinstance(first, str) and first.strip()[:1] not in ("[", "("):
+    if isinstance(first, str) and not re.match(r"(array|tensor)?[\[(]", first.strip()):
         return None
     if not isinstance(first, str | list | tuple):
         return None
     try:
-        parsed = [json.loads(c.strip().replace("(", "[").replace(")", "]")) if isinstance(c, str) else c for c in cells]
+        parsed = [json.loads(_list_text(c)) if isinstance(c, str) else c for c in cells]
         return np.array(parsed, dtype=float)
     except (ValueError, TypeError):
         return None
+
+
+def _list_text(cell: str) -> str:
+    """A list as JSON writes it, of one that Python or NumPy wrote: `(1, 2)`, `[1. 2.]`, `array([1, 2], dtype=float32)`."""
+    text = cell.strip()
+    if wrapped := re.fullmatch(r"(?:array|tensor)\((?:'\w', *)?(.*?)(?:, *dtype=[\w.']+)?\)", text, re.DOTALL):
+        text = wrapped[1]
+    text = text.replace("(", "[").replace(")", "]")
+    if "," not in text:
+        text = re.sub(r"(?<=[\d.\]])\s+(?=[-+.\d\[])", ", ", text)
+    return re.sub(r"(\d)\.(?=[,\s\]eE]|$)", r"\1", text)

@@ -11,7 +11,9 @@ import numpy as np
 
 PER_SECOND = {"s": 1, "ms": 10**3, "us": 10**6, "ns": 10**9}
 LONGEST_STEP, SHORTEST_STEP = 1.0, 1e-6  # s, of recordings whose unit of time nobody stated
-EPOCH = 1e8  # s: a clock, not a stopwatch
+EPOCH, LATEST = 1e8, 1e10  # s: a clock, not a stopwatch; none counts further (the year 2286)
+#: A time of day, after a date or alone: `12:03:04.5`, `01.03.2024 12:03:04,5`, `3/1/2024 12:03:04`.
+CLOCK = re.compile(r"(?:(\d{1,4}[./-]\d{1,2}[./-]\d{1,4})[ T]+)?(\d{1,2}):(\d{2}):(\d{2}(?:[.,]\d+)?)")
 
 
 def seconds(cells: Any, numbers: np.ndarray, unit: str | None) -> tuple[np.ndarray, str]:
@@ -21,7 +23,8 @@ def seconds(cells: Any, numbers: np.ndarray, unit: str | None) -> tuple[np.ndarr
     """
     t, start = since_start(cells, numbers, unit)
     if start is None:
-        return t, "the time is a duration" if getattr(cells, "dtype", None) is not None and cells.dtype.kind == "m" else ""
+        counted = len(t) > 0 and np.isfinite(t).any() and not np.isfinite(numbers).any()
+        return t, "the time is a duration" if counted or getattr(getattr(cells, "dtype", None), "kind", "") == "m" else ""
     return t, f"time counts from the first sample, {_when(np.datetime64(start, 'ns'))}"
 
 
@@ -67,6 +70,15 @@ def impossible(t: np.ndarray, recorded: str = "t") -> tuple[str, str] | None:
     return None
 
 
+def contradicted(numbers: np.ndarray, unit: str | None) -> tuple[str, str] | None:
+    """Why a clock [time] cannot count in the unit that is stated for it, and the one it does count in; None where it can."""
+    finite = numbers[np.isfinite(numbers)]
+    if unit is None or not len(finite) or abs(finite[0]) / PER_SECOND[unit] <= LATEST:
+        return None
+    right = next((u for u, n in PER_SECOND.items() if abs(finite[0]) / n <= LATEST), "ns")
+    return f"{finite[0]:.6g} {unit} is later than any clock that counts from 1970", right
+
+
 def _dates(cells: Any, numbers: np.ndarray) -> np.ndarray | None:
     """datetime64[ns] or timedelta64[ns] of a column that holds dates, durations or ISO texts."""
     array = cells if isinstance(cells, np.ndarray) else None
@@ -81,10 +93,38 @@ def _dates(cells: Any, numbers: np.ndarray) -> np.ndarray | None:
         if isinstance(first, datetime.datetime):
             return np.array([_naive(c) for c in cells], dtype="datetime64[ns]")
         if isinstance(first, str):
-            return np.array([_iso(c) for c in cells], dtype="datetime64[ns]")
+            return _texts(cells)
     except (ValueError, TypeError, OverflowError):
         return None
     return None
+
+
+def _texts(cells: Any) -> np.ndarray:
+    try:
+        return np.array([_iso(c) for c in cells], dtype="datetime64[ns]")
+    except ValueError:
+        return _clock(cells)
+
+
+def _clock(cells: Any) -> np.ndarray:
+    """Texts of a time of day as durations. Dates before it count where they differ and begin with the year, or have dots after
+    the day; which of two numbers between slashes is the day cannot be known."""
+    found = [CLOCK.fullmatch(c.strip()) for c in cells]
+    if any(m is None for m in found):
+        raise ValueError("not a time of day")
+    days = [m[1] or "" for m in found if m]
+    first = _day(days[0]) if len(set(days)) > 1 else None
+    whole = [0 if first is None else int((_day(d) - first).astype("timedelta64[D]").astype(int)) for d in days]
+    clock = [3600 * int(m[2]) + 60 * int(m[3]) + float(m[4].replace(",", ".")) for m in found if m]
+    return np.array([round(1e9 * c) + 86_400_000_000_000 * d for c, d in zip(clock, whole, strict=True)], "timedelta64[ns]")
+
+
+def _day(text: str) -> np.datetime64:
+    parts = re.split(r"[./-]", text)
+    if len(parts[0]) != 4 and "." not in text:
+        raise ValueError("day and month cannot be told apart")
+    year, month, day = parts if len(parts[0]) == 4 else parts[::-1]
+    return np.datetime64(f"{int(year):04d}-{int(month):02d}-{int(day):02d}")
 
 
 def _naive(moment: datetime.datetime) -> datetime.datetime:

@@ -10,6 +10,8 @@ from typing import Any
 import jax
 import numpy as np
 
+from jaxid.data.dataset import Dataset
+from jaxid.errors import UsageError
 from jaxid.fitters import LevenbergMarquardt
 from jaxid.fitting.assemble import assemble
 from jaxid.fitting.effect_starts import probe_starts
@@ -21,7 +23,7 @@ from jaxid.fitting.result import Fit
 from jaxid.fitting.reweighting import reweighed
 from jaxid.fitting.scale_free import refuse_scale_free
 from jaxid.fitting.settings import label_of
-from jaxid.problem.binding import Binding
+from jaxid.problem.binding import bind, Binding
 from jaxid.problem.momentum import Momentum
 from jaxid.problem.problem import Problem
 from jaxid.problem.residual import Residual
@@ -29,6 +31,9 @@ from jaxid.problem.step_error import step_error, STEP_SHARE
 from jaxid.runtime import Interrupted
 from jaxid.simulation import sample_buffers as samples
 from jaxid.storage.interim import Interim
+
+
+SHORT = 400  # evaluations of a fit that only compares
 
 
 def fit_binding(
@@ -60,6 +65,19 @@ def fit_binding(
         return believed(benches.of(samples.STEP), fit, fitter, again)
     except KeyboardInterrupt as stop:
         raise Interrupted(known.latest()) from stop
+
+
+def left_by_short_fit(binding: Binding, data: Dataset) -> float | None:
+    """What a model as it stands leaves of a dataset after a short fit, times the noise; None where nothing is simulated."""
+    try:
+        own = bind(binding.chain, data)
+        residual = default_residual(own)
+        if residual.torques:
+            return None
+        found = fit_binding(own, LevenbergMarquardt(restarts=0), residual, "sum_of_squares", 0, SHORT, None)
+    except UsageError:
+        return None
+    return float(np.sqrt(found.loss)) if np.isfinite(found.loss) and found.loss < 1e30 else None
 
 
 def fit_seeds(

@@ -18,6 +18,7 @@ from jaxid.dynamics.base_parameters import BaseParameters
 from jaxid.dynamics.chain import Chain
 from jaxid.dynamics.parameter_vector import Layout
 from jaxid.errors import nearest, UsageError
+from jaxid.fitting.run import left_by_short_fit
 from jaxid.identification import estimators as solve, regression
 from jaxid.identification.commanded import commanded
 from jaxid.identification.estimators import Estimate
@@ -90,7 +91,7 @@ def identify(
         raise UsageError(f"there is no motion {motion!r}{nearest(motion, MOTIONS)}")
     refuse_free("identify", dataset)
     dataset = commanded(dataset) if motion == "commanded" else dataset
-    dataset = (checked := run_check(model, dataset, (), as_recorded)).mended or dataset
+    dataset = (checked := run_check(model, dataset, (), as_recorded, left_by_short_fit)).mended or dataset
     robot = origin_on(model, dataset)
     model, dataset = as_arm(model, dataset)
     held_out = any(e.split != "fit" for e in dataset.experiments)

@@ -34,6 +34,8 @@ def kind_of(path: Path, content: bytes) -> str:
             path, "a pickle, which can run any program and is not read", "Write it as npz: numpy.savez('log.npz', t=t, q=q)"
         )
     begins = {b"PAR1": "parquet", b"\x93NUMPY": "npz", b"TDSm": "tdms", b"\x89HDF": "mat", b"MATLAB 5": "mat", b"MATLAB 7": "mat"}
+    if content[:2] == b"\x1f\x8b":
+        raise refused(path, "a compressed file", f"Unpack it and import what is inside: gunzip --keep {path}")
     for start, kind in begins.items():
         if content.startswith(start):
             return kind
@@ -116,7 +118,7 @@ def _records(rows: list[Any]) -> dict[str, list[Any]] | None:
     keys = list(rows[0])
     if len(rows) < 2 or any(set(r) != set(keys) for r in rows):
         return None
-    if len(rows) < MINIMUM_SAMPLES and any(isinstance(v, list) for v in rows[0].values()):
+    if len(rows) < MINIMUM_SAMPLES and any(isinstance(v, list | np.ndarray) for v in rows[0].values()):
         return None  # a few recordings, not a few samples
     return {k: [r[k] for r in rows] for k in keys}
 
@@ -129,7 +131,11 @@ def _npz(path: Path) -> Arrays:
         return out
     with loaded:
         for name in loaded.files:
-            _flat(name, loaded[name], out)
+            try:
+                _flat(name, loaded[name], out)
+            except ValueError:
+                what = f"{name!r} holds Python objects (a pickle, which can run any program and is not read)"
+                raise refused(path, what, "Write plain arrays: numpy.savez('log.npz', t=t, q=q)") from None
     return out
 
 

@@ -72,9 +72,16 @@ def import_lerobot(
     kept: list[tuple[str, Scale]] = []
     notes: list[str] = []
     refusals: list[str] = []
+    # The recorder normalises all joints or none (grippers always): one that shows it tells of those whose motion ends within.
+    arm = [j for j, n in enumerate(names) if "gripper" not in n.lower()]
+    shown = any(_normalised(sets, j) for j in arm)
+    if everywhere == "deg" and not shown and not scales and all(_within(sets, j) for j in arm):
+        notes.append("every joint stays within -100..100: normalised by the recorder they are no degrees (--calibration FILE)")
     for j, name in enumerate(names):
         own = units.get(name)
         normal = _normalised(sets, j)
+        if not normal and shown and j in arm and _within(sets, j):
+            normal = "within -100..100, beside one that touches its end"
         if name in scales:
             kept.append((name, scales[name]))
         elif own is not None:
@@ -177,6 +184,10 @@ def _normalised(sets: Sequence[Episodes], j: int) -> str:
         ends = "0..100" if low >= -0.001 and touches(high, 100) else "-100..100"
         return f"within {ends}, touching its end"
     return ""
+
+
+def _within(sets: Sequence[Episodes], j: int) -> bool:
+    return all(np.abs(a[:, j]).max() <= 100.001 for s in sets for a in (s.state, s.action))
 
 
 def _units(unit: str | Sequence[str] | None, names: Sequence[str]) -> tuple[dict[str, str], str | None]:

@@ -16,6 +16,7 @@ from typing import Any
 import numpy as np
 
 from jaxid.data.importers.arrays import Arrays
+from jaxid.data.importers.propose import proposal
 from jaxid.data.importers.runs import held, Paths, paths_of, refused, role_of, Run, runs_of, save_runs
 from jaxid.data.importers.source import find_column, numbers_of, parts_of, read_source, series_of, Source, stated_rate, times_of
 from jaxid.data.importers.text import Stated
@@ -26,7 +27,6 @@ from jaxid.errors import DatasetError, nearest, Problem, UsageError
 
 
 ROLES = ("input", "output", "auxiliary")
-_TIMES = ("t", "time", "timestamp", "stamp", "X_Value", "Time", "time_s", "Timestamp")
 
 
 @dataclass(frozen=True)
@@ -69,7 +69,7 @@ def import_table(
     joined = None if join is None else read_source(Path(join), Stated())
     time = [w for w in wanted if w.name == "t"]
     if len(time) > 1 or len(wanted) == len(time) or (not time and rate is None and stated_rate(sources[0]) is None):
-        raise UsageError(_proposal(sources[0], out))
+        raise UsageError(proposal(sources[0], out))
     clock = time[0] if time else Wanted("t", "", None, None)
     runs: list[Run] = []
     notes: list[str] = []
@@ -267,20 +267,3 @@ def nominal_rate(source: Source, clock: Wanted) -> float | None:
     part = parts_of(source)[0]
     stated = stated_rate(part)
     return stated[1] if stated is not None and find_column(part, series_of(part.columns, None), clock.column) is None else None
-
-
-def _proposal(source: Source, out: Any) -> str:
-    """What a file holds, and a command that would take it."""
-    series = series_of(source.columns, None)
-    shown = ", ".join(f"{n} ({source.units[n]})" if n in source.units else n for n in list(series)[:20]) or "no columns"
-    time = next((n for n in _TIMES if n in series), next(iter(series), "TIME"))
-    rest = [n for n in series if n != time and not (series[n] is not None and np.size(series[n]) == 1)][:2]
-    parts = [f"--channel {shlex.quote(f'{n}={n}:' + source.units.get(n, 'UNIT'))}" for n in rest if re.fullmatch(r"\w+", n)]
-    words = f" ({source.words})" if source.words else ""
-    example = (
-        f"jaxid import {source.kind} {shlex.quote(str(source.path))} --channel {shlex.quote(f't={time}:s')} {' '.join(parts)}"
-    )
-    return (
-        f"{source.path.name}{words} holds: {shown}; state the time and at least one channel with its unit: {example} --out {out} "
-        "(roles input, output, auxiliary behind the unit where the name does not say it; --rate HZ where no time was recorded)"
-    )

@@ -14,7 +14,7 @@ from jaxid.data.importers.arrays import Arrays, kind_of, read_arrays
 from jaxid.data.importers.runs import refused
 from jaxid.data.importers.text import read_text, Stated
 from jaxid.data.table import read_table, Table
-from jaxid.data.time_axis import impossible, PER_SECOND, since_start
+from jaxid.data.time_axis import contradicted, impossible, PER_SECOND, since_start
 from jaxid.errors import DatasetError, Problem
 
 
@@ -84,6 +84,8 @@ def series_of(columns: Arrays, length: int | None) -> Arrays:
     out: Arrays = {}
     for name, values in columns.items():
         array = np.asarray(values) if not isinstance(values, list) else None
+        if array is not None and array.ndim > 2:
+            values = array = np.squeeze(array)
         if array is None or array.ndim == 1:
             out[name] = values
         elif array.ndim == 2:
@@ -104,7 +106,7 @@ def find_column(source: Source, columns: Arrays, column: str) -> str | None:
         raise refused(source.path, message, f"Name one by its number, as in q={numbers[0]}:rad")
     if column in columns:
         return column
-    if column.isdigit() and source.rows is not None and 1 <= int(column) <= len(columns):
+    if column.isdigit() and 1 <= int(column) <= len(columns) and (source.rows is not None or len(source.columns) == 1):
         return list(columns)[int(column) - 1]
     ends = [n for n in columns if n.endswith("." + column)]
     return ends[0] if len(ends) == 1 else None
@@ -125,7 +127,10 @@ def times_of(
 ) -> tuple[np.ndarray, int | None]:
     unit = unit or (source.units.get(name) if source.units.get(name) in PER_SECOND else None)
     table = Table(source.path.name, {name: cells}, len(cells), source.rows)
-    t, start = since_start(cells, table.numbers(name).values, unit)
+    numbers = table.numbers(name).values
+    if (why := contradicted(numbers, unit)) is not None:
+        raise refused(source.path, f"column {name}: {why[0]}", f"Write --channel t={name}:{why[1]}")
+    t, start = since_start(cells, numbers, unit)
     chosen = slice(*rows) if rows is not None else slice(None)
     if start is None and not np.isfinite(t[chosen]).all():
         numbers_of(source, cells, name, chosen, len(t[chosen]))

@@ -16,6 +16,7 @@ from pathlib import Path
 
 from jaxid.data.importers.runs import refused
 from jaxid.data.table import csv_columns, Table
+from jaxid.data.time_axis import CLOCK
 from jaxid.data.units import conversion, UnitError
 from jaxid.errors import DatasetError, UsageError
 
@@ -25,6 +26,9 @@ COMMENTS = ("#", "%", "//")
 _BODY = 60  # rows at the end that say how numbers are written, at most half of all
 
 
+_LIST = re.compile(
+    r"(?:array|tensor)?[\[(]+(?:'\w',)?\s*[\[(]*\s*[-+.\d]"
+)  # `[0.1, 0.2]`, `array([0.1])`; units in brackets are none
 _TORN = re.compile(r"[\d\s.,;|+\-eE]*[.,;|\s][\d\s.,;|+\-eE]*\d[\d\s.,;|+\-eE]*")  # numbers that another sign separates
 
 
@@ -78,6 +82,7 @@ def read_text(path: Path, content: bytes, stated: Stated) -> tuple[Table, dict[s
         )
     rows, numbers = [], []
     header = _fields(_bare(lines[form.header - 1], form), form) if form.header else None
+    names = _stacked(lines, form, header) if header else []
     for number, line in enumerate(lines[form.first - 1 :], form.first):
         if not line.strip() or (form.comment and line.lstrip().startswith(form.comment)):
             continue
@@ -90,7 +95,7 @@ def read_text(path: Path, content: bytes, stated: Stated) -> tuple[Table, dict[s
         raise refused(path, "a header without samples", "Give at least 20 samples")
     counts = [len(r) for r in rows]
     width = max(dict.fromkeys(counts), key=counts.count)
-    names = [*(header or ()), *(str(k + 1) for k in range(len(header or ()), width))][:width]
+    names = [*names, *(str(k + 1) for k in range(len(names), width))][:width]
     stripped, units = zip(*(_unit(n) for n in names), strict=True)
     table = csv_columns(path.name, list(stripped), rows, numbers)
     if table.problems:
@@ -134,8 +139,9 @@ def _numeric(body: Sequence[str], form: Form) -> list[bool]:
     usual = [r for r in rows if len(r) == width]
     if not usual or len(usual) < 0.9 * len(rows):
         return []
-    numeric = [sum(_is_data(r[k], form) for r in usual) >= 0.9 * len(usual) for k in range(width)]
-    torn = any(_TORN.fullmatch(r[k]) for k in range(width) if not numeric[k] for r in usual)
+    written = [[r[k] for r in usual if r[k]] for k in range(width)]
+    numeric = [bool(cells) and sum(_is_data(c, form) for c in cells) >= 0.9 * len(cells) for cells in written]
+    torn = any(_TORN.fullmatch(c) and not _is_data(c, form) for k in range(width) if not numeric[k] for c in written[k])
     return [] if torn else numeric
 
 
@@ -147,10 +153,12 @@ def _is_data(cell: str, form: Form) -> bool:
         float(text)
         return "_" not in text
     except ValueError:
-        return text[:1] == "[" or _is_date(text)
+        return bool(_LIST.match(text)) or _is_date(text)
 
 
 def _is_date(text: str) -> bool:
+    if CLOCK.fullmatch(text):
+        return True
     try:
         datetime.datetime.fromisoformat(text.replace(",", "."))
         return len(text) >= 10
@@ -188,9 +196,25 @@ def _with_header(lines: Sequence[str], width: int, form: Form) -> Form:
     if not above:
         return form
     units = [_inside(c) for c in _fields(_bare(lines[above[0]], form), form) if c]
-    if len(above) == 2 and units and all(_known(u) for u in units):
+    if len(above) == 2 and 2 * len(units) >= width and all(_known(u) for u in units):
         return replace(form, header=above[1] + 1, units=above[0] + 1)
     return replace(form, header=above[0] + 1)
+
+
+def _stacked(lines: Sequence[str], form: Form, header: list[str]) -> list[str]:
+    """Names that stand in several rows over each other (pandas' levels, merged cells): those above are joined before the lowest
+    ones as long as these are not unique or left open."""
+    names = list(header)
+    for row in range((form.header or 1) - 1, 0, -1):
+        if all(names) and len(set(names)) == len(names):
+            break
+        above = _fields(_bare(lines[row - 1], form), form)
+        if len(above) != len(names) or not any(above) or any(_is_data(c, form) for c in above):
+            break
+        for k in range(1, len(above)):
+            above[k] = above[k] or above[k - 1]
+        names = [".".join(filter(None, pair)) for pair in zip(above, names, strict=True)]
+    return names
 
 
 def _fields(line: str, form: Form) -> list[str]:

@@ -1,0 +1,64 @@
+"""Inputs of which only the size was recorded."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+
+from jaxid.conventions.finding import DataFinding
+from jaxid.conventions.limits import GONE
+from jaxid.conventions.mending import Mending
+from jaxid.conventions.missing_force import ForceFit, Motion
+from jaxid.conventions.readings import Names
+from jaxid.conventions.samples import Shown
+from jaxid.problem.binding import Binding
+from jaxid.wording import listed
+
+
+def unsigned(binding: Binding, fit: ForceFit, m: Motion, names: Names) -> Shown | None:
+    """An input that never changes its sign where the motion asks for both."""
+    if not binding.chain.direct:
+        return None
+    plain = fit.fit(m)
+    if plain.worst < 0.3:
+        return None
+    inputs = [c.name for c in binding.dataset.inputs]
+    raw = {n: np.concatenate([e.u[:, inputs.index(n)] for e in binding.dataset.experiments]) for n in names.inputs}
+    one_way = [n for n, u in raw.items() if min(abs(u.min()), abs(u.max())) <= 0.02 * np.percentile(np.abs(u), 99) and u.any()]
+    signed = _signed(fit, m, [names.inputs.index(n) for n in one_way]) if one_way else None
+    if signed is not None:
+        name, left = one_way[0], fit.fit(signed).worst
+        if left < GONE * plain.worst:
+            text = (
+                f"{listed(tuple(one_way))} never changes its sign, and the motion asks for both: the sensor seems to read its "
+                f"size alone (with the signs that the motion asks for, what is missing falls from {100 * plain.worst:.2g} to "
+                f"{100 * left:.2g} %). Record the signed reading, or multiply by the sign of the command."
+            )
+            return Shown(DataFinding("unsigned", name, None, text), Mending())
+    return None
+
+
+def _signed(fit: ForceFit, m: Motion, which: list[int]) -> Motion | None:
+    """The motion with these inputs given the signs that the model itself asks for, starting from those of the acceleration."""
+    sources, first = [], 0
+    sign = np.sign(m.qdd[:, which])
+    for _ in range(6):
+        sources, first = [], 0
+        for s in m.sources:
+            own = sign[first : first + len(s.at)]
+            first += len(s.at)
+            u = np.array(s.u)
+            at = np.clip(np.searchsorted(s.at, s.t), 0, len(s.at) - 1)
+            u[:, which] = u[:, which] * own[at]
+            sources.append(replace(s, u=u))
+        now = replace(m, sources=tuple(sources))
+        fitted = fit.fit(now, laws=False)
+        theta = fit.binding.theta.copy()
+        theta[fit.free] = fitted.x[: len(fit.free)]
+        asked = -fit.forces.missing(theta, replace(now, mix=0 * now.mix))[:, which]
+        new = np.where(asked >= 0, 1.0, -1.0)
+        if np.array_equal(new, sign):
+            break
+        sign = new
+    return replace(m, sources=tuple(sources)) if sources else None
