@@ -10,7 +10,7 @@ from typing import Any, TYPE_CHECKING
 
 from jaxid import catalogue
 from jaxid.conventions.finding import Checked
-from jaxid.data.capacity import foreseen, refuse_too_large
+from jaxid.data.capacity import refuse_too_large
 from jaxid.data.dataset import Dataset
 from jaxid.diagnosis.result import Diagnosis
 from jaxid.dynamics.effect import Effect
@@ -20,7 +20,7 @@ from jaxid.fitting.fitter import AbstractFitter, Progress
 from jaxid.fitting.result import Fit
 from jaxid.fitting.settings import fitter_of
 from jaxid.fitting.simulation import Simulation
-from jaxid.problem.binding import bind, Binding
+from jaxid.problem.binding import bind, Binding, foreseen
 from jaxid.problem.problem import LOSSES
 from jaxid.problem.residual import Residual, resolve_residual
 from jaxid.problem.solver import with_solver

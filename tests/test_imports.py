@@ -38,7 +38,6 @@ MODULE_LEVEL = {
     ("data.assemble_model", "dynamics"),
     ("fitting.run", "fitters"),
     ("problem.pure_problem", "fitting"),
-    ("robots.drives", "simulation"),
     ("robots.limbs", "fitting"),
 }
 #: Imports inside functions that still point up: (module, package).
@@ -49,9 +48,6 @@ INSIDE_FUNCTIONS = {
     ("data.assemble", "catalogue"),
     ("data.assemble", "dynamics"),
     ("data.assemble_model", "robots"),
-    ("data.capacity", "problem"),
-    ("numerics.export_cache", "fitters"),
-    ("numerics.export_cache", "models"),
     ("problem.closed_loop", "fitting"),
     ("robots.yardstick", "fitting"),
     ("storage.result_files", "report"),
