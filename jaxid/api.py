@@ -17,6 +17,7 @@ from jaxid.dynamics.effect import Effect
 from jaxid.errors import nearest, UsageError
 from jaxid.fitting.comparison import Comparison
 from jaxid.fitting.fitter import AbstractFitter, Progress
+from jaxid.fitting.limbs import each
 from jaxid.fitting.result import Fit
 from jaxid.fitting.settings import fitter_of
 from jaxid.fitting.simulation import Simulation
@@ -25,7 +26,7 @@ from jaxid.problem.problem import LOSSES
 from jaxid.problem.residual import Residual, resolve_residual
 from jaxid.problem.solver import with_solver
 from jaxid.robots.floating import refuse_free
-from jaxid.robots.limbs import each, effects_at, limbs_of
+from jaxid.robots.limbs import effects_at, limbs_of
 from jaxid.runtime import Interrupted
 
 

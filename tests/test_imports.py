@@ -37,8 +37,6 @@ MODULE_LEVEL = {
     ("catalogue", "fitting"),
     ("data.assemble_model", "dynamics"),
     ("fitting.run", "fitters"),
-    ("problem.pure_problem", "fitting"),
-    ("robots.limbs", "fitting"),
 }
 #: Imports inside functions that still point up: (module, package).
 INSIDE_FUNCTIONS = {
@@ -48,8 +46,6 @@ INSIDE_FUNCTIONS = {
     ("data.assemble", "catalogue"),
     ("data.assemble", "dynamics"),
     ("data.assemble_model", "robots"),
-    ("problem.closed_loop", "fitting"),
-    ("robots.yardstick", "fitting"),
     ("storage.result_files", "report"),
 }
 
