@@ -19,7 +19,6 @@ from jaxid.fitting.comparison import Comparison
 from jaxid.fitting.fitter import AbstractFitter, Progress
 from jaxid.fitting.limbs import each
 from jaxid.fitting.result import Fit
-from jaxid.fitting.settings import fitter_of
 from jaxid.fitting.simulation import Simulation
 from jaxid.problem.binding import bind, Binding, foreseen
 from jaxid.problem.problem import LOSSES
@@ -255,15 +254,20 @@ def compare(
     A run has reached the target when its loss is at most the best known one times 1 + `tolerance`. Raises `UsageError` for
     arguments that do not fit.
     """
-    from jaxid.fitting.comparison_runs import run_comparison
+    from jaxid.fitters.by_name import labelled
+    from jaxid.fitting.comparison_runs import BUDGET, run_comparison
 
+    budget = BUDGET if budget is None and seconds is None else budget
     return run_comparison(
-        model, dataset, fitters, seeds, budget, seconds, effects, without, resolve_residual(residual),
+        model, dataset, labelled(fitters, budget, seconds), seeds, budget, seconds, effects, without, resolve_residual(residual),
         loss or "sum_of_squares", starts, tolerance, seed, progress,
     )  # fmt: skip
 
 
 def resolve_fitter(fitter: AbstractFitter | str | None, loss: str = "sum_of_squares") -> AbstractFitter:
+    """The fitter given, named by a text, or the default for a loss."""
+    from jaxid.fitters.by_name import fitter_of
+
     if fitter is None:
         fitter = "lm" if loss == "sum_of_squares" else "hybrid"
     return fitter_of(fitter) if isinstance(fitter, str) else fitter

@@ -34,13 +34,10 @@ DISPLAY = {"report", "plot", "__repr__", "_repr_html_", "export"}
 
 #: Imports at the head of a module that still point up: (module, package).
 MODULE_LEVEL = {
-    ("catalogue", "fitting"),
     ("data.assemble_model", "dynamics"),
-    ("fitting.run", "fitters"),
 }
 #: Imports inside functions that still point up: (module, package).
 INSIDE_FUNCTIONS = {
-    ("catalogue", "fitters"),
     ("conventions.checking", "fitters"),
     ("conventions.checking", "fitting"),
     ("data.assemble", "catalogue"),

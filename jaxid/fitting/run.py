@@ -10,7 +10,6 @@ from typing import Any
 import jax
 import numpy as np
 
-from jaxid.fitters import LevenbergMarquardt
 from jaxid.fitting.assemble import assemble
 from jaxid.fitting.effect_starts import probe_starts
 from jaxid.fitting.ending import looked_again
@@ -92,7 +91,7 @@ def fit_seeds(
         bench, finer = benches.of(step), {}
         # Cores compile side by side: what descents run while start values are found, what is asked of their end while they run.
         engine = bench.runs(residual, "fit").engine if simulated else None
-        if engine and isinstance(fitter, LevenbergMarquardt):
+        if engine and fitter.linearises:
             engine.compile_ahead("tangents", binding.theta, binding.free)
         jobs, common = [], {}
         for seed, theta in level.items():
@@ -128,12 +127,11 @@ def fit_seeds(
                     f"halving the step moved the simulation by {moved:.2g} of the noise or gap: refitted at {step / 2:.3g} s"
                 )
         level, step = finer, step / 2
-        if isinstance(fitter, LevenbergMarquardt):
-            fitter = replace(fitter, restarts=0)
-    if reweigh and isinstance(fitter, LevenbergMarquardt) and loss == "sum_of_squares":
+        fitter = fitter.nearby()
+    if reweigh and fitter.linearises and loss == "sum_of_squares":
         for seed, (bench, problem, result) in list(ended.items()):
             guesses = [problem.z(g) for g in benches.starts(bench, residual, loss, seed)] if begin is None else []
-            single, own = replace(fitter, restarts=0), jax.random.key(seed)
+            single, own = fitter.nearby(), jax.random.key(seed)
             other = reweighed(problem, result, guesses, own, single, budget, progress)
             if other is not None:
                 again = looked_again([(other.problem, [], own)], [other.found], fitter, budget, progress)[0]
