@@ -35,8 +35,8 @@ class LevenbergMarquardt(AbstractFitter):
     iterations: int = option(60, "most steps of the last descent", 1)
     tolerance: float = option(1e-10, "relative gain of the loss below which a descent ends", 0)
 
-    def nearby(self) -> LevenbergMarquardt:
-        return replace(self, restarts=0)
+    def nearby(self, tolerance: float = 0.0) -> LevenbergMarquardt:
+        return replace(self, restarts=0, tolerance=max(self.tolerance, tolerance))
 
     def minimise(self, problem, starts, key, budget=None, progress=None, seconds=None):
         log = Log(problem, self.name, budget, seconds, progress)

@@ -53,8 +53,9 @@ class AbstractFitter(eqx.Module):
     source: eqx.AbstractClassVar[str]
     linearises: ClassVar[bool] = False  # works on weighted residuals and their Jacobians
 
-    def nearby(self) -> AbstractFitter:
-        """The same for who begins next to a minimum: without what looks for another one."""
+    def nearby(self, tolerance: float = 0.0) -> AbstractFitter:
+        """The same for who begins next to a minimum, without what looks for another one; which is found to within `tolerance` of
+        the loss where that is more than the fitter's own."""
         return self
 
     @abc.abstractmethod

@@ -30,6 +30,10 @@ from jaxid.simulation import sample_buffers as samples
 from jaxid.storage.interim import Interim
 
 
+#: A fit that took less is soon made again: nothing is saved before its end.
+WORTH_SAVING_S = 5.0
+
+
 def fit_binding(
     binding: Binding,
     fitter: AbstractFitter,
@@ -40,7 +44,7 @@ def fit_binding(
     progress: Progress | None,
 ) -> Fit:
     """The whole of `jaxid.fit` once model and data are bound."""
-    known, benches = Interim(), Benches(binding)
+    known, benches = Interim(after=WORTH_SAVING_S), Benches(binding)
 
     def fitted(residual: Residual | None, begin: np.ndarray | None, spent: int) -> Fit:
         left = None if budget is None else max(1, budget - spent)
@@ -87,6 +91,13 @@ def fit_seeds(
     ended: dict[int, tuple[Bench, Problem, Minimum]] = {}
     level: dict[int, np.ndarray | None] = dict.fromkeys(seeds, begin)  # where each seed's coarser step ended
     step, label = samples.STEP, label_of(fitter)
+
+    def offer(seed: int, bench: Bench, problem: Problem, result: Minimum, note: str) -> None:
+        """Has what is known by now kept, in case that this does not come to its end."""
+        if known and not result.failed:
+            spent = time.perf_counter() - began
+            known.offer(lambda: assemble(bench, problem, result, residual, label, seed, 0.0, spent, [*notes[seed], note]))
+
     while level:
         bench, finer = benches.of(step), {}
         # Cores compile side by side: what descents run while start values are found, what is asked of their end while they run.
@@ -106,6 +117,8 @@ def fit_seeds(
             engine.compile_ahead("outputs", binding.theta, binding.free)
         found = fitter.minimise_each(jobs, budget, progress)
         if step == samples.STEP:  # a finer one begins where the coarser one has ended
+            for seed, job, result in zip(level, jobs, found, strict=True):
+                offer(seed, bench, job[0], result, "stopped before its end was looked at from beside it")
             found = looked_again(jobs, found, fitter, budget, progress)
         for seed, job, result in zip(level, jobs, found, strict=True):
             problem = job[0]
@@ -119,10 +132,7 @@ def fit_seeds(
                 notes[seed].append("runs that forget how they began are not refined: every step shows another one")
             elif moved > STEP_SHARE:
                 finer[seed] = problem.theta(result.z)
-                if known:
-                    spent, note = time.perf_counter() - began, f"stopped before it was refined with steps of {step / 2:.3g} s"
-                    end = *ended[seed], residual, label, seed, 0.0, spent, [note]
-                    known.offer(lambda end=end: assemble(*end))
+                offer(seed, *ended[seed], f"stopped before it was refined with steps of {step / 2:.3g} s")
                 notes[seed].append(
                     f"halving the step moved the simulation by {moved:.2g} of the noise or gap: refitted at {step / 2:.3g} s"
                 )
@@ -131,8 +141,9 @@ def fit_seeds(
     if reweigh and fitter.linearises and loss == "sum_of_squares":
         for seed, (bench, problem, result) in list(ended.items()):
             guesses = [problem.z(g) for g in benches.starts(bench, residual, loss, seed)] if begin is None else []
-            single, own = fitter.nearby(), jax.random.key(seed)
-            other = reweighed(problem, result, guesses, own, single, budget, progress)
+            own = jax.random.key(seed)
+            offer(seed, bench, problem, result, "stopped before channels were weighed by what the model leaves of them")
+            other = reweighed(problem, result, guesses, own, fitter, budget, progress)
             if other is not None:
                 again = looked_again([(other.problem, [], own)], [other.found], fitter, budget, progress)[0]
                 ended[seed] = bench, other.problem, again
