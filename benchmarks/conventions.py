@@ -158,8 +158,9 @@ def broken(kind: str, r: Recording, rng: np.random.Generator) -> tuple[Recording
 
 def found(r: Recording, simulate: bool = False) -> list[Any]:
     """What the check says of a recording."""
+    from jaxid.fitters.short_fit import left_by_short_fit
+
     from jaxid.conventions import checking, runs
-    from jaxid.fitting.run import left_by_short_fit
 
     try:
         data = r.dataset()

@@ -15,11 +15,11 @@ import numpy as np
 
 import jaxid
 from jaxid.data.dataset import Controller, Dataset
+from jaxid.fitting.controlled_motion import simulate_closed_loop
 from jaxid.fitting.problem_builder import Bench
 from jaxid.fitting.result import Fit
 from jaxid.fitting.scores import torque_scores
 from jaxid.problem.binding import bind
-from jaxid.problem.closed_loop import simulate_closed_loop
 from jaxid.problem.residual import InverseDynamics
 
 

@@ -166,11 +166,11 @@ def models() -> str:
 
 
 def fitters() -> str:
-    from jaxid import catalogue
+    from jaxid.fitters.by_name import describe_fitter, fitter_names
 
     out = ["# Fitters", "", "`jaxid fitters NAME` prints the same; which to take says [Choosing](../choosing.md).", ""]
-    for name in catalogue.fitter_names():
-        info = catalogue.describe_fitter(name)
+    for name in fitter_names():
+        info = describe_fitter(name)
         out += [f"## {name}", "", plain(info.text), "", "Source", f": {plain(info.source)}", ""]
         if info.settings:
             rows = [[f"`{s.name}`", plain(str(s.default)), plain(s.meaning)] for s in info.settings]

@@ -288,7 +288,7 @@ def _instruments(problem: Problem, theta: np.ndarray) -> Blocks | None:
     full = problem.theta(at_theta(problem, theta))
     floors = noise_floor(runs.dataset)
     noise = np.array([floors[name].std for name, _ in runs.layout.chain.signature.outputs])
-    from jaxid.problem.closed_loop import simulate_closed_loop
+    from jaxid.fitting.controlled_motion import simulate_closed_loop
 
     motions = simulate_closed_loop(runs.dataset, runs.experiments, runs.layout, full, noise)
     if not all(np.isfinite(q).all() and np.isfinite(u).all() for q, u in motions):

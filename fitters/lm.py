@@ -29,10 +29,14 @@ class LevenbergMarquardt(AbstractFitter):
 
     name: ClassVar[str] = "lm"
     source: ClassVar[str] = "Levenberg 1944, Marquardt 1963, More 1978; bounds by an active set; reweighting of Lawson 1961"
+    linearises: ClassVar[bool] = True
 
     restarts: int = option(4, "random starts beside the given ones", 0)
     iterations: int = option(60, "most steps of the last descent", 1)
     tolerance: float = option(1e-10, "relative gain of the loss below which a descent ends", 0)
+
+    def nearby(self, tolerance: float = 0.0) -> LevenbergMarquardt:
+        return replace(self, restarts=0, tolerance=max(self.tolerance, tolerance))
 
     def minimise(self, problem, starts, key, budget=None, progress=None, seconds=None):
         log = Log(problem, self.name, budget, seconds, progress)

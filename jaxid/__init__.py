@@ -30,9 +30,9 @@ if _TYPE_CHECKING:
     from jaxid.errors import DatasetError as DatasetError, UsageError as UsageError
     from jaxid.excitation.design import excite as excite
     from jaxid.fitting.comparison import Comparison as Comparison
+    from jaxid.fitting.pure import make_problem as make_problem
     from jaxid.fitting.result import Fit as Fit
     from jaxid.identification.run import identify as identify
-    from jaxid.problem.pure_problem import make_problem as make_problem
 
 
 # Public name -> the module that holds it; None: the name is itself a sub-package.
@@ -54,7 +54,7 @@ _HOME = {
     "fitters": None,
     "identify": "jaxid.identification.run",
     "load_dataset": "jaxid.data.io",
-    "make_problem": "jaxid.problem.pure_problem",
+    "make_problem": "jaxid.fitting.pure",
     "models": None,
     "replay": "jaxid.api",
     "runtime": None,

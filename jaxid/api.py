@@ -10,22 +10,22 @@ from typing import Any, TYPE_CHECKING
 
 from jaxid import catalogue
 from jaxid.conventions.finding import Checked
-from jaxid.data.capacity import foreseen, refuse_too_large
+from jaxid.data.capacity import refuse_too_large
 from jaxid.data.dataset import Dataset
 from jaxid.diagnosis.result import Diagnosis
 from jaxid.dynamics.effect import Effect
 from jaxid.errors import nearest, UsageError
 from jaxid.fitting.comparison import Comparison
 from jaxid.fitting.fitter import AbstractFitter, Progress
+from jaxid.fitting.limbs import each
 from jaxid.fitting.result import Fit
-from jaxid.fitting.settings import fitter_of
 from jaxid.fitting.simulation import Simulation
-from jaxid.problem.binding import bind, Binding
+from jaxid.problem.binding import bind, Binding, foreseen
 from jaxid.problem.problem import LOSSES
 from jaxid.problem.residual import Residual, resolve_residual
 from jaxid.problem.solver import with_solver
 from jaxid.robots.floating import refuse_free
-from jaxid.robots.limbs import each, effects_at, limbs_of
+from jaxid.robots.limbs import effects_at, limbs_of
 from jaxid.runtime import Interrupted
 
 
@@ -93,7 +93,7 @@ def fit(
 def _checked(model: object, dataset: Dataset, without: tuple[str, ...], as_recorded: bool) -> Checked:
     """The check that comes before every answer."""
     from jaxid.conventions.checking import run_check
-    from jaxid.fitting.run import left_by_short_fit
+    from jaxid.fitters.short_fit import left_by_short_fit
 
     return run_check(model, dataset, without, as_recorded, left_by_short_fit)
 
@@ -253,15 +253,20 @@ def compare(
     A run has reached the target when its loss is at most the best known one times 1 + `tolerance`. Raises `UsageError` for
     arguments that do not fit.
     """
-    from jaxid.fitting.comparison_runs import run_comparison
+    from jaxid.fitters.by_name import labelled
+    from jaxid.fitting.comparison_runs import BUDGET, run_comparison
 
+    budget = BUDGET if budget is None and seconds is None else budget
     return run_comparison(
-        model, dataset, fitters, seeds, budget, seconds, effects, without, resolve_residual(residual),
+        model, dataset, labelled(fitters, budget, seconds), seeds, budget, seconds, effects, without, resolve_residual(residual),
         loss or "sum_of_squares", starts, tolerance, seed, progress,
     )  # fmt: skip
 
 
 def resolve_fitter(fitter: AbstractFitter | str | None, loss: str = "sum_of_squares") -> AbstractFitter:
+    """The fitter given, named by a text, or the default for a loss."""
+    from jaxid.fitters.by_name import fitter_of
+
     if fitter is None:
         fitter = "lm" if loss == "sum_of_squares" else "hybrid"
     return fitter_of(fitter) if isinstance(fitter, str) else fitter

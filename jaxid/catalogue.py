@@ -1,11 +1,13 @@
-"""What there is: models, effects, fitters, residuals by id, with their equations, parameters, units and sources."""
+"""What there is: models, effects, residuals by id, with their equations, parameters, units and sources.
+
+Fitters stand in `jaxid.fitters.by_name`.
+"""
 
 from __future__ import annotations
 
 from typing import Any, NamedTuple, TYPE_CHECKING
 
 from jaxid.errors import nearest, UsageError
-from jaxid.fitting.settings import SettingInfo, settings_of
 
 
 if TYPE_CHECKING:
@@ -56,13 +58,6 @@ class EffectInfo(NamedTuple):
     settings: tuple[EffectSetting, ...] = ()
 
 
-class FitterInfo(NamedTuple):
-    name: str
-    text: str
-    settings: tuple[SettingInfo, ...]
-    source: str
-
-
 #: Constant that every model has besides its own.
 SMOOTHING = ParameterInfo(
     "smoothing_velocity", "rad/s or m/s", 0.0, "0", "inf",
@@ -110,13 +105,8 @@ def enrolled(effect: Any) -> str:
     return kind.name
 
 
-def _fitters() -> dict[str, type]:
-    from jaxid.fitters import FITTERS
-
-    return {f.name: f for f in FITTERS}
-
-
-def _pick(kind: str, table: dict[str, type], name: str) -> type:
+def pick(kind: str, table: dict[str, type], name: str) -> type:
+    """What `name` stands for in a table; raises `UsageError` with the nearest name for an unknown one."""
     if name not in table:
         own = "; a model of your own runs from Python, jaxid.diagnose(MyModel(), data)" if kind == "model" else ""
         raise UsageError(f"there is no {kind} {name!r}{nearest(name, table)}{own}")
@@ -131,13 +121,9 @@ def effect_names() -> tuple[str, ...]:
     return tuple(_effects())
 
 
-def fitter_names() -> tuple[str, ...]:
-    return tuple(_fitters())
-
-
 def model_class(name: str) -> Any:
-    """Raises `UsageError` with the nearest name for an unknown one, like its two siblings."""
-    return _pick("model", _models(), name)
+    """Raises `UsageError` with the nearest name for an unknown one, like its sibling."""
+    return pick("model", _models(), name)
 
 
 def effect_class(name: str) -> Any:
@@ -145,17 +131,13 @@ def effect_class(name: str) -> Any:
     from jaxid.dynamics.parameter import kind_with
 
     plain, bracket, stated = name.partition("(")
-    kind = _pick("effect", {**_effects(), **_OWN_EFFECTS}, plain)
+    kind = pick("effect", {**_effects(), **_OWN_EFFECTS}, plain)
     if not bracket:
         return kind
     pairs = [p.partition("=") for p in stated.removesuffix(")").split(",")]
     if not stated.endswith(")") or not all(sign for _, sign, _ in pairs):
         raise UsageError(f"{name!r}: settings are written as in `load_dependent_friction(load=drive)`")
     return kind_with(kind, tuple((k.strip(), v.strip().strip("'\"")) for k, _, v in pairs))
-
-
-def fitter_class(name: str) -> Any:
-    return _pick("fitter", _fitters(), name)
 
 
 def describe(name: str, model: Any = None) -> ModelInfo:
@@ -188,7 +170,7 @@ def describe(name: str, model: Any = None) -> ModelInfo:
             states += [joint, f"q{number}", *speed_names(signature.joints, j)]
     return ModelInfo(
         name,
-        _text(kind),
+        text_of(kind),
         kind.equations,
         kind.source,
         tuple(one.signatures),
@@ -236,7 +218,7 @@ def describe_effect(name: str) -> EffectInfo:
         parameters.append(ParameterInfo(field, unit, spec.value, str(spec.lower), str(spec.upper), spec.meaning))
     return EffectInfo(
         name,
-        _text(kind),
+        text_of(kind),
         family,
         port,
         kind.equation,
@@ -249,12 +231,8 @@ def describe_effect(name: str) -> EffectInfo:
     )
 
 
-def describe_fitter(name: str) -> FitterInfo:
-    kind = fitter_class(name)
-    return FitterInfo(name, _text(kind), tuple(settings_of(kind)), kind.source)
-
-
-def _text(kind: type) -> str:
+def text_of(kind: type) -> str:
+    """The docstring of a class in one line."""
     return " ".join((kind.__doc__ or "").split())
 
 

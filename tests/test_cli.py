@@ -42,7 +42,7 @@ def calls(monkeypatch):
 
         monkeypatch.setattr(jaxid, name, function, raising=False)
 
-    monkeypatch.setattr("jaxid.data.capacity.foreseen", lambda *_: SimpleNamespace(large=False))  # the dataset is none
+    monkeypatch.setattr("jaxid.problem.binding.foreseen", lambda *_: SimpleNamespace(large=False))  # the dataset is none
     answer("load_dataset", "the dataset")
     answer("fit", sample_fit(samples=200))
     answer("diagnose", sample_diagnosis(200))

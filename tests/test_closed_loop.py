@@ -13,8 +13,8 @@ from benchmarks import closed_loop as twin, emps_inverse as emps
 from jaxid.data.dataset import Controller, Dataset, ParameterPrior
 from jaxid.dynamics.controller import law_of
 from jaxid.errors import UsageError
+from jaxid.fitting.controlled_motion import simulate_closed_loop
 from jaxid.problem.binding import bind
-from jaxid.problem.closed_loop import simulate_closed_loop
 
 
 LAW: dict[str, Any] = {"kp": 3.0, "kd": 0.4}

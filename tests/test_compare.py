@@ -230,11 +230,11 @@ def test_senseless_arguments_are_refused(settings, words):
 
 
 def test_two_settings_of_one_method_have_two_labels():
-    from jaxid.fitting.comparison_runs import resolve
+    from jaxid.fitters.by_name import labelled
 
-    labels = [label for label, _ in resolve([DifferentialEvolution(CR=0.5), "de", LevenbergMarquardt()], 600, None)]
+    labels = [label for label, _ in labelled([DifferentialEvolution(CR=0.5), "de", LevenbergMarquardt()], 600, None)]
     assert labels == ["de", "de 2", "lm"]
-    assert dict(resolve(["de"], 600, None))["de"].generations == 10  # pyright: ignore[reportAttributeAccessIssue]
+    assert dict(labelled(["de"], 600, None))["de"].generations == 10  # pyright: ignore[reportAttributeAccessIssue]
 
 
 def test_import_stays_light():

@@ -15,7 +15,6 @@ import pytest
 from click.testing import CliRunner
 
 import jaxid
-from jaxid.catalogue import describe_fitter, fitter_names
 from jaxid.cli.app import main
 from jaxid.cli.compare import compare as compare_command
 from jaxid.dynamics.chain import Chain
@@ -23,8 +22,9 @@ from jaxid.dynamics.dry_friction import solve_dry
 from jaxid.dynamics.effect import Command, InputEffect
 from jaxid.dynamics.parameter import param, TORQUE
 from jaxid.fitters import DifferentialEvolution, FITTERS, Optimistix
+from jaxid.fitters.by_name import describe_fitter, fitter_names, fitter_of
 from jaxid.fitting.result import EffectEstimate, Estimate
-from jaxid.fitting.settings import fitter_of, label_of, split_outside_brackets
+from jaxid.fitting.settings import label_of, split_outside_brackets
 from jaxid.models import Joint, MODELS, Panda, Pendulum, UR10e
 from jaxid.models.effects import ActuatorLag, SensorLag
 from jaxid.numerics.precision import float64

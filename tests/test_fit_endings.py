@@ -4,11 +4,21 @@ from __future__ import annotations
 
 from dataclasses import replace
 
+import jax
+import jax.numpy as jnp
 import numpy as np
 import pytest
 
 import jaxid
 from jaxid.data.dataset import ModelSpec, ParameterPrior
+from jaxid.fitters import DifferentialEvolution, LevenbergMarquardt
+from jaxid.fitting import run as fits
+from jaxid.fitting.ending import looked_again
+from jaxid.fitting.problem_builder import Bench, default_residual, start_values
+from jaxid.problem.binding import bind
+from jaxid.problem.objective import FunctionProblem
+from jaxid.runtime import Interrupted
+from jaxid.storage import interim
 
 
 @pytest.fixture(scope="module")
@@ -40,6 +50,47 @@ def test_a_second_look_is_counted_and_a_budget_without_room_for_it_is_said(data)
         fit = jaxid.fit(None, spec, fitter=jaxid.fitters.LevenbergMarquardt(restarts=0), budget=budget)
         assert fit.evaluations <= budget and fit.state in ("budget", "converged")
     assert fit.state == "budget" and not fit.converged and not fit.failed
+
+
+def test_a_look_at_the_same_minimum_ends_on_the_way_there(data):
+    """From a good start a search takes a few steps; a look from beside its end took several times as many."""
+    binding = bind(None, replace(data, model=ModelSpec("joint", without=("constant_torque",))))
+    bench = Bench(binding)
+    guess = start_values(bench, binding.free, 0)[0]
+    problem, key = bench.problem(default_residual(binding), "fit", binding.free, guess), jax.random.key(0)
+    for fitter in (LevenbergMarquardt(restarts=0), DifferentialEvolution(popsize=8, generations=60)):
+        found = fitter.minimise(problem, [problem.z(guess)], key)
+        if not found.converged:
+            continue
+        again = looked_again([(problem, [], key)], [found], fitter, None)[0]
+        assert again.converged and again.loss == pytest.approx(found.loss, rel=1e-6)
+        assert 4 * (1 + problem.size) <= again.evaluations - found.evaluations <= 6 * (1 + problem.size)
+
+
+def test_a_look_finds_a_lower_minimum_beside_the_end():
+    """Three valleys, 0.4 apart, of which the outer ones are the lower ones."""
+    course = lambda z: jnp.stack([20 * (z[0] - 0.6) * (z[0] - 1.0) * (z[0] - 1.4), 1 - 3 * (z[0] - 1.0) ** 2])
+    problem, fitter, key = FunctionProblem(course, [0.0], [2.0]), LevenbergMarquardt(restarts=0), jax.random.key(0)
+    found = fitter.minimise(problem, [np.array([1.05])], key)
+    assert found.z[0] == pytest.approx(1.0, abs=0.01)
+    again = looked_again([(problem, [], key)], [found], fitter, None)[0]
+    assert again.converged and again.loss < found.loss / 2 and abs(again.z[0] - 1.0) == pytest.approx(0.4, abs=0.1)
+
+
+def test_the_first_descent_is_kept_while_it_is_looked_at(data, monkeypatch):
+    spec = replace(data, model=ModelSpec("joint", without=("constant_torque",)))
+    whole, told = jaxid.fit(None, spec), []
+
+    def stopped(*_):
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(fits, "looked_again", stopped)
+    monkeypatch.setattr(fits, "WORTH_SAVING_S", 0.0)
+    with interim.listening(told.append), pytest.raises(Interrupted) as stop:
+        jaxid.fit(None, spec)
+    kept = stop.value.partial
+    assert told == [kept] and any("looked at" in n for n in kept.notes)
+    assert kept.parameters["inertia"].value == pytest.approx(whole.parameters["inertia"].value, rel=1e-3)
 
 
 def test_a_bound_beyond_which_the_loss_falls_stalls_a_fit(data):

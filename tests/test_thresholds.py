@@ -17,6 +17,8 @@ SOURCES = Path(__file__).parents[1] / "jaxid" / "diagnosis"
 def test_each_has_a_unit_and_a_reason_and_none_can_be_moved():
     for name, value, unit, reason in LIMITS.table():
         assert isinstance(value, float) and unit and len(reason) > 20, name
+    reasons = [reason for *_, reason in LIMITS.table()]
+    assert len(set(reasons)) == len(reasons)
     with pytest.raises(FrozenInstanceError):
         LIMITS.named = 0.5  # pyright: ignore[reportAttributeAccessIssue]
 

@@ -32,7 +32,7 @@ def check(dataset, out, model, without, as_recorded, as_json, quiet) -> int:
     runtime.prepare()
     from jaxid.conventions.checking import check_folder
     from jaxid.conventions.words import checked_text
-    from jaxid.fitting.run import left_by_short_fit
+    from jaxid.fitters.short_fit import left_by_short_fit
     from jaxid.serialise import finite
 
     work = lambda: check_folder(model, dataset, without or (), as_recorded, left_by_short_fit)

@@ -13,11 +13,12 @@ from jaxid.wording import one_line, table
 def find(kind: str, name: str | None) -> list[Any]:
     """The descriptions of everything of a kind (`models`, `effects`, `fitters`), or of the one named."""
     from jaxid import catalogue
+    from jaxid.fitters import by_name
 
     list_names, describe = {
         "models": (catalogue.model_names, catalogue.describe),
         "effects": (catalogue.effect_names, catalogue.describe_effect),
-        "fitters": (catalogue.fitter_names, catalogue.describe_fitter),
+        "fitters": (by_name.fitter_names, by_name.describe_fitter),
     }[kind]
     known = list_names()
     if name is not None and name not in known:

@@ -65,7 +65,7 @@ def start(dataset: str, out: Path) -> tuple[Any, Any]:
 
 def foretell(work: str, model: str | None, data: Any, quiet: bool) -> None:
     """Says on standard error what long work will take."""
-    from jaxid.data.capacity import foreseen
+    from jaxid.problem.binding import foreseen
 
     if not quiet and (wanted := foreseen(work, model, data)).large:
         terminal.complain(wanted)

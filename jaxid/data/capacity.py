@@ -64,13 +64,6 @@ def need(work: str, dataset: Dataset, joints: int, candidates: int = 0) -> Need:
     return Need(work, rows, runs, BASE + 8 * rows * (each + 16 * outputs * (candidates > 0)), seconds)
 
 
-def foreseen(work: str, model: object, dataset: Dataset, candidates: int = 0) -> Need:
-    """`need` of a model as it is given to a command."""
-    from jaxid.problem.binding import resolve_model
-
-    return need(work, dataset, resolve_model(model, dataset).nq, candidates)
-
-
 def refuse_too_large(wanted: Need) -> None:
     """Raises `UsageError` where there is not so much memory."""
     room, limit = available()

@@ -332,7 +332,7 @@ class Dataset:
 
         Raises `DatasetError` with every fault; `file` is then the run's name and `row` the index into the array.
         """
-        from jaxid.data.from_arrays import from_arrays
+        from jaxid.data.reading.arrays import from_arrays
 
         return from_arrays(t, inputs or {}, outputs or {}, auxiliary or {}, units or {}, **settings)
 
@@ -353,7 +353,7 @@ class Dataset:
         whatever gives its columns by `frame[name]` and lists them in `frame.columns` (pandas, polars, a pyarrow table
         has `column_names`).
         """
-        from jaxid.data.from_arrays import from_frame
+        from jaxid.data.reading.arrays import from_frame
 
         return from_frame(frame, inputs, outputs, auxiliary, time, **settings)
 

@@ -12,11 +12,11 @@ from itertools import islice
 from pathlib import Path
 from typing import Any
 
-from jaxid.data.assemble import assemble
 from jaxid.data.capacity import too_large_to_read
 from jaxid.data.dataset import Dataset
 from jaxid.data.patterns import by_number, expanded_files
 from jaxid.data.places import Places
+from jaxid.data.reading.assemble import assemble
 from jaxid.data.schema import ExperimentEntry, read_document
 from jaxid.data.table import read_table, Table
 from jaxid.errors import DatasetError, Problem

@@ -12,7 +12,7 @@ from jaxid.data.dataset import Dataset
 from jaxid.diagnosis.breakdown import Share
 from jaxid.diagnosis.how_far import shrink
 from jaxid.diagnosis.result import Diagnosis, HowFar, Which
-from jaxid.robots.limbs import together
+from jaxid.fitting.limbs import together
 from jaxid.runtime import Interrupted
 from jaxid.wording import listed, times
 

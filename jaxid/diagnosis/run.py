@@ -37,11 +37,11 @@ from jaxid.fitting.assemble import assemble
 from jaxid.fitting.fitter import Minimum, Progress
 from jaxid.fitting.least_squares import descend
 from jaxid.fitting.lost_runs import by_torque, by_windows, decays, DIVERGES, growth, SENSITIVE
+from jaxid.fitting.per_joint import with_effects
 from jaxid.fitting.problem_builder import Bench, default_residual, start_values
 from jaxid.fitting.result import EffectEstimate, Fit
 from jaxid.problem.binding import bind, Binding, JITTER, resolve_model
 from jaxid.problem.residual import InverseDynamics, MultipleShooting, OutputError, Residual
-from jaxid.robots.yardstick import with_effects
 from jaxid.runtime import Interrupted
 from jaxid.simulation.sample_buffers import STEP
 from jaxid.storage.interim import Interim

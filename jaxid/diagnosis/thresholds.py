@@ -48,26 +48,22 @@ class Thresholds:
     explained: float = _of(
         1.1,
         "mean square, noise 1",
-        "Fit runs that show no gap at all say nothing against an effect with which validation runs, refitted "
-        "together with them, leave less than this (mean square), if without it they stand so many chi-square "
-        "units higher.",
+        "Validation runs, refitted together with fit runs that show no gap, are explained where an effect leaves less.",
     )
     overwhelming: float = _of(
         200.0,
         "chi-square units",
-        "Fit runs that show no gap at all say nothing against an effect with which validation runs, refitted "
-        "together with them, leave less than this (mean square), if without it they stand so many chi-square "
-        "units higher.",
+        "So much higher do `explained` validation runs have to stand without the effect, where fit runs show no gap at all.",
     )
     at_floor: float = _of(
         1.02,
         "mean square, noise 1",
-        "Nothing worth another effect is left below the first (mean square); below the second something small may be.",
+        "Nothing worth another effect is left below this.",
     )
     close_above: float = _of(
         1.5,
         "mean square, noise 1",
-        "Nothing worth another effect is left below the first (mean square); below the second something small may be.",
+        "Above `at_floor` and below this, only something small may be left.",
     )
     form: float = _of(
         1e-5,
@@ -95,12 +91,12 @@ class Thresholds:
     named: float = _of(
         0.97,
         "share of the gap",
-        "Shares of the gap (mean square above the floor, validation data) that the verdicts need.",
+        "What is `named` closes at least this share of the gap (mean square above the floor) on validation data.",
     )
     partly: float = _of(
         0.5,
         "share of the gap",
-        "Shares of the gap (mean square above the floor, validation data) that the verdicts need.",
+        "What is said `partly` closes at least this share of the gap (mean square above the floor) on validation data.",
     )
     seen: float = _of(
         1.2,
@@ -147,26 +143,22 @@ class Thresholds:
     far: float = _of(
         10.0,
         "mean square, noise 1",
-        "A nominal model that leaves more (mean square over the noise) is one that something better will be "
-        "compared to; it was in a local minimum if less than this share is left from where a richer one ended.",
+        "A model that leaves more is not worth descending to the end yet, and may be in a local minimum.",
     )
     local_minimum: float = _of(
         0.5,
         "share of what is left",
-        "A nominal model that leaves more (mean square over the noise) is one that something better will be "
-        "compared to; it was in a local minimum if less than this share is left from where a richer one ended.",
+        "A model was in a local minimum if less than this share is left from where a richer one ended.",
     )
     followed: float = _of(
         1.5,
         "ratio of mean squares",
-        "What leaves at most so many times what the best of a batch leaves of the fit runs, and so many times the "
-        "noise (mean squares), is followed on validation runs.",
+        "What leaves at most so many times what the best of a batch leaves of the fit runs is followed on validation runs.",
     )
     followed_near: float = _of(
         6.0,
         "mean square, noise 1",
-        "What leaves at most so many times what the best of a batch leaves of the fit runs, and so many times the "
-        "noise (mean squares), is followed on validation runs.",
+        "Of what is `followed`, only what leaves at most this may turn out to be right elsewhere.",
     )
     left_open: float = _of(
         0.3,
@@ -206,41 +198,33 @@ class Thresholds:
     sign: float = _of(
         8.0,
         "standard deviations",
-        "A candidate that stands out by so many standard deviations is a sign, and so is a number that differs "
-        "between parts of the recordings with less than this probability by chance: a fine encoder and what steps "
-        "leave behind reach 6 and 1e-7.",
+        "A candidate that stands out by so many is a sign: a fine encoder and what steps leave behind reach 6.",
     )
     chance: float = _of(
         1e-12,
         "probability",
-        "A candidate that stands out by so many standard deviations is a sign, and so is a number that differs "
-        "between parts of the recordings with less than this probability by chance: a fine encoder and what steps "
-        "leave behind reach 6 and 1e-7.",
+        "A number that differs between parts of the recordings with less than this by chance is a sign: steps reach 1e-7.",
     )
     hidden_share: float = _of(
         0.05,
         "share of a number",
-        "An effect hides in a number that it moves by this share (of its value, or of its typical change) and so "
-        "many of the standard deviations that the fit states.",
+        "An effect hides in a number that it moves by this share of its value, or of its typical change, and by `hidden_beyond`.",
     )
     hidden_beyond: float = _of(
         2.0,
         "standard deviations",
-        "An effect hides in a number that it moves by this share (of its value, or of its typical change) and so "
-        "many of the standard deviations that the fit states.",
+        "An effect hides in a number that it moves by so many of those that the fit states, and by `hidden_share`.",
     )
     # where
     own_energy: float = _of(
         0.3,
         "share of its energy",
-        "What named effects supply is what was missing if taking it away leaves less by so many times its own "
-        "energy, and by that share of what is missing above the noise.",
+        "What named effects supply is what was missing if taking it away leaves less by so many times its own energy.",
     )
     own_share: float = _of(
         0.5,
         "share of what is missing",
-        "What named effects supply is what was missing if taking it away leaves less by so many times its own "
-        "energy, and by that share of what is missing above the noise.",
+        "Taking away what named effects supply has to leave less by that share of what is missing above the noise, too.",
     )
     own_regime: float = _of(
         0.9,
@@ -258,16 +242,12 @@ class Thresholds:
     parallel: float = _of(
         0.999,
         "cosine",
-        "Two effects whose weak changes point this much the same way (cosine) are compared in earnest: the "
-        "recording of one, at its last probe, is fitted with the other, and they are alike where both fits leave "
-        "less than LEFT of what re-tuning alone leaves.",
+        "Two effects whose weak changes point this much the same way are each fitted to the other's recording.",
     )
     equivalent: float = _of(
         0.02,
         "share of what re-tuning leaves",
-        "Two effects whose weak changes point this much the same way (cosine) are compared in earnest: the "
-        "recording of one, at its last probe, is fitted with the other, and they are alike where both fits leave "
-        "less than LEFT of what re-tuning alone leaves.",
+        "Of two `parallel` effects both fits have to leave less than this of what re-tuning alone leaves, for them to be alike.",
     )
     # goals, equivalence
     equivalent_goals: float = _of(
@@ -280,12 +260,12 @@ class Thresholds:
     sure: float = _of(
         3.0,
         "standard errors",
-        "Standard errors by which more effects have to predict better, and by which fewer may predict worse.",
+        "By so many do more effects have to predict better.",
     )
     missed: float = _of(
         2.0,
         "standard errors",
-        "Standard errors by which more effects have to predict better, and by which fewer may predict worse.",
+        "By so many may fewer effects predict worse.",
     )
     shows_itself: float = _of(
         1e-6,

@@ -14,6 +14,10 @@ from jaxid.dynamics.mechanism import Mechanism, Signature
 from jaxid.dynamics.parameter import Quantity
 
 
+#: Upper bound of every delay parameter of the library.
+LONGEST_DELAY_S = 0.1
+
+
 class Command(NamedTuple):
     """What arrives from the data at one step: `u` the mean input over the step under the channel's stated hold, `other`
     the same under the other hold (zero-order against linear), `delayed(d)` the mean input a time d earlier."""

@@ -12,6 +12,7 @@ from jaxid.fitting.covariance import Covariance, covariance
 from jaxid.fitting.ending import ending
 from jaxid.fitting.fitter import Minimum
 from jaxid.fitting.own_simulation import own_simulation, simulated_scores
+from jaxid.fitting.per_joint import per_joint
 from jaxid.fitting.problem_builder import Bench, estimate_starts
 from jaxid.fitting.result import EffectEstimate, Estimate, Fit, Score, Trace
 from jaxid.fitting.reweighting import weighed_by
@@ -135,7 +136,7 @@ def assemble(
         rows = yardstick.stated(binding, found)
         notes += yardstick.sentences(rows, binding.chain.mechanism.tree.tree)  # type: ignore[attr-defined]
         if residual.simulation != "momentum":
-            joints = yardstick.per_joint(bench, table, residual if residual.torques else None, problem.free)
+            joints = per_joint(bench, table, residual if residual.torques else None, problem.free)
         stated = tuple(Stated(**row) for row in rows)
     else:
         stated = stated_numbers(binding, found)

@@ -2,10 +2,8 @@
 
 from __future__ import annotations
 
-import inspect
 import time
 from collections.abc import Iterable, Sequence
-from dataclasses import replace
 from typing import Any
 
 import jax
@@ -19,9 +17,7 @@ from jaxid.fitting.comparison import Comparison, Known, Run
 from jaxid.fitting.covariance import covariance
 from jaxid.fitting.fitter import AbstractFitter, Minimum, Progress, sampling_box
 from jaxid.fitting.least_squares import descend
-from jaxid.fitting.population import AbstractPopulation
 from jaxid.fitting.problem_builder import Bench, default_residual, start_values
-from jaxid.fitting.settings import fitter_of, label_of, parsed
 from jaxid.problem.binding import bind, Binding
 from jaxid.problem.problem import LOSSES, Problem
 from jaxid.problem.residual import Residual
@@ -29,8 +25,7 @@ from jaxid.runtime import Interrupted
 from jaxid.storage.interim import Interim
 
 
-#: What `jaxid compare` runs where nothing is named.
-FITTERS = ("lm", "hybrid", "de", "rde", "pso", "ga")
+#: Evaluations of each run where neither these nor seconds are given.
 BUDGET = 10_000
 STARTS = ("random", "guess")
 
@@ -38,7 +33,7 @@ STARTS = ("random", "guess")
 def run_comparison(
     model: object,
     dataset: Dataset,
-    fitters: Iterable[AbstractFitter | str] | None,
+    fitters: Sequence[tuple[str, AbstractFitter]],
     seeds: int,
     budget: int | None,
     seconds: float | None,
@@ -51,7 +46,8 @@ def run_comparison(
     seed: int,
     progress: Progress | None,
 ) -> Comparison:
-    """The whole of `jaxid.compare`. On Ctrl-C `Interrupted` carries the comparison of the runs that were finished."""
+    """The whole of `jaxid.compare`; `fitters` have their labels. On Ctrl-C `Interrupted` carries the comparison of the runs that
+    were finished."""
     began = time.perf_counter()
     effects = tuple(catalogue.enrolled(e) for e in effects)
     if loss not in LOSSES:
@@ -64,11 +60,9 @@ def run_comparison(
         raise UsageError(f"a tolerance of {tolerance:g} cannot be met; give a share of the best loss above 0, such as 1e-3")
     if (budget is not None and budget < 1) or (seconds is not None and seconds <= 0):
         raise UsageError("budget and seconds are above 0")
-    budget = BUDGET if budget is None and seconds is None else budget
-    chosen = resolve(FITTERS if fitters is None else fitters, budget, seconds)
     binding = bind(model, dataset, effects=effects, without=without)
     residual = residual or default_residual(binding)
-    for label, fitter in chosen:
+    for label, fitter in fitters:
         wanted = getattr(fitter, "residual_name", None)
         if wanted not in (None, residual.name):
             raise UsageError(f"{label} solves {wanted}, not {residual.name}: leave it out or give that residual")
@@ -77,7 +71,7 @@ def run_comparison(
     problem = bench.problem(residual, "fit", binding.free, thetas[0], loss=loss)
     guess = problem.z(thetas[0])
     runs: list[tuple[Run, Minimum]] = []
-    total = len(chosen) * seeds
+    total = len(fitters) * seeds
 
     def finished() -> Comparison:
         lowest, best = best_known(binding, problem, [guess, *(problem.z(t) for t in thetas[1:])], [m for _, m in runs])
@@ -89,7 +83,7 @@ def run_comparison(
 
     known = Interim()
     try:
-        for label, fitter in chosen:
+        for label, fitter in fitters:
             for number in range(seed, seed + seeds):
                 if progress:
                     progress("compare", len(runs), total, f"{label}, seed {number}")
@@ -154,25 +148,3 @@ def best_known(
             float(theta[i]), std if np.isfinite(std) else None, entry.unit, float(binding.lower[i]), float(binding.upper[i])
         )
     return float(losses.min()), best
-
-
-def resolve(
-    fitters: Iterable[AbstractFitter | str], budget: int | None, seconds: float | None
-) -> list[tuple[str, AbstractFitter]]:
-    """(label, fitter) of each; a population given by its id goes on for as long as the budget lasts. Raises `UsageError` for a
-    name that does not exist, and for a fitter that knows no limit of time where one is given."""
-    out: list[tuple[str, AbstractFitter]] = []
-    for given in fitters:
-        fitter = fitter_of(given) if isinstance(given, str) else given
-        full = label_of(fitter)
-        if isinstance(given, str) and isinstance(fitter, AbstractPopulation) and "generations" not in parsed(given)[1]:
-            fitter = replace(fitter, generations=10**6 if budget is None else max(1, budget // fitter.offspring))
-        if seconds is not None and "seconds" not in inspect.signature(fitter.minimise).parameters:
-            raise UsageError(f"the fitter {fitter.name} has no limit of time (an argument `seconds` of minimise): give a budget")
-        label, count = full if isinstance(given, str) or fitter.name in dict(out) else fitter.name, 2
-        while label in dict(out):
-            label, count = f"{full} {count}", count + 1
-        out.append((label, fitter))
-    if not out:
-        raise UsageError("there is no fitter to compare; name some, such as lm,de")
-    return out

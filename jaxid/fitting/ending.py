@@ -3,14 +3,14 @@
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
 
 from jaxid.fitting.covariance import Covariance
 from jaxid.fitting.fitter import AbstractFitter, Log, Minimum, Progress
-from jaxid.fitting.least_squares import descend
+from jaxid.fitting.least_squares import descend, model_gain, Path, PATIENCE
 from jaxid.fitting.population import AbstractPopulation
 from jaxid.fitting.result import Trace
 from jaxid.problem.objective import AbstractProblem
@@ -26,6 +26,8 @@ PUSHES = 4.0
 LOOKS, STEPS = 2, 40
 #: A look is worth its name with at least so many linearisations.
 LEAST = 4
+#: By so much of what a look lacks its model may promise too much.
+NEARLY = 0.1
 #: A channel that the model moves by less than this share of what was measured stands still in it.
 STILL = 0.01
 #: A loss beyond which data that determine no number have not been fitted at all.
@@ -47,14 +49,15 @@ def gain(problem: AbstractProblem, before: float, after: float) -> float:
 
 
 def looked_again(
-    jobs: Sequence[tuple[Problem, Any, Any]],
+    jobs: Sequence[tuple[AbstractProblem, Any, Any]],
     found: Sequence[Minimum],
     fitter: AbstractFitter,
     budget: int | None,
     progress: Progress | None = None,
 ) -> list[Minimum]:
     """The ends after a second look at each: a descent from a point beside it, and on from there while that ends lower. Where a
-    search diverged or ran out of iterations, what the budget leaves goes into new starts. Evaluations count.
+    search diverged or ran out of iterations, what the budget leaves goes into new starts. Evaluations count; a look ends where it
+    is clearly on the way to what is known already, or to something higher, and costs no more than the search did.
 
     A population stays where it ended: if a descent ends lower, it has stalled.
     """
@@ -62,7 +65,7 @@ def looked_again(
     waiting = [k for k, m in enumerate(found) if getattr(m, "covariance", None) is None]
     looks = LOOKS if budget is None else 10 * LOOKS
     for number in range(looks):
-        logs = {k: _log(jobs[k][0], out[k], fitter, budget, progress) for k in waiting}
+        logs = {k: _log(jobs[k][0], out[k], fitter, _allowed(jobs[k][0], out[k], budget), progress) for k in waiting}
         short = [k for k in waiting if logs[k].left < LEAST * (1 + jobs[k][0].size)]
         for k in short if number == 0 else []:
             out[k] = dataclasses.replace(out[k], converged=False, stopped_because=_unlooked(out[k]))
@@ -71,8 +74,9 @@ def looked_again(
             break
         starts = [_elsewhere(jobs[k][0], out[k], rngs[k], number) for k in waiting]
         paths = descend(
-            [(jobs[k][0], z) for k, z in zip(waiting, starts, strict=True)], STEPS, 1e-10, 1.0, [logs[k] for k in waiting]
-        )
+            [(jobs[k][0], z) for k, z in zip(waiting, starts, strict=True)], STEPS, 1e-10, 1.0, [logs[k] for k in waiting],
+            enough=_known([out[k] for k in waiting]),
+        )  # fmt: skip
         again = []
         for k, path in zip(waiting, paths, strict=True):
             problem, old = jobs[k][0], out[k]
@@ -83,7 +87,8 @@ def looked_again(
                 said = f"a descent from beside it ends lower, at loss {new.loss:.4g}: try hybrid or lm ({old.stopped_because})"
                 out[k] = dataclasses.replace(old, converged=False, stalled=not _limited(old), stopped_because=said, **spent)
             elif new is not None and not new.failed and (lower or new.loss < old.loss):
-                ended = new if lower else dataclasses.replace(new, converged=new.converged or old.converged)
+                said = new.stopped_because if lower or new.converged else old.stopped_because
+                ended = dataclasses.replace(new, stopped_because=said, converged=new.converged or (old.converged and not lower))
                 out[k] = dataclasses.replace(ended, stalled=False, **spent)
                 again += [k] if lower else []
             else:
@@ -93,6 +98,32 @@ def looked_again(
     for k in waiting:  # still falling, or never finite
         out[k] = dataclasses.replace(out[k], converged=False, stalled=False)
     return out
+
+
+def _allowed(problem: AbstractProblem, found: Minimum, budget: int | None) -> int | None:
+    """The budget of a search and of the look at its end: where it has converged, no more than twice what it took."""
+    if not found.converged:
+        return budget
+    most = found.evaluations + max(found.evaluations, LEAST * (1 + problem.size))
+    return most if budget is None else min(budget, most)
+
+
+def _known(ends: Sequence[Minimum]) -> Callable[[int, Path], bool]:
+    """Whether a look is clearly on its way to the end of its search, or to a higher one: for the second time in a row the model
+    of its loss promises no lower one."""
+    streak = [0] * len(ends)
+
+    def known(i: int, path: Path) -> bool:
+        end = ends[i]
+        if path.gradient is None or not end.converged or path.linearisations <= PATIENCE:
+            return False
+        squares = path.problem.loss_name == "sum_of_squares"
+        left = 2 * path.cost - end.loss * (path.count if squares else 2)
+        slack = MATERIAL * max(1.0, end.loss) if squares else 0.0
+        streak[i] = streak[i] + 1 if model_gain(path) <= (1 + NEARLY) * left + slack else 0
+        return streak[i] > 1
+
+    return known
 
 
 def _limited(found: Minimum) -> bool:
@@ -105,14 +136,14 @@ def _unlooked(found: Minimum) -> str:
     return f"the budget of evaluations leaves no second look ({found.stopped_because})"
 
 
-def _log(problem: Problem, found: Minimum, fitter: AbstractFitter, budget: int | None, progress: Progress | None) -> Log:
+def _log(problem: AbstractProblem, found: Minimum, fitter: AbstractFitter, budget: int | None, progress: Progress | None) -> Log:
     log = Log(problem, fitter.name, budget, None, progress)
     log.evaluations, log.best = found.evaluations, found.loss
     log.history, log.seconds = list(found.history), list(found.seconds)
     return log
 
 
-def _elsewhere(problem: Problem, found: Minimum, rng: np.random.Generator, number: int) -> np.ndarray:
+def _elsewhere(problem: AbstractProblem, found: Minimum, rng: np.random.Generator, number: int) -> np.ndarray:
     """A point beside the end, about a factor of two away in logarithms and half of itself in other numbers, at a bound inside of
     it; the end itself where a search ran out of iterations, and any point for one that has diverged."""
     z, lower, upper = found.z, problem.lower, problem.upper

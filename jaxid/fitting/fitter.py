@@ -11,7 +11,7 @@ import time
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, field
-from typing import Any
+from typing import Any, ClassVar
 
 import equinox as eqx
 import numpy as np
@@ -51,6 +51,12 @@ class AbstractFitter(eqx.Module):
 
     name: eqx.AbstractClassVar[str]
     source: eqx.AbstractClassVar[str]
+    linearises: ClassVar[bool] = False  # works on weighted residuals and their Jacobians
+
+    def nearby(self, tolerance: float = 0.0) -> AbstractFitter:
+        """The same for who begins next to a minimum, without what looks for another one; which is found to within `tolerance` of
+        the loss where that is more than the fitter's own."""
+        return self
 
     @abc.abstractmethod
     def minimise(

@@ -164,13 +164,14 @@ def descend(
     expansion: Expansion | None = None,
     curvature: Curvature = lambda path, trial, new: new.hessian,
     hopeless: Callable[[Sequence[Path]], Sequence[bool]] | None = None,
+    enough: Callable[[int, Path], bool] | None = None,
 ) -> list[Path]:
     """Levenberg-Marquardt on many (problem, start) on the same runs at once; each linearisation of all is one batch.
 
     `expansion` gives twice the loss with gradient and curvature, by default `linearise` for sums of squares and `expand` for
     other losses; `curvature` may put another matrix in the place of that of an accepted trial. A `log`, of all jobs or of each,
     counts evaluations (a share of the records as that share of one) and ends the descent when the budget is used up. Paths that
-    are `hopeless` after the first few steps are given up.
+    are `hopeless` after the first few steps are given up, and a path (its number, itself) of which `enough` is known at any.
     """
     if expansion is None:
         expansion = linearise if all(p.loss_name == "sum_of_squares" for p, _ in jobs) else expand
@@ -199,6 +200,8 @@ def descend(
         if hopeless is not None and iteration == PATIENCE:
             lost = hopeless(paths)
             active = [i for i in active if not lost[i]]
+        if enough is not None:
+            active = [i for i in active if not enough(i, paths[i])]
         if not active or iteration == iterations:
             break
         for i in active:
@@ -279,6 +282,8 @@ def _typical(problem: AbstractProblem, z: np.ndarray) -> np.ndarray:
 
 #: So many quarterings of the radius are tried where a step comes to bounds.
 RADII = 12
+#: A radius that bounds no step, for which there is a finite number.
+FAR = 1e150
 
 
 def next_trial(path: Path) -> np.ndarray:
@@ -300,6 +305,13 @@ def next_trial(path: Path) -> np.ndarray:
         if not bounded:
             break
     return np.clip(z + dz, path.problem.lower, path.problem.upper)
+
+
+def model_gain(path: Path) -> float:
+    """By how much the sum of squares is lower where the quadratic model of a path is least within the bounds."""
+    assert path.gradient is not None and path.hessian is not None
+    dz = _bounded(path, FAR)[0]
+    return -float(2 * path.gradient @ dz + dz @ path.hessian @ dz)
 
 
 def _bounded(path: Path, radius: float) -> tuple[np.ndarray, bool]:

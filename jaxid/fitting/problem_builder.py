@@ -1,4 +1,4 @@
-"""From data to a `Fit`: start values, uncertainty, scores on data that were and were not fitted."""
+"""From model and data to problems: runs made ready, guesses of numbers, and how runs begin."""
 
 from __future__ import annotations
 

@@ -19,11 +19,14 @@ from jaxid.fitting.fitter import AbstractFitter, Minimum, Progress
 from jaxid.problem.problem import Problem
 
 
+#: A descent to the end is begun with at least so many linearisations.
+LEAST = 4
 #: Channels whose errors, in their own noise, differ by less than this weigh alike; torques, of whose noise that of the motion is
 #: no part, where their errors are that small.
 UNEVEN = 3.0
-#: Rounds at most; they end where no channel's weight moves by more than this share.
-ROUNDS, SETTLED = 6, 0.03
+#: Rounds at most; they end where no channel's weight moves by more than this share. The loss of a round is found to within ROUGH
+#: of it, which moves no weight by as much: only the last weights are worth a minimum.
+ROUNDS, SETTLED, ROUGH = 6, 0.03, 1e-4
 
 
 class Reweighed(NamedTuple):
@@ -58,7 +61,7 @@ def reweighed(
             return None
         weighed = weighed_by(problem, 1 / level)
         left = None if budget is None else budget - spent
-        end = fitter.minimise_each([(weighed, begin, key)], left, progress)[0]
+        end = fitter.nearby(ROUGH).minimise_each([(weighed, begin, key)], left, progress)[0]
         spent += end.evaluations
         if end.failed:
             return None
@@ -69,6 +72,11 @@ def reweighed(
     if counts @ np.log(level) >= counts @ np.log(first):
         return None
     weighed = weighed_by(problem, 1 / level)
+    left = None if budget is None else budget - spent
+    if left is None or left >= LEAST * (1 + problem.size):
+        last = fitter.nearby().minimise_each([(weighed, begin, key)], left, progress)[0]
+        spent += last.evaluations
+        end = end if last.failed else last
     named = ", ".join(f"{name} {x:.3g}" for (name, _), x in zip(problem.runs.channels, level, strict=True))
     note = f"channels are weighed by what the model leaves of them, in times their noise: {named}"
     return Reweighed(weighed, replace(end, loss=weighed.loss(end.z), evaluations=spent), note)

@@ -10,9 +10,6 @@ from typing import Any
 import jax
 import numpy as np
 
-from jaxid.data.dataset import Dataset
-from jaxid.errors import UsageError
-from jaxid.fitters import LevenbergMarquardt
 from jaxid.fitting.assemble import assemble
 from jaxid.fitting.effect_starts import probe_starts
 from jaxid.fitting.ending import looked_again
@@ -23,7 +20,7 @@ from jaxid.fitting.result import Fit
 from jaxid.fitting.reweighting import reweighed
 from jaxid.fitting.scale_free import refuse_scale_free
 from jaxid.fitting.settings import label_of
-from jaxid.problem.binding import bind, Binding
+from jaxid.problem.binding import Binding
 from jaxid.problem.momentum import Momentum
 from jaxid.problem.problem import Problem
 from jaxid.problem.residual import Residual
@@ -33,7 +30,8 @@ from jaxid.simulation import sample_buffers as samples
 from jaxid.storage.interim import Interim
 
 
-SHORT = 400  # evaluations of a fit that only compares
+#: A fit that took less is soon made again: nothing is saved before its end.
+WORTH_SAVING_S = 5.0
 
 
 def fit_binding(
@@ -46,7 +44,7 @@ def fit_binding(
     progress: Progress | None,
 ) -> Fit:
     """The whole of `jaxid.fit` once model and data are bound."""
-    known, benches = Interim(), Benches(binding)
+    known, benches = Interim(after=WORTH_SAVING_S), Benches(binding)
 
     def fitted(residual: Residual | None, begin: np.ndarray | None, spent: int) -> Fit:
         left = None if budget is None else max(1, budget - spent)
@@ -65,19 +63,6 @@ def fit_binding(
         return believed(benches.of(samples.STEP), fit, fitter, again)
     except KeyboardInterrupt as stop:
         raise Interrupted(known.latest()) from stop
-
-
-def left_by_short_fit(binding: Binding, data: Dataset) -> float | None:
-    """What a model as it stands leaves of a dataset after a short fit, times the noise; None where nothing is simulated."""
-    try:
-        own = bind(binding.chain, data)
-        residual = default_residual(own)
-        if residual.torques:
-            return None
-        found = fit_binding(own, LevenbergMarquardt(restarts=0), residual, "sum_of_squares", 0, SHORT, None)
-    except UsageError:
-        return None
-    return float(np.sqrt(found.loss)) if np.isfinite(found.loss) and found.loss < 1e30 else None
 
 
 def fit_seeds(
@@ -106,11 +91,18 @@ def fit_seeds(
     ended: dict[int, tuple[Bench, Problem, Minimum]] = {}
     level: dict[int, np.ndarray | None] = dict.fromkeys(seeds, begin)  # where each seed's coarser step ended
     step, label = samples.STEP, label_of(fitter)
+
+    def offer(seed: int, bench: Bench, problem: Problem, result: Minimum, note: str) -> None:
+        """Has what is known by now kept, in case that this does not come to its end."""
+        if known and not result.failed:
+            spent = time.perf_counter() - began
+            known.offer(lambda: assemble(bench, problem, result, residual, label, seed, 0.0, spent, [*notes[seed], note]))
+
     while level:
         bench, finer = benches.of(step), {}
         # Cores compile side by side: what descents run while start values are found, what is asked of their end while they run.
         engine = bench.runs(residual, "fit").engine if simulated else None
-        if engine and isinstance(fitter, LevenbergMarquardt):
+        if engine and fitter.linearises:
             engine.compile_ahead("tangents", binding.theta, binding.free)
         jobs, common = [], {}
         for seed, theta in level.items():
@@ -125,6 +117,8 @@ def fit_seeds(
             engine.compile_ahead("outputs", binding.theta, binding.free)
         found = fitter.minimise_each(jobs, budget, progress)
         if step == samples.STEP:  # a finer one begins where the coarser one has ended
+            for seed, job, result in zip(level, jobs, found, strict=True):
+                offer(seed, bench, job[0], result, "stopped before its end was looked at from beside it")
             found = looked_again(jobs, found, fitter, budget, progress)
         for seed, job, result in zip(level, jobs, found, strict=True):
             problem = job[0]
@@ -138,21 +132,18 @@ def fit_seeds(
                 notes[seed].append("runs that forget how they began are not refined: every step shows another one")
             elif moved > STEP_SHARE:
                 finer[seed] = problem.theta(result.z)
-                if known:
-                    spent, note = time.perf_counter() - began, f"stopped before it was refined with steps of {step / 2:.3g} s"
-                    end = *ended[seed], residual, label, seed, 0.0, spent, [note]
-                    known.offer(lambda end=end: assemble(*end))
+                offer(seed, *ended[seed], f"stopped before it was refined with steps of {step / 2:.3g} s")
                 notes[seed].append(
                     f"halving the step moved the simulation by {moved:.2g} of the noise or gap: refitted at {step / 2:.3g} s"
                 )
         level, step = finer, step / 2
-        if isinstance(fitter, LevenbergMarquardt):
-            fitter = replace(fitter, restarts=0)
-    if reweigh and isinstance(fitter, LevenbergMarquardt) and loss == "sum_of_squares":
+        fitter = fitter.nearby()
+    if reweigh and fitter.linearises and loss == "sum_of_squares":
         for seed, (bench, problem, result) in list(ended.items()):
             guesses = [problem.z(g) for g in benches.starts(bench, residual, loss, seed)] if begin is None else []
-            single, own = replace(fitter, restarts=0), jax.random.key(seed)
-            other = reweighed(problem, result, guesses, own, single, budget, progress)
+            own = jax.random.key(seed)
+            offer(seed, bench, problem, result, "stopped before channels were weighed by what the model leaves of them")
+            other = reweighed(problem, result, guesses, own, fitter, budget, progress)
             if other is not None:
                 again = looked_again([(other.problem, [], own)], [other.found], fitter, budget, progress)[0]
                 ended[seed] = bench, other.problem, again

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import ast
 import dataclasses
+from collections.abc import Callable
 from typing import Any, NamedTuple
 
 from jaxid.errors import nearest, UsageError
@@ -87,24 +88,21 @@ def parsed(text: str) -> tuple[str, dict[str, Any]]:
     return call.func.id, values
 
 
-def fitter_of(text: str) -> Any:
-    """The fitter that a text names, with its settings. Raises `UsageError` for a name or a value that does not fit."""
-    from jaxid import catalogue
-
-    name, values = parsed(text)
-    kind = catalogue.fitter_class(name)
-    fields = {f.name: f for f in dataclasses.fields(kind)}
+def configured(kind: type, values: dict[str, Any], text: str, named: Callable[[str], Any]) -> Any:
+    """The fitter of a class with its settings; `named` makes one of the text of another inside of it. Raises `UsageError` for a
+    value that does not fit."""
+    name, fields = kind.name, {f.name: f for f in dataclasses.fields(kind)}  # pyright: ignore[reportAttributeAccessIssue]
     for key in values:
         if key not in fields:
             raise UsageError(f"{name} has no setting {key!r}{nearest(key, fields)}")
-    made = {key: _value(name, fields[key], value) for key, value in values.items()}
+    made = {key: _value(name, fields[key], value, named) for key, value in values.items()}
     try:
         return kind(**made)
     except ValueError as error:
         raise UsageError(f"{text}: {error}") from error
 
 
-def _value(fitter: str, field: dataclasses.Field, given: Any) -> Any:
+def _value(fitter: str, field: dataclasses.Field, given: Any, named: Callable[[str], Any]) -> Any:
     """A value as the type of the field's default; one number for a range of two."""
     default: Any = field.default
     value: Any = given
@@ -123,7 +121,7 @@ def _value(fitter: str, field: dataclasses.Field, given: Any) -> Any:
     elif isinstance(default, str):
         fits, wanted = isinstance(value, str), "a text in quotes"
     elif isinstance(value, str) and hasattr(default, "minimise"):  # a fitter inside a fitter
-        value, fits, wanted = fitter_of(value), True, ""
+        value, fits, wanted = named(value), True, ""
         if not hasattr(value, "ask"):
             raise UsageError(f"{fitter}: {field.name} = {label_of(value)!r}; it is a population, such as 'de'")
     else:

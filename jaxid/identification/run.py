@@ -18,7 +18,7 @@ from jaxid.dynamics.base_parameters import BaseParameters
 from jaxid.dynamics.chain import Chain
 from jaxid.dynamics.parameter_vector import Layout
 from jaxid.errors import nearest, UsageError
-from jaxid.fitting.run import left_by_short_fit
+from jaxid.fitters.short_fit import left_by_short_fit
 from jaxid.identification import estimators as solve, regression
 from jaxid.identification.commanded import commanded
 from jaxid.identification.estimators import Estimate

@@ -12,6 +12,7 @@ import hashlib
 import sys
 from collections.abc import Callable, Iterator, Sequence
 from functools import cache
+from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
 
@@ -119,12 +120,10 @@ def _parts(pytree: Any) -> Iterator[Any]:
 @cache
 def _own_sources() -> str:
     """Size and time of every source of this package."""
-    import jaxid.fitters
-    import jaxid.models
-
     found = []
-    for package in (jaxid, jaxid.models, jaxid.fitters):  # of a checkout `__path__` names its root, too
-        for file in sorted(Path(package.__file__ or "").parent.rglob("*.py")):
+    for package in ("jaxid", "jaxid.models", "jaxid.fitters"):  # of a checkout the last two lie beside the first
+        spec = find_spec(package)
+        for file in sorted(Path((spec and spec.origin) or "").parent.rglob("*.py")):
             status = file.stat()
             found.append(f"{file.name} {status.st_size} {status.st_mtime_ns}")
     return hashlib.sha256("\n".join(found).encode()).hexdigest()

@@ -7,7 +7,7 @@ from jaxid.lazy import attach as _attach
 
 if _TYPE_CHECKING:
     from jaxid.problem.objective import FunctionProblem as FunctionProblem
-    from jaxid.problem.pure_problem import make_problem as make_problem, Problem as Problem
+    from jaxid.problem.pure_problem import Problem as Problem
     from jaxid.problem.residual import (
         InverseDynamics as InverseDynamics,
         MultipleShooting as MultipleShooting,
@@ -21,7 +21,6 @@ __getattr__, __dir__, __all__ = _attach(
     {
         "FunctionProblem": "jaxid.problem.objective",
         "Problem": "jaxid.problem.pure_problem",
-        "make_problem": "jaxid.problem.pure_problem",
         "InverseDynamics": "jaxid.problem.residual",
         "MultipleShooting": "jaxid.problem.residual",
         "OutputError": "jaxid.problem.residual",

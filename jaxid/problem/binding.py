@@ -12,6 +12,7 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from jaxid import catalogue, wording
+from jaxid.data.capacity import Need, need
 from jaxid.data.dataset import Dataset, Experiment, ParameterPrior
 from jaxid.data.joint_names import in_chain_order, joint_names
 from jaxid.data.noise import Noise, noise_floor
@@ -132,6 +133,11 @@ def resolve_model(model: object, dataset: Dataset, without: Iterable[str] = ()) 
         if name not in has and name not in builtin:
             raise UsageError(f"{model.mechanism.name} has no {name} to leave out{nearest(name, has)}")
     return model.without(*out)
+
+
+def foreseen(work: str, model: object, dataset: Dataset, candidates: int = 0) -> Need:
+    """What `work` of a model as it is given to a command will need."""
+    return need(work, dataset, resolve_model(model, dataset).nq, candidates)
 
 
 def _check_drive(chain: Chain) -> None:

@@ -15,13 +15,12 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from jaxid.data.dataset import Dataset, Experiment
+from jaxid.data.dataset import Experiment
 from jaxid.dynamics import controller as feedback
 from jaxid.dynamics.carry import Carry
 from jaxid.dynamics.chain import Chain
 from jaxid.dynamics.controller import Law, law_of, Memory, Reading
 from jaxid.dynamics.effect import Command
-from jaxid.dynamics.parameter_vector import Layout
 from jaxid.errors import UsageError
 from jaxid.problem.residual import OutputError, overrides, record_of, Residual, RESIDUALS, Runs, Simulation
 from jaxid.simulation import sample_buffers as recorded
@@ -175,25 +174,6 @@ def input_noise(experiments: Sequence[Experiment], inputs: Sequence[int]) -> np.
         span = float(np.percentile(np.abs(np.concatenate(series)), 99))
         out.append(max(1.4826 * float(np.median(np.abs(third))), 1e-3 * span, 1e-12))
     return np.array(out)
-
-
-def simulate_closed_loop(
-    dataset: Dataset, experiments: Sequence[Experiment], layout: Layout, theta: np.ndarray, noise: np.ndarray
-) -> list[tuple[np.ndarray, np.ndarray]]:
-    """Positions [time nq] and inputs [time nq] of the model with numbers `theta` under the dataset's controller, per run.
-
-    `noise` [ny]. Starts that nobody states are fitted to the first tenth of each run.
-    """
-    from jaxid.fitting.least_squares import descend
-    from jaxid.problem.problem import Problem
-
-    runs = ClosedLoopOutputError("both").runs(dataset, experiments, layout, noise, None)
-    problem = Problem(runs, theta, [], theta, theta)
-    z = problem.z(theta)
-    if problem.size:
-        z = descend([(problem, z)], 8, 1e-6, 0.1)[0].z
-    n = layout.chain.nq
-    return [(both[:, :n], both[:, n:]) for both in problem.predictions(z)]
 
 
 RESIDUALS[ClosedLoopOutputError.name] = ClosedLoopOutputError

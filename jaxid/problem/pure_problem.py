@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import types
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from typing import Any
 
@@ -13,17 +13,11 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from jaxid.data.dataset import Dataset
-from jaxid.dynamics.effect import Effect
 from jaxid.dynamics.parameter_vector import Layout
 from jaxid.errors import nearest, UsageError
-from jaxid.fitting.problem_builder import Bench, default_residual, start_values
 from jaxid.numerics.reverse import in_reverse
-from jaxid.problem.binding import bind
 from jaxid.problem.objective import LOSSES, penalised
 from jaxid.problem.problem import Data, Problem as Runnable
-from jaxid.problem.residual import Residual, resolve_residual
-from jaxid.problem.solver import with_solver
 from jaxid.simulation.rollout import Lane
 from jaxid.simulation.sample_buffers import BLOCK
 
@@ -102,38 +96,6 @@ class Problem(eqx.Module):
             i = self.names.index(name)
             z[i] = jnp.log(value) if i < len(self._data.log) and self._data.log[i] else value
         return jnp.stack([jnp.asarray(v) for v in z])
-
-
-def make_problem(
-    model: object,
-    dataset: Dataset,
-    *,
-    residual: Residual | str | None = None,
-    effects: Iterable[str | Effect | type[Effect]] = (),
-    without: Iterable[str] = (),
-    split: str = "fit",
-    loss: str = "sum_of_squares",
-    solver: Any = None,
-) -> Problem:
-    """The problem that `jaxid.fit` would solve, as pure functions for any optimiser or sampler.
-
-    `split` says which runs it looks at, `solver` (a solver of diffrax, or `Diffrax`) simulates in place of jaxid's own
-    stepping. Raises `UsageError` for arguments that do not fit.
-    """
-
-    if loss not in LOSSES:
-        raise UsageError(f"there is no loss {loss!r}{nearest(loss, LOSSES)}")
-    if split not in ("fit", "validation", "report"):
-        raise UsageError(f"there is no split {split!r}{nearest(split, ('fit', 'validation', 'report'))}")
-    binding = bind(model, dataset, effects=effects, without=without)
-    chosen = resolve_residual(residual) or default_residual(binding)
-    bench = Bench(with_solver(binding, solver, chosen))
-    if not chosen.select(binding.dataset, split):
-        raise UsageError(f"the dataset has no run in the split {split!r}")
-    theta = start_values(Bench(binding), binding.free, 0)[0]
-    problem = bench.problem(chosen, split, binding.free, theta, loss=loss)
-    priors = [binding.priors.get(int(i), (np.nan, np.nan)) for i in problem.free]
-    return pure(problem, problem.z(theta), np.array(priors, float).reshape(-1, 2))
 
 
 def pure(problem: Runnable, z0: np.ndarray, priors: np.ndarray | None = None) -> Problem:

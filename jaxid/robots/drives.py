@@ -9,10 +9,10 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from jaxid.data.dataset import Controller, ParameterPrior
+from jaxid.dynamics.effect import LONGEST_DELAY_S
 from jaxid.errors import nearest, UsageError
 from jaxid.robots.beside import rates_of
 from jaxid.robots.tree import Tree
-from jaxid.simulation.rollout import LONGEST_DELAY_S
 
 
 #: Numbers of a law per joint, and what they are where nothing is stated.

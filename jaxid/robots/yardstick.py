@@ -1,4 +1,4 @@
-"""What a robot's file, or a dataset, states beside what the data say; and how far off its joints are as it stands."""
+"""What a robot's file, or a dataset, states beside what the data say; and the model with the numbers of the file."""
 
 from __future__ import annotations
 
@@ -93,42 +93,3 @@ def as_it_stands(binding: Any) -> tuple[np.ndarray, str]:
         for joint, value in zip(joints, values, strict=True):
             theta[binding.layout.index(f"{field}@{joint}")] = value
     return theta, "the file as it stands, under its own actuators"
-
-
-def per_joint(
-    bench: Any, scores: Mapping[str, Mapping[str, Any]], residual: Any = None, free: Any = ()
-) -> tuple[dict[str, Any], ...]:
-    """Each joint's error (root mean square) with the file as it stands and re-tuned, on every split that was scored: of the free
-    run, or of the torque where a `residual` without simulation is given."""
-    from jaxid.fitting.problem_builder import estimate_starts
-    from jaxid.fitting.scores import free_runs, scores as scored, torque_scores
-
-    binding = bench.binding
-    theta, text = as_it_stands(binding)
-    out = []
-    for split, table in scores.items():
-        if residual is None:
-            before = scored(bench, split, free_runs(bench, split, [theta], estimate_starts(bench, split, [theta]))[0])
-            places = {j: j for j in table}
-        else:
-            before = torque_scores(bench, residual, split, theta, free)
-            places = dict(zip(table, binding.chain.signature.joints, strict=False))
-        out += [
-            {
-                "joint": places[name],
-                "split": split,
-                "as_it_stands": before[name].rmse,
-                "retuned": table[name].rmse,
-                "unit": table[name].unit,
-                "text": text,
-            }
-            for name in table
-            if name in before and name in places
-        ]
-    return tuple(out)
-
-
-def with_effects(retuned: tuple[dict[str, Any], ...], final: tuple[dict[str, Any], ...]) -> tuple[dict[str, Any], ...]:
-    """Rows of the re-tuned model beside those of the one with effects, which stand under `with_effects`."""
-    after = {(r["joint"], r["split"]): r["retuned"] for r in final}
-    return tuple(r | {"with_effects": after.get((r["joint"], r["split"]))} for r in retuned)

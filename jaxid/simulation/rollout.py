@@ -12,15 +12,13 @@ from jaxtyping import Array, Float, Int
 
 from jaxid.dynamics.carry import Carry
 from jaxid.dynamics.chain import Chain
-from jaxid.dynamics.effect import Command
+from jaxid.dynamics.effect import Command, LONGEST_DELAY_S
 from jaxid.dynamics.mechanism import Mechanism
 from jaxid.numerics.batch_loop import loop_over_time
 from jaxid.numerics.reverse import reversible
 from jaxid.simulation.sample_buffers import BLOCK, bucket, Record, Samples
 
 
-#: Upper bound of every delay parameter of the library.
-LONGEST_DELAY_S = 0.1
 #: `reach` of a run with equal steps: what depends on the step's length is worked out once.
 EVEN = -1
 

@@ -28,13 +28,14 @@ def listening(heard: Callable[[Any], None]) -> Iterator[None]:
 
 
 class Interim:
-    """Passes interim results on to whoever listens, the first at once, later ones as `SHARE` allows; `silent` ones to nobody."""
+    """Passes interim results on to whoever listens, the first after so many seconds, later ones as `SHARE` allows; `silent` ones
+    to nobody."""
 
-    def __init__(self, silent: bool = False):
+    def __init__(self, silent: bool = False, after: float = 0.0):
         self._heard = None if silent else _listener.get()
         self._make: Callable[[], Any] | None = None
         self._told: Any = None
-        self._next = 0.0
+        self._next = time.perf_counter() + after
 
     def offer(self, make: Callable[[], Any]) -> None:
         """`make` gives what is known now; it is called here, or by `latest`, or not at all."""
@@ -53,7 +54,7 @@ class Interim:
             self._heard(result)
 
     def latest(self) -> Any:
-        """What was passed on last, which takes no time; without a listener what is known now; None if nothing is."""
+        """What was passed on last, which takes no time; where nothing was, what is known now; None if nothing is."""
         if self._told is not None or self._make is None:
             return self._told
         return self._make()

@@ -13,7 +13,7 @@ from jaxid.data.io import load_dataset
 from jaxid.data.schema import Places
 from jaxid.diagnosis.hypothesis import check_asked
 from jaxid.errors import DatasetError, Problem, UsageError
-from jaxid.fitting.settings import fitter_of
+from jaxid.fitters.by_name import fitter_of
 from jaxid.problem.binding import parse_effect, resolve_model
 from jaxid.robots.match import is_file
 from jaxid.study.plan import dataset_problems, parse_study, Runs, Study, StudyError

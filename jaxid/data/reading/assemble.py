@@ -7,10 +7,10 @@ from collections.abc import Callable, Iterable
 from dataclasses import replace
 from typing import Any
 
-from jaxid.data.assemble_model import as_robot, as_robot_entry, geometry_of, joints_of, model_spec
 from jaxid.data.dataset import Controller, Dataset, Geometry
 from jaxid.data.joint_names import in_chain_order, number_of, renamed, renumbered
 from jaxid.data.patterns import expanded_channels
+from jaxid.data.reading.stated_model import as_robot, as_robot_entry, geometry_of, joints_of, model_spec
 from jaxid.data.records import Harvest, read_record, read_response, Reading
 from jaxid.data.schema import Document, ExperimentEntry, Header, Places
 from jaxid.data.table import Table

@@ -1,0 +1,1 @@
+"""A recording read, checked, and held against the model that it states."""

@@ -1,0 +1,1 @@
+from fitters.by_name import *
