@@ -59,8 +59,8 @@ class Judged:
 
 def judged(binding: Binding, fit: ForceFit, motion: Motion, many: bool = False) -> Iterator[Shown]:
     """Findings that need the model, one after another: each is looked for in what the decisive ones before it leave. `many`: the
-    model has so many numbers that readings are gone through on few samples first, where it is linear, and times are asked for
-    where one row more or less tells."""
+    model has so many numbers that readings are gone through on few samples first, and times are asked for where one row more or
+    less tells."""
     names, m = Names(binding), motion
     for _ in range(MOST):
         shown, changed = _next(binding, fit, m, names, many)
@@ -80,14 +80,13 @@ def judged(binding: Binding, fit: ForceFit, motion: Motion, many: bool = False) 
 def _next(binding: Binding, fit: ForceFit, m: Motion, names: Names, many: bool = False) -> tuple[Shown | None, Motion | None]:
     plain = fit.fit(m, laws=False)
     before = plain.worst + FLOOR
-    quick = many and fit.forces.linear
-    few = m.thinned(FEW) if quick else m
+    few = m.thinned(FEW) if many else m
     if before <= 2 * FLOOR or before <= ALIKE * (fit.noise(plain, binding, few) + FLOOR):
         return None, None
     tried: list[Judged] = []
     for readings in _readings(names, before, fit.driven):
         own = _tried(fit, few, readings, before)
-        if quick:  # on all samples those that may come out on top
+        if many:  # on all samples those that may come out on top
             own = [t for t in own if t.left <= min(ALIKE**2 * own[0].left, ALIKE * SHARE * before)]
             own = _tried(fit, m, [t.reading for t in own], before)
         tried = sorted([*tried, *own], key=lambda t: t.left)

@@ -62,9 +62,10 @@ class Forces:
 
     def at(self, thetas: np.ndarray, m: Any) -> np.ndarray:
         """Missing force [sets rows nq] at sets of numbers."""
+        run, series = _program(self.binding.layout, None), (m.q, m.qd, m.qdd, m.u)
         with float64():
-            found = _program(self.binding.layout, None)(thetas, *(_padded(x, ROWS) for x in (m.q, m.qd, m.qdd, m.u)))
-        return _finite(found)[:, : len(m.q)]
+            parts = [run(thetas, *(_padded(x[a : a + ROWS], ROWS) for x in series)) for a in range(0, max(len(m.q), 1), ROWS)]
+        return _finite(np.concatenate(parts, 1))[:, : len(m.q)]
 
     def missing(self, theta: np.ndarray, m: Any) -> np.ndarray:
         """Missing force [rows nq] at these numbers, of which those that are free may differ from the binding's."""
