@@ -32,7 +32,6 @@ from jaxid.dynamics.effect import Effect
 from jaxid.errors import UsageError
 from jaxid.fitters import LevenbergMarquardt
 from jaxid.fitting.assemble import assemble
-from jaxid.fitting.covariance import covariance
 from jaxid.fitting.fitter import Minimum, Progress
 from jaxid.fitting.least_squares import descend
 from jaxid.fitting.lost_runs import by_torque, by_windows, decays, DIVERGES, growth, SENSITIVE
@@ -347,8 +346,7 @@ def _effect_estimates(binding: Binding, h: Hypothesis, named: Sequence[Candidate
 
     if not named:
         return ()
-    cov = covariance(h.path.problem, h.path.z)
-    found = estimates(binding, h.path.problem, h.path.z, cov)
+    found = estimates(binding, h.path.problem, h.path.z, h.covariance)
     return tuple(
         EffectEstimate(c.effect, c.location, {binding.layout.entries[i].field: found[i] for i in c.index}) for c in named
     )
@@ -357,7 +355,7 @@ def _effect_estimates(binding: Binding, h: Hypothesis, named: Sequence[Candidate
 def _fit(bench: Bench, h: Hypothesis, residual: Residual, seed: int, compile_time: float, wall_time: float) -> Fit:
     problem = h.path.problem
     minimum = Minimum(h.path.z, h.fit_loss, h.path.converged, h.path.stopped, h.path.linearisations)
-    return assemble(bench, problem, minimum, residual, "lm", seed, compile_time, wall_time)
+    return assemble(bench, problem, minimum, residual, "lm", seed, compile_time, wall_time, known=h.covariance)
 
 
 def _starts(bench: Bench, h: Hypothesis) -> np.ndarray:
