@@ -20,10 +20,10 @@ from jaxid.dynamics.mechanism import Signature, Staged
 from jaxid.dynamics.parameter import constant, param, ParameterSpec
 from jaxid.dynamics.rigid_body import add, cross, inner, scaled
 from jaxid.numerics.fast_math import sincos
-from jaxid.robots import dynamics
+from jaxid.robots import dynamics, free_numbers
 from jaxid.robots.bodies import BODY, body_of, ten_numbers
 from jaxid.robots.channels import AT_TORQUE, GRAVITY, PLACE, RIDE, signature_of, torque
-from jaxid.robots.floating import ANGLES, balanced, based, without_slides
+from jaxid.robots.floating import balanced, based, without_slides
 from jaxid.robots.tree import chain_of_rods, roll_pitch_yaw, Stated, Tree, up_to
 
 from .effects import ActuatorLag, CoulombFriction, InputDelay, QuadraticDrag, ViscousFriction
@@ -242,37 +242,14 @@ class Robot(Staged):
         return f"{field}@{names[place]}"
 
     def held(self) -> frozenset[str]:
-        joints, fitted = self.signatures[0].joints, {one.name for one in self.fitted}
-        out = {f"{field}@{link}" for field in BODY for link in self.links} - self.tree.tree.free_moments()
-        out |= {f"{field}@{j}" for field in ("encoder_bias", "stiffness", "quadratic_damping") for j in self.joints}
-        out |= {"base_roll", "base_pitch"}
-        out |= {f"armature@{j}" for j in self.joints if j not in self.tree.tree.driven}
-        if self.floats:
-            out |= {f"{field}@{j}" for field in ("damping", "frictionloss") for j in ANGLES}
-        law = ("kp", "kd", "ki", "lowest", "highest", "delay", "timeconst")
-        return frozenset(out | {f"{field}@{j}" for field in law for j in joints} - fitted)
+        return free_numbers.held(self)
 
     def known(self):
         return {one.name: one.known for one in self.fitted}
 
     def spec_of(self, field: str, place: int, spec: ParameterSpec) -> ParameterSpec:
         """Bounds by the robot's own size."""
-        tree: Tree = self.tree.tree
-        total = max(float(np.sum(tree.inertia[:, 9])), 1e-6)
-        reach = max(float(np.sum(np.linalg.norm(tree.place[:, :3, 3], axis=1))), 1e-2)
-        if field == "mass":
-            return spec._replace(upper=10 * total, scale=0.01 * total)
-        if field.startswith("com_"):  # within about the link's own size of where the file has it
-            about = float(getattr(self, field)[place])
-            size = 0.5 * tree.size(self.carriers[place])
-            return spec._replace(lower=about - size, upper=about + size, scale=0.05 * size)
-        if field in BODY:
-            lower = 0.0 if field in ("gyration_xx", "gyration_yy", "gyration_zz") else -reach
-            return spec._replace(lower=lower, upper=reach, scale=0.01 * reach)
-        if field == "armature":
-            size = max(float(tree.swung()[place]), float(tree.armature[place]))
-            return spec._replace(upper=20 * size, scale=0.1 * size)
-        return spec
+        return free_numbers.spec_of(self, field, place, spec)
 
     # ---- dynamics
 

@@ -1,5 +1,6 @@
 """A robot under goals along its measured motion: what friction holds, what a drive's limit does, programs of one shape."""
 
+import dataclasses
 import gc
 import itertools
 import os
@@ -12,6 +13,7 @@ import numpy as np
 import pytest
 
 import jaxid
+from jaxid.conventions.missing_force import ForceFit, measured
 from jaxid.data.dataset import Controller
 from jaxid.diagnosis.goals import plant as goals_plant
 from jaxid.diagnosis.goals.plant import LedPlant
@@ -22,12 +24,15 @@ from jaxid.diagnosis.torque.algebra import _boxed
 from jaxid.diagnosis.torque.plant import inverse_of
 from jaxid.diagnosis.where import missing_forces
 from jaxid.dynamics.parameter_vector import Form
+from jaxid.fitting.least_squares import descend
 from jaxid.fitting.problem_builder import Bench, estimate_starts
+from jaxid.fitting.secant import descend_on_secants
 from jaxid.models import Robot
 from jaxid.models.effects import Saturation, StribeckFriction
 from jaxid.numerics import kept
 from jaxid.problem import binding, torque_filter
 from jaxid.problem.binding import bind, Binding
+from jaxid.problem.residual import OutputError
 from jaxid.robots.limbs import limbs_of
 from jaxid.simulation import batch
 
@@ -116,6 +121,34 @@ def test_a_held_goal_leaves_no_force_that_follows_the_speed():
     (found, *_) = missing_forces(bench, b.theta, estimate_starts(bench, "fit", [b.theta])[0], 0, draws=0)
     slope = float(found.qd[:, 0] @ found.force[:, 0] / (found.qd[:, 0] @ found.qd[:, 0]))
     assert abs(slope) < 0.1 * 20.0 * dt / 2
+
+
+def test_secants_end_where_slopes_of_all_numbers_do():
+    model = robot(limb("lift", 0.1))
+    b = bind(model, moving(model, swinging()))
+    p = Bench(b, differences=1).problem(OutputError(), "fit", b.free, b.theta)
+    far = np.clip(p.z(b.theta) + 20 * p.scale, p.lower, p.upper)
+    sure = descend([(p, far)], 20, 1e-6)[0]
+    path, slopes, _ = descend_on_secants(p, [far], None, 20, 1e-6)
+    assert abs(path.loss - sure.loss) < 1e-3 * sure.loss
+    assert sure.hessian is not None and path.hessian is not None
+    size = np.sqrt(np.diag(sure.hessian))
+    assert np.allclose(path.hessian / size / size[:, None], sure.hessian / size / size[:, None], atol=0.05)
+    more = Bench(b, differences=1).problem(OutputError(), "fit", [*b.free, b.layout.index("kp@lift")], b.theta)
+    again = slopes.of(more, more.z(p.theta(path.z), p.starts(path.z)), slopes.r)
+    assert [n for n, age in zip(more.names, again.age, strict=True) if age > 1000] == ["kp@lift"]  # alone is simulated
+
+
+def test_gains_are_no_numbers_of_a_reading():
+    """The smaller all numbers of a torque equation are, the less it leaves, and any reading then fits."""
+    model = robot(limb("lift"), limb("turn", axis="0 0 1", x=0.3))
+    data = moving(model, np.repeat(swinging(), 2, 1))
+    assert data.controller is not None
+    law = Controller("pd", data.controller.settings | {"fit": ["kp", "kd", "delay"]})
+    b = bind(model, dataclasses.replace(data, controller=law))
+    motion = measured(b)
+    assert motion is not None and any(b.layout.names[i].startswith("kp@") for i in b.free)
+    assert not {b.layout.names[i].partition("@")[0] for i in ForceFit(b, motion).free} & {"kp", "kd"}
 
 
 def test_limbs_of_one_shape_share_their_programs():

@@ -51,8 +51,8 @@ class Judged:
 
 def judged(binding: Binding, fit: ForceFit, motion: Motion, many: bool = False) -> Iterator[Shown]:
     """Findings that need the model, one after another: each is looked for in what the decisive ones before it leave. `many`: the
-    model has so many numbers that readings are gone through on few samples first, where it is linear, and times are asked for
-    where one row more or less tells."""
+    model has so many numbers that readings are gone through on few samples first, and times are asked for where one row more or
+    less tells."""
     names, m = Names(binding), motion
     for _ in range(MOST):
         shown, changed = _next(binding, fit, m, names, many)
@@ -86,14 +86,13 @@ def _claimed(
 ) -> tuple[Shown, Motion | None] | None:
     plain = fit.fit(m, laws)
     before = plain.worst + FLOOR
-    quick = many and fit.forces.linear
-    few = m.thinned(FEW) if quick else m
+    few = m.thinned(FEW) if many else m
     if before <= 2 * FLOOR or before <= ALIKE * (fit.noise(plain, binding, few) + FLOOR):
         return None
     tried: list[Judged] = []
     for readings in _readings(names, fit.driven):
         own = _tried(fit, few, readings, before, laws)
-        if quick:  # on all samples those that may come out on top
+        if many:  # on all samples those that may come out on top
             own = [t for t in own if t.left <= min(ALIKE**2 * own[0].left, ALIKE * GONE * before)]
             own = _tried(fit, m, [t.reading for t in own], before, laws)
         tried = sorted([*tried, *own], key=lambda t: t.left)

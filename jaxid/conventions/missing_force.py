@@ -28,6 +28,8 @@ NEIGHBOURS, WIDTH = 5, 0.5
 #: Share of the usual speed below which a joint counts as standing still: its friction may take any value.
 STILL = 0.08
 BLOCKS, EDGE = 10, 4
+#: A step whose cost is within that share of what the slopes promise was one of a linear model.
+AS_SAID = 1e-3
 PER_ROW = "since", "weight", "held", "block"
 LAWS = 5  # of each joint: offset, spring, viscous, dry, quadratic
 
@@ -177,7 +179,8 @@ class ForceFit:
 
     def __init__(self, binding: Binding, motion: Motion):
         self.binding, self.motion = binding, motion
-        self.free = [i for i in binding.free if np.isfinite(binding.theta[i])]
+        # Gains make the torque: where they are free, the smaller all numbers are, the less is left.
+        self.free = [i for i in binding.free if np.isfinite(binding.theta[i]) and i not in binding.gains]
         self.nq = binding.chain.nq
         self.driven = motion.u.shape[1] > 0 and bool(np.any(motion.u))
         if not self.driven and self.free:  # without a drive nothing says how large the inertia is: one number is held
@@ -275,14 +278,17 @@ class ForceFit:
                 J[..., :p] = self.slopes(theta, h[:p], moved) * weight[..., None]
             for i in range(p, p + k):
                 J[..., i] = (residual(x + h[i] * (np.arange(x.size) == i)) - r) / h[i]
-            A = (J[train] * scale).reshape(-1, x.size)
+            A, before = J[train].reshape(-1, x.size), r[train].ravel()
+            size = np.linalg.norm(A, axis=0)
+            unit = 1 / np.where(size > 0, size, 1.0)
+            A = A * unit
             # Normal equations, with so much of a ridge as they can carry: twenty times quicker than a QR.
             gram = A.T @ A
             R = np.linalg.cholesky(gram + 1e-11 * np.trace(gram) * np.eye(x.size) + 1e-300 * np.eye(x.size)).T
-            low, high = (lower - x) / scale, (upper - x) / scale
-            right = np.linalg.solve(R.T, -A.T @ r[train].ravel())
+            low, high = (lower - x) / unit, (upper - x) / unit
+            right = np.linalg.solve(R.T, -A.T @ before)
             found = lsq_linear(R, right, (np.minimum(low, -1e-12), np.maximum(high, 1e-12)), method="bvls", max_iter=60)
-            step, ahead = found.x * scale, 1.0
+            step, ahead = found.x * unit, 1.0
             for _ in range(6):
                 trial = np.clip(x + ahead * step, lower, upper)
                 tried = residual(trial)
@@ -291,7 +297,9 @@ class ForceFit:
                 ahead /= 4
             else:
                 break
-            solved = more is None and ahead == 1 and found.success and self.forces.linear  # no second step can do better
+            promised = float(np.sum((before + A @ found.x) ** 2))
+            # Where a whole step comes out as the slopes have it, they hold there too, and no second step can do better.
+            solved = ahead == 1 and found.success and new <= promised * (1 + AS_SAID)
             done = solved or new > cost * (1 - 1e-3) or new < 1e-14
             x, r, cost = trial, tried, new
             done |= round_ >= 2 and cost > hopeless**2 * weighed

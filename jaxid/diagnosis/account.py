@@ -11,7 +11,6 @@ from jaxid.diagnosis.evidence import inflation, worth
 from jaxid.diagnosis.hypothesis import Candidate, Hypothesis, Search
 from jaxid.diagnosis.result import Ranked
 from jaxid.fitting.assemble import assemble, estimates
-from jaxid.fitting.covariance import covariance
 from jaxid.fitting.fitter import Minimum
 from jaxid.fitting.problem_builder import Bench, estimate_starts
 from jaxid.fitting.result import EffectEstimate, Fit
@@ -25,8 +24,7 @@ def effect_estimates(binding: Binding, h: Hypothesis, named: Sequence[Candidate]
     """The numbers of the named effects with their standard deviations."""
     if not named:
         return ()
-    cov = covariance(h.path.problem, h.path.z)
-    found = estimates(binding, h.path.problem, h.path.z, cov)
+    found = estimates(binding, h.path.problem, h.path.z, h.covariance)
     return tuple(
         EffectEstimate(c.effect, c.location, {binding.layout.entries[i].field: found[i] for i in c.index}) for c in named
     )
@@ -36,7 +34,7 @@ def fit_of(bench: Bench, h: Hypothesis, residual: Residual, seed: int, compile_t
     """A hypothesis as a fit."""
     problem = h.path.problem
     minimum = Minimum(h.path.z, h.fit_loss, h.path.converged, h.path.stopped, h.path.linearisations)
-    return assemble(bench, problem, minimum, residual, "lm", seed, compile_time, wall_time)
+    return assemble(bench, problem, minimum, residual, "lm", seed, compile_time, wall_time, known=h.covariance)
 
 
 def _starts(bench: Bench, h: Hypothesis) -> np.ndarray:

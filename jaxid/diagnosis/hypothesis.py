@@ -14,6 +14,7 @@ from jaxid.diagnosis.torque.library import shows
 from jaxid.dynamics.chain import Chain
 from jaxid.dynamics.effect import Effect
 from jaxid.errors import UsageError
+from jaxid.fitting.covariance import Covariance, covariance
 from jaxid.fitting.effect_starts import probes, read_off
 from jaxid.fitting.least_squares import Path
 from jaxid.fitting.problem_builder import Bench
@@ -56,6 +57,11 @@ class Hypothesis:
     def fit_inflation(self) -> float:
         """What `evidence.inflation` is for held-out runs, for the residual of the fit runs."""
         return max(1.0, self.fit_loss) * memory(self.path.problem.residuals(self.path.z))
+
+    @cached_property
+    def covariance(self) -> Covariance:
+        """Of the fitted numbers, in search scale: slopes of all of them are simulated for it, once."""
+        return covariance(self.path.problem, self.path.z)
 
     @property
     def bic(self) -> float:

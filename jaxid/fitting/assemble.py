@@ -78,8 +78,9 @@ def assemble(
     compile_time: float,
     wall_time: float,
     notes: Sequence[str] = (),
+    known: Covariance | None = None,
 ) -> Fit:
-    """A `Fit` from a minimum: uncertainty, scores, traces, notes."""
+    """A `Fit` from a minimum: uncertainty (`known`, where it was worked out before), scores, traces, notes."""
     binding = bench.binding
     theta = problem.theta(result.z)
     notes = [*binding.dataset.notes, f"residual: {problem.runs.statement}", *solver_notes(binding), *notes]
@@ -90,7 +91,7 @@ def assemble(
             binding.dataset.name, binding.dataset.sha256, tuple(notes), history=tuple(result.history), theta=theta,
             solver=solver_name(binding),
         )  # fmt: skip
-    cov = getattr(result, "covariance", None) or covariance(problem, result.z)
+    cov = known or getattr(result, "covariance", None) or covariance(problem, result.z)
     found = estimates(binding, problem, result.z, cov)
     own, added = named_estimates(binding, found)
     names = problem.names

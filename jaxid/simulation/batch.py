@@ -137,7 +137,7 @@ class Engine:
         reach = max(reach_of(samples, r) for r in self.records)
         self.reach = reach
         self._kind, self._burn = (lane, self.length, reach), burn or any(r.lead for r in self.records)
-        self._families = {} if whole else families(layout)
+        self._families, self._narrow = {} if whole else families(layout), False
         self._neutral = np.array([e.spec.value for e in layout.entries])
         self._restricted: dict[frozenset[str], tuple[Layout, np.ndarray]] = {}
         self.where = np.array([[r.offset, r.first, r.last, r.lead] for r in self.records], np.int32)
@@ -149,8 +149,9 @@ class Engine:
         self._always = layout.chain.mechanism.hidden_states or not set(own) <= set(optional)
 
     def keep_together(self) -> None:
-        """From now on every lane runs in the program of all effects: one compilation, where few effects are asked."""
-        self._families = {}
+        """From now on every lane runs in the program of all effects, in small blocks: one compilation, where few effects are
+        asked."""
+        self._families, self._narrow = {}, True
 
     def theta_of(self, theta: np.ndarray, record: np.ndarray) -> np.ndarray:
         """The numbers in force on each lane's record."""
@@ -336,7 +337,7 @@ class Engine:
         busy = np.any([numbers[0] != self._neutral, *(d != 0 for d in numbers[1:])], 0)
         where = self._where(busy, record)
         steps = np.ceil(self.steps[record] * share).astype(np.int32) + where[:, 3]
-        width = FEW if record.size <= SMALL * FEW else LANES  # on any number of cores
+        width = FEW if self._narrow or record.size <= SMALL * FEW else LANES  # on any number of cores
         jobs: list[Callable[[], tuple[np.ndarray, tuple]]] = []
         first: list[Callable[[], tuple[np.ndarray, tuple]]] = []
         for kept, lanes in self._at_work(busy).items():

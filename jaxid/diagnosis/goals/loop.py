@@ -27,7 +27,7 @@ from jaxid.numerics.precision import float64
 #: Steps of the loop are no longer than this share of its quickest radian.
 FINE = 0.15
 #: Columns that one pass takes: what is compiled is compiled once for each of these widths.
-WIDTHS = (4, 32, 256)
+WIDTHS = (4, 16, 64, 256)
 
 
 @dataclass(frozen=True, eq=False)

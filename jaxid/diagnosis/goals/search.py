@@ -14,8 +14,9 @@ from jaxid.diagnosis.selection import indistinct, significant
 from jaxid.diagnosis.thresholds import LIMITS
 from jaxid.diagnosis.verdict import judge, level
 from jaxid.fitting.fitter import Progress
-from jaxid.fitting.least_squares import descend, Path
+from jaxid.fitting.least_squares import Path
 from jaxid.fitting.problem_builder import Bench, estimate_starts
+from jaxid.fitting.secant import descend_on_secants, Slopes
 from jaxid.problem.residual import OutputError
 
 
@@ -35,6 +36,7 @@ class Decider:
     done: int = 0
     total: int = 1
     evaluations: int = field(default=0)
+    slopes: Slopes | None = None  # of the nominal model's free runs, where its fit ended
 
     def refit(self, effects: Sequence[Candidate], theta: np.ndarray, like: Path | None = None) -> Hypothesis:
         """A model with these effects fitted to the free runs from numbers theta; its runs begin as those of `like`."""
@@ -43,9 +45,13 @@ class Decider:
             self.progress("simulated", self.done, self.total, told)
         free = [*self.bench.binding.free, *(i for c in effects for i in c.index)]
         p = self.bench.problem(OutputError(), "fit", free, theta)
-        z = p.z(theta) if like is None else p.z(theta, like.problem.starts(like.z))
-        path = descend([(p, z)], *NEAR)[0]
-        self.done, self.evaluations = self.done + 1, self.evaluations + path.linearisations * (1 + p.size)
+        if like is None:
+            path, self.slopes, spent = descend_on_secants(p, [p.z(theta)], None, *NEAR)
+        else:  # its own numbers, or those of the model that it is like
+            own, starts = like.problem.theta(like.z), like.problem.starts(like.z)
+            own[[i for c in effects for i in c.index]] = theta[[i for c in effects for i in c.index]]
+            path, _, spent = descend_on_secants(p, [p.z(theta, starts), p.z(own, starts)], self.slopes, *NEAR)
+        self.done, self.evaluations = self.done + 1, self.evaluations + spent
         theta = p.theta(path.z)
         splits = [held_out(self.bench, "validation", [theta], OutputError(), [knowledge(path)])]
         return Hypothesis(tuple(effects), theta, path, splits[0][0])
@@ -57,8 +63,8 @@ class Decider:
             return h
         p = bench.problem(OutputError(), "fit+validation", own.free, h.theta)
         starts = [own.starts(h.path.z), estimate_starts(bench, "validation", [h.theta])[0]]
-        path = descend([(p, p.z(h.theta, np.concatenate(starts)))], *NEAR)[0]
-        self.evaluations += path.linearisations * (1 + p.size)
+        path, _, spent = descend_on_secants(p, [p.z(h.theta, np.concatenate(starts))], None, *NEAR)
+        self.evaluations += spent
         return Hypothesis(h.effects, p.theta(path.z), path, h.validation)
 
     def decided(self, nominal: Hypothesis, sets: Sequence[Proposal]) -> Search:

@@ -38,6 +38,8 @@ ENDLESS, LEVELS = 1e9, (0.5, 0.7, 0.8, 0.9, 0.95, 0.98, 0.99, 0.995, 0.999)
 class LedStudy(Study):
     """A study whose rows are positions of the free run, rad or m."""
 
+    plant: LedPlant  # pyright: ignore
+
     def __init__(
         self, binding: Binding, kinds: Iterable[type[Effect]], cutoff_hz: float | None = None, begin: np.ndarray | None = None
     ):
@@ -126,31 +128,32 @@ class LedStudy(Study):
         rows = self.made(theta, [])
         white = self._weights(rows, np.zeros(0, int), np.zeros(0))
         white = self._weights(rows, *self._solved(rows, white))
-        here = self._judged(rows, white.memory)
+        here = self._judged(theta, white.memory)
         damping = FIRST
         for _ in range(STEPS):
-            loss, theta, rows, white = here
+            loss, theta, white = here
             trial = self._moved(theta, *self._damped(rows, white, damping))
-            there = self._judged(self.made(trial, []), white.memory)
+            self.linearise(trial)
+            there = self._judged(trial, white.memory)
             if there[0] < loss:
                 here, damping = there, damping / EASIER
                 if loss - there[0] < ENOUGH:
                     break
+                rows = self._columns(trial, [])
             elif (damping := damping * HARDER) > LAST:
                 break
         return here[1]
 
-    def _judged(self, rows: Rows, memory: np.ndarray) -> tuple[float, np.ndarray, Rows, Weights]:
-        """Minus the logarithm of the likelihood of the numbers at which rows were made, these, the rows, and weights."""
-        own, theta = np.arange(self.plant.size), rows.theta[self.plant.free]
-        left = np.concatenate([rows.residual(k, own, theta) for k in self.of("fit")])
+    def _judged(self, theta: np.ndarray, memory: np.ndarray) -> tuple[float, np.ndarray, Weights]:
+        """Minus the logarithm of the likelihood of the numbers at which the free runs were taken, these, and weights."""
+        left = np.concatenate([self.runs[k].sampled(self.apart[k]) for k in self.of("fit")])  # type: ignore[attr-defined]
         size = np.maximum(np.sqrt(np.mean(left**2, 0)), 1e-12)
         loss = float(np.sum(len(left) / memory * np.log(size)))
-        for k, i in enumerate(self.plant.free):
+        for i in self.plant.free:
             if i in self.binding.priors:
                 mean, std = self.binding.priors[i]
-                loss += ((theta[k] - mean) / std) ** 2 / 2
-        return loss, rows.theta, rows, Weights(size, memory)
+                loss += ((theta[i] - mean) / std) ** 2 / 2
+        return loss, theta, Weights(size, memory)
 
     def _damped(self, rows: Rows, white: Weights, damping: float) -> tuple[np.ndarray, np.ndarray]:
         """Columns and their numbers, those of the model pulled to where they are by a share of what the data say of each."""
@@ -170,20 +173,22 @@ class LedStudy(Study):
     def linearise(self, theta: np.ndarray) -> None:
         """Takes the free runs to first order at the numbers theta. What numbers and effects change is read along these free runs,
         not along the measured motion: noise is not in it, and nothing is gained by making all forces small."""
-        plant: LedPlant = self.plant  # type: ignore[assignment]
-        self.runs = [replace(r, loop=plant.loop(r, theta)) for r in self.runs]  # type: ignore[call-arg]
-        self.apart = [r.free_run(plant.missing(r, theta)) for r in self.runs]  # type: ignore[attr-defined]
+        self.runs = [replace(r, loop=self.plant.loop(r, theta)) for r in self.runs]  # type: ignore[call-arg]
+        self.apart = [r.free_run(self.plant.missing(r, theta)) for r in self.runs]  # type: ignore[attr-defined]
         self.free = [_moved(r, x) for r, x in zip(self.runs, self.apart, strict=True)]
 
     def made(self, theta: np.ndarray, found: list[Unit]) -> Rows:
         if not found:  # else they were made for this free run
             self.linearise(theta)
-        plant: LedPlant = self.plant  # type: ignore[assignment]
+        return self._columns(theta, found)
+
+    def _columns(self, theta: np.ndarray, found: list[Unit]) -> Rows:
+        """Rows of the free runs as they were taken at theta."""
         rows = []
         for k, (run, free) in enumerate(zip(self.runs, self.free, strict=True)):
-            own = np.concatenate([plant.columns(free, theta), self._turning_columns(free), self._late(free, theta)], 2)
+            own = np.concatenate([self.plant.columns(free, theta), self._turning_columns(free), self._late(free, theta)], 2)
             made = run.rows(own)
-            target = run.sampled(self.apart[k]) + made[:, :, : plant.size] @ theta[plant.free]  # type: ignore[attr-defined]
+            target = run.sampled(self.apart[k]) + made[:, :, : self.plant.size] @ theta[self.plant.free]  # type: ignore[attr-defined]
             rows.append(np.concatenate([made, *(u.columns[k] for u in found), target[:, :, None]], 2))
         return Rows(theta, found, rows)
 
@@ -202,9 +207,8 @@ class LedStudy(Study):
 
     def _late(self, run: Run, theta: np.ndarray) -> np.ndarray:
         """What a delay of each goal by one sample changes, [time n n]."""
-        plant: LedPlant = self.plant  # type: ignore[assignment]
         n, h = run.q.shape[1], run.step
-        early, late = (plant.missing(replace(run, u=np.roll(run.u, k, 0)), theta) for k in (-1, 1))
+        early, late = (self.plant.missing(replace(run, u=np.roll(run.u, k, 0)), theta) for k in (-1, 1))
         made = ((early - late) / (2 * h) * self.sampling)[:, :, None] * np.eye(n)
         made[:2] = made[-2:] = 0.0
         return made
@@ -250,8 +254,7 @@ class LedStudy(Study):
     def _driven(self, kind: type[Effect], theta: np.ndarray) -> list[Unit]:
         """What an effect on the way from the goal to the torque changes, at each of its probes: one unit for each."""
         b, n = self.binding, self.binding.chain.nq
-        plant: LedPlant = self.plant  # type: ignore[assignment]
-        drive = Drive(plant, [kind])
+        drive = Drive(self.plant, [kind])
         base = drive.theta(theta)
         before = [drive.torque(r, o, base) for r, o in zip(self.free, self.other, strict=True)]
         places = b.chain.offers(kind)[:n]

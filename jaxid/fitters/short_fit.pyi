@@ -1,0 +1,1 @@
+from fitters.short_fit import *
