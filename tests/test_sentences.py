@@ -210,6 +210,14 @@ def test_stated_numbers_are_refuted_as_their_deviations_say(numbers):
         assert len(words) == len(refuted)
 
 
+def test_stated_numbers_of_one_name_are_told_apart_by_their_joints():
+    own = lambda joint: Stated(
+        joint, "", "armature", 0.028, 0.004, 0.001, -24.0, f"armature of {joint}: 0.004 kg m^2, …", "kg m^2"
+    )
+    (words,) = text.stated_sentences([own("elbow"), own("wrist"), own("gripper")])
+    assert all(f"armature of {joint} 0.0280 → " in words for joint in ("elbow", "wrist", "gripper"))
+
+
 @many
 @given(st.lists(st.tuples(st.sampled_from(["run_1", "run_2"]), gaps), max_size=4), gaps)
 def test_what_is_left_on_report_data_is_said_with_its_figures(places, gap):

@@ -80,7 +80,9 @@ def stated_sentences(stated: Sequence[Stated]) -> list[str]:
     if len(refuted) <= 2:
         return [sentence(s.text) for s in refuted]
     unit = lambda s: "" if s.unit in ("", "1") else f" {one_line(s.unit)}"
-    shown = [f"{one_line(s.parameter)} {number(s.stated)} → {number(s.fitted, 4)}{unit(s)}" for s in refuted[:STATED]]
+    every = [s.parameter for s in stated]
+    name = lambda s: s.text.partition(":")[0] if every.count(s.parameter) > 1 else s.parameter  # "armature of elbow_flex"
+    shown = [f"{one_line(name(s))} {number(s.stated)} → {number(s.fitted, 4)}{unit(s)}" for s in refuted[:STATED]]
     more = f", and {len(refuted) - STATED} more" if len(refuted) > STATED else ""
     least = number(min(abs(s.deviation or 0.0) for s in refuted), 2)
     return [
