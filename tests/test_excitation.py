@@ -40,6 +40,7 @@ def differences(q: np.ndarray, t: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     return np.diff(q, axis=0) / h, np.diff(q, 2, axis=0) / h**2
 
 
+@pytest.mark.slow
 def test_the_motion_keeps_its_limits_and_rests_at_both_ends(arm):
     """Seen from the positions alone, on a grid finer than that of the search."""
     t = np.linspace(0, 10, 20001)
@@ -252,6 +253,7 @@ def test_every_model_has_a_test_here():
     assert [m.name for m in jaxid.models.MODELS if f'"{m.name}"' not in text] == []
 
 
+@pytest.mark.slow
 def test_the_objective_of_paper_001():
     """(18) and its constraints, worked out here from the coefficients alone; the search lowers it."""
     made: Any
@@ -305,6 +307,7 @@ def test_what_does_not_fit_is_refused(arguments, words):
         excite("ur10", **arguments)
 
 
+@pytest.mark.slow
 def test_a_floor_that_cannot_be_kept():
     with pytest.raises(UsageError, match="--floor"):
         excite("ur10", starts=4, iterations=50, floor=1.2, seed=1)

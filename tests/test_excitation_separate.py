@@ -60,6 +60,7 @@ def made(diagnosis):
     return diagnosis.next_run()
 
 
+@pytest.mark.slow
 def test_two_hypotheses_are_left(diagnosis):
     assert {str(e) for e in (*diagnosis.which.effects, *diagnosis.which.confusable_with)} == {
         "actuator_lag at tau", "input_delay at tau",

@@ -186,6 +186,7 @@ def error_over_size(bench: Bench, name: str, parameters, effects, out: Path):
     return found, error / size, size
 
 
+@pytest.mark.slow
 def test_both_simulators_agree_on_the_file_as_it_stands(bench):
     assert np.sqrt(np.mean((bench.by_mujoco(bench.path) - bench.plain) ** 2)) < 1e-3
 

@@ -187,7 +187,7 @@ def with_lag(lag: float = 0.01) -> jaxid.Chain:
     return jaxid.Chain(SpringCart()).with_effects(ActuatorLag(lag=lag))  # pyright: ignore[reportArgumentType]
 
 
-@pytest.mark.parametrize("residual", ["output_error", "multiple_shooting"])
+@pytest.mark.parametrize("residual", ["output_error", pytest.param("multiple_shooting", marks=pytest.mark.slow)])
 def test_an_effect_with_a_state(lagging, residual):
     """Also in windows, whose starts bring the state of the effect along."""
     fit = jaxid.fit(with_lag(), lagging, residual=residual)

@@ -12,7 +12,7 @@ import pytest
 
 from jaxid.dynamics.chain import Chain
 from jaxid.dynamics.parameter_vector import Layout
-from jaxid.models import Joint, MODELS, PlanarArm
+from jaxid.models import FlexibleArm, Joint, MODELS, PlanarArm
 from jaxid.models.effects import Backlash, DeadZone, StribeckFriction
 from jaxid.numerics import batch_loop as lanes
 from jaxid.numerics.batch_loop import laid_out, loop_over_time, over_lanes
@@ -106,7 +106,9 @@ def test_models_move_alike(mechanism, effects):
     np.testing.assert_allclose(found, expected, rtol=0, atol=1e-9)
 
 
-@pytest.mark.parametrize("mechanism", MODELS, ids=lambda m: m.name)
+@pytest.mark.parametrize(
+    "mechanism", [pytest.param(m, marks=pytest.mark.slow if m is FlexibleArm else (), id=m.name) for m in MODELS]
+)
 def test_every_model_takes_the_quick_path_with_this_jax(mechanism):
     """Values and tangents as `jax.vmap` gives them; `laid_out` raises where it does not know the form of a program."""
     chain = Chain(mechanism())

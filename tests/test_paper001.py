@@ -100,6 +100,7 @@ def test_exponents_are_fitted_where_asked_for(empty):
     assert not any("held and not fitted" in text for text in every.said)
 
 
+@pytest.mark.slow
 def test_what_they_need(empty, loaded):
     with pytest.raises(UsageError, match="--reference"):
         identify(None, loaded, method="paper001")
@@ -107,6 +108,7 @@ def test_what_they_need(empty, loaded):
         identify(None, loaded, method="algorithm2", reference=empty)
 
 
+@pytest.mark.slow
 def test_the_command(empty, tmp_path, capsys):
     import json
 

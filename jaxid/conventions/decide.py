@@ -71,14 +71,15 @@ def judged(binding: Binding, fit: ForceFit, motion: Motion, many: bool = False) 
 
 def _next(binding: Binding, fit: ForceFit, m: Motion, names: Names, many: bool = False) -> tuple[Shown | None, Motion | None]:
     """The next finding, and the motion without it. A fault beside a strong effect that the model lacks hides in what that leaves:
-    what nothing explains of the whole gap is asked of what laws of the joints' own motion cannot take."""
-    asked = None
-    for laws in (False, True):
-        found = _claimed(binding, fit, m, names, many, laws)
-        if found is not None and found[0].finding.decisive:
-            return found
-        asked = asked or found
-    return asked or (None, None)
+    where laws of the joints' own motion take much of the gap, what nothing explains of the whole is asked of what they leave."""
+    found = _claimed(binding, fit, m, names, many, laws=False)
+    if found is not None and found[0].finding.decisive:
+        return found
+    if fit.fit(m, True).worst + FLOOR <= GONE * (fit.fit(m, False).worst + FLOOR):
+        beside = _claimed(binding, fit, m, names, many, laws=True)
+        if beside is not None and (found is None or beside[0].finding.decisive):
+            return beside
+    return found or (None, None)
 
 
 def _claimed(
@@ -112,6 +113,10 @@ def _claimed(
     change = best.reading.change
     if (refined := _refined(fit, m, best, names, near, laws)) is not None:
         value, interval, what, change, conventional = refined
+        if not conventional and not laws:  # beside what the model lacks many sizes are alike; less what laws take, one is not
+            own = _tried(fit, m, [t.reading for t in (best, *near) if t.reading.channels == best.reading.channels], before, True)
+            near_own = [t for t in own[1:] if t.left <= ALIKE * own[0].left]
+            value, interval, what, change, conventional = _refined(fit, m, own[0], names, near_own, True) or refined
         if not conventional:
             return None
         others |= {"another channel" for t in same if t.reading.channels != best.reading.channels}
@@ -124,7 +129,7 @@ def _claimed(
     beyond = laws or _beyond(fit, m, change(m), left, FREE not in what)
     if not beyond and left.worst + FLOOR > ASKED * before:
         return None
-    decisive = beyond and not others
+    decisive = beyond and not others and not (FREE in what and _bounded(binding))
     mending = mending_of(best.reading, value, {})
     noise = max(fit.noise(left, binding, few), 1e-6)
     alike = tuple(
@@ -144,6 +149,12 @@ def _claimed(
         headline=_headline(best.reading, value, binding, what),
     )
     return Shown(finding, mending if decisive else Mending(), laws), (change(m) if decisive else None)
+
+
+def _bounded(binding: Binding) -> bool:
+    """Whether the user states bounds: what a free factor explains may be theirs."""
+    spec = binding.dataset.model
+    return spec is not None and any(p.lower is not None or p.upper is not None for p in spec.parameters.values())
 
 
 def _beyond(fit: ForceFit, m: Motion, changed: Motion, left: Fitted, known: bool) -> bool:

@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from jaxid.conventions.finding import DataFinding
-from jaxid.conventions.limits import FLOOR, GONE
+from jaxid.conventions.limits import ALIKE, FLOOR, GONE
 from jaxid.conventions.mending import lines, Mending
 from jaxid.conventions.missing_force import Fitted, ForceFit, Motion
 from jaxid.conventions.readings import Names
@@ -89,8 +89,14 @@ def _own_laws(m: Motion) -> np.ndarray:
 
 
 def timed(binding: Binding, fit: ForceFit, m: Motion, names: Names) -> Iterator[Shown]:
-    """Whole rows and drifting clocks."""
-    plain = fit.fit(m)
+    """Whole rows and drifting clocks, where they close a share of what is missing: a load that is lost half-way looks late too."""
+    plain, recorded = fit.fit(m), m
+
+    def closes(moved: Motion) -> bool:
+        """What is left is much less, or noise; a drift without which nothing fits has shown it."""
+        left = fit.fit(moved)
+        return m is not recorded or left.worst <= max(GONE * plain.worst, ALIKE * fit.noise(left, binding, moved))
+
     if plain.worst > GONE or not names.inputs:  # what is missing is something else
         if (drifting := _far_drift(fit, m, plain)) is None:
             return
@@ -99,14 +105,16 @@ def timed(binding: Binding, fit: ForceFit, m: Motion, names: Names) -> Iterator[
     column = lambda name: np.array([getattr(x, name) for x in late])
     drifting = together(column("drift"), column("drift_std"))
     if drifting is not None and DRIFT * m.step < abs(drifting[0]) * float(m.since.max()) and abs(drifting[0]) < 0.015:
-        yield _clock(binding, m, names, *drifting)
-        return
+        if closes(replace(m, drift=m.drift + drifting[0])):
+            yield _clock(binding, m, names, *drifting)
+            return
     common = together(column("rows"), column("std"))
     for k, x in enumerate(late):
         rows, std = common if common is not None else (x.rows, x.std)
         whole = round(rows)
         if whole and abs(whole) <= 3 and std <= KNOWN and abs(rows - whole) <= CLOSE and abs(rows) > SURE * std:
-            yield _shifted(binding, names, k, whole, rows, std)
+            if whole < 0 or closes(replace(m, rows=m.rows + whole)):  # a cause that comes early is a question at most
+                yield _shifted(binding, names, k, whole, rows, std)
 
 
 def whole_rows_tell(fit: ForceFit, m: Motion) -> bool:
