@@ -108,6 +108,7 @@ def test_the_right_law_wins_on_held_out_motion(quiet):
     assert identify(None, recording(None, 0.02, 1, np.ones(6))).law == "linear"
 
 
+@pytest.mark.slow
 def test_a_constrained_arm_can_be_simulated(quiet):
     """Noise makes plain estimates unphysical; the constrained ones are bodies that can exist, and predict as well."""
     from jaxid.dynamics.rigid_body import pseudo_inertia
@@ -178,6 +179,7 @@ def test_impossible_payloads_become_the_nearest_body():
     assert np.linalg.eigvalsh(pseudo_inertia(body)).min() >= -1e-12 and abs(body[9] - 3.5242) < 0.05
 
 
+@pytest.mark.slow
 def test_references_of_another_arm_are_refused(quiet, tmp_path):
     with pytest.raises(jaxid.UsageError, match="identification.json of the unloaded arm"):
         identify(None, quiet, friction="linear", reference={"kind": "fit"})
@@ -189,6 +191,7 @@ def test_references_of_another_arm_are_refused(quiet, tmp_path):
         identify(None, quiet, friction="linear", reference=other)
 
 
+@pytest.mark.slow
 def test_feed_forward_holds_the_loaded_arm(tmp_path):
     """Gravity and torque of the loaded arm, elsewhere than where it was identified, against Pinocchio."""
     from jaxid.identification.feed_forward import FeedForward

@@ -16,7 +16,7 @@ NAMES = sorted(
 )  # recording: test_hardware_end_to_end
 
 #: Run by `make test`; the others take minutes of compiling and are run by `make test-all`, `make notebooks` and `make docs`.
-QUICK = ("00_tour", "diagnose_your_robot", "extend")
+QUICK = ("00_tour", "diagnose_your_robot")
 
 jupytext = pytest.importorskip("jupytext")
 
