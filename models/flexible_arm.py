@@ -52,9 +52,9 @@ class Link(NamedTuple):
 class Frame(NamedTuple):
     """Where a link begins: position, m, and angle; and their rates, the velocity along the link's own axes."""
 
-    at: Float[Array, 2]
+    at: Float[Array, " 2"]
     angle: Array
-    velocity: Float[Array, 2]
+    velocity: Float[Array, " 2"]
     rate: Array
 
 
@@ -114,12 +114,12 @@ class FlexibleArm(Mechanism):
     n_elements: int = setting(3, 1, 16, meaning="finite elements of each link")
     n_modes: int = setting(2, 0, 32, meaning="elastic modes kept of each link; 0: all")
 
-    prepared: Any = eqx.field(default=None, repr=False)  # integrals over the links
+    prepared: Any = eqx.field(default=None, repr=False)  # integrals over the links; their stiffness and damping
 
     def links(self) -> tuple[Link, Link]:
         """Both links' integrals."""
         if self.prepared is not None:
-            return self.prepared
+            return self.prepared[0]
         count = min(self.n_modes or 2 * self.n_elements, 2 * self.n_elements)
         sizes = (
             (self.L1, self.E1, self.b1, self.h1, self.rho1, self.m_h, self.J_h),
@@ -131,10 +131,12 @@ class FlexibleArm(Mechanism):
         return first, second
 
     def prepare(self, h):
-        return eqx.tree_at(lambda s: s.prepared, self, self.links(), is_leaf=lambda x: x is None)
+        return eqx.tree_at(lambda s: s.prepared, self, (self.links(), self._elastic()), is_leaf=lambda x: x is None)
 
     def _elastic(self) -> tuple[Array, Array]:
         """Stiffness and damping [2 modes, 2 modes] of both links."""
+        if self.prepared is not None:
+            return self.prepared[1]
         first, second = self.links()
         K = jax.scipy.linalg.block_diag(first.K, second.K)
         return K, self.alpha * jax.scipy.linalg.block_diag(first.M, second.M) + self.beta * K
@@ -280,8 +282,8 @@ def _sincos(angle: Array) -> tuple[Array, Array]:
     return s[0], c[0]
 
 
-def _seen(angle: Array, v: Float[Array, 2]) -> Float[Array, 2]:
-    """A vector along the axes of a frame turned by an angle."""
+def _seen(angle: Array, v: Float[Array, " 2 *n"]) -> Float[Array, " 2 *n"]:
+    """Vectors along the axes of a frame turned by an angle."""
     s, c = _sincos(angle)
     return jnp.stack([c * v[0] + s * v[1], c * v[1] - s * v[0]])
 

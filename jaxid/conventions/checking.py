@@ -32,7 +32,7 @@ from jaxid.robots.floating import wanted
 #: What a short fit of a bound model leaves of a dataset, times the noise; None where nothing is simulated.
 Gap = Callable[[Binding, Dataset], float | None]
 
-#: Numbers of a model beyond which readings are gone through on few samples where it is linear, and nothing is simulated.
+#: Numbers of a model beyond which readings are gone through on few samples, and nothing is simulated.
 MOST_NUMBERS = 15
 #: Kinds that a model tells, and that its simulation has to confirm.
 BY_MODEL = ("sign", "zero", "scale", "swapped_channels", "row_shift", "clock")

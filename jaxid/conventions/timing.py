@@ -89,7 +89,8 @@ def _own_laws(m: Motion) -> np.ndarray:
 
 
 def timed(binding: Binding, fit: ForceFit, m: Motion, names: Names) -> Iterator[Shown]:
-    """Whole rows and drifting clocks, where they close a share of what is missing: a load that is lost half-way looks late too."""
+    """Whole rows and drifting clocks, where they close a share of what is missing: a load that is lost half-way looks late
+    too."""
     plain, recorded = fit.fit(m), m
 
     def closes(moved: Motion) -> bool:

@@ -40,6 +40,7 @@ class Judge:
         self.nominal, self.end = search.settled or (search.nominal, search.chosen)
         self.alike = scatter.bench(bench) if scatter else bench
         self.before, self.note = shrinking.model_before(bench.binding, self.nominal.theta)
+        self.repeated = any(n.source == "repeatability" for n in bench.binding.noise.values())
         self.reports = bool(bench.binding.experiments("report")) and "report" not in self.still
 
     def claim(self) -> Claim:
@@ -105,10 +106,9 @@ class Judge:
         if not astray(far.per_run, far.per_regime, far.gap_retuned):
             return found
         # Scatter between repeated runs is taken up whole by a refit to report runs: that would show nothing.
-        repeated = any(n.source == "repeatability" for n in self.bench.binding.noise.values())
         path = found.final.path
         within = held_out(
-            self.bench, "report", [found.final.theta], self.residual, [knowledge(path)], [None if repeated else path]
+            self.bench, "report", [found.final.theta], self.residual, [knowledge(path)], [None if self.repeated else path]
         )[0]
         places = astray(*shrinking.parts(self.bench, self.residual, "report", within), within.gap_settled)
         if not places and within.gap_settled <= LIMITS.seen:

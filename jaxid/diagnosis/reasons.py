@@ -5,6 +5,7 @@ Gaps are multiples of the noise, shares are of the gap (1 is all of it).
 
 from __future__ import annotations
 
+import abc
 from collections.abc import Sequence
 from dataclasses import dataclass
 
@@ -14,12 +15,12 @@ from jaxid.wording import listed, percent, times
 
 
 @dataclass(frozen=True)
-class Reason:
+class Reason(abc.ABC):
     """One thing that a verdict rests on."""
 
     @property
-    def sentence(self) -> str:
-        raise NotImplementedError
+    @abc.abstractmethod
+    def sentence(self) -> str: ...
 
 
 @dataclass(frozen=True)

@@ -218,9 +218,8 @@ def _diagnosed(question: Question, scatter: timing.Scatter | None = None) -> tup
     rivals = None if pair is None else rivals_of(bench, pair)
     confusable = tuple(EffectEstimate(c.effect, c.location) for c in mates)
     which = Which(verdict.name, estimates if named else (), confusable, ranking, verdict.text)
-    repeated = any(n.source == "repeatability" for n in binding.noise.values())
     advised = advice(
-        verdict.name, [c.effect for c in named], [c.effect for c in mates], rivals, looked.unseen, repeated, question.still
+        verdict.name, [c.effect for c in named], [c.effect for c in mates], rivals, looked.unseen, judge.repeated, question.still
     )
     found = Diagnosis(
         binding.chain.mechanism.name, binding.dataset.name, binding.dataset.sha256, seed, residual.name, findings, which,
