@@ -28,7 +28,7 @@ test-versions: $(VENV)/installed
 	$(BIN)/python benchmarks/versions.py $(ARGS)
 
 lint: $(VENV)/installed-dev
-	$(BIN)/ruff check .
+	$(BIN)/ruff check --no-cache .
 	$(BIN)/ruff format --check .
 	$(BIN)/pyright --pythonpath $(BIN)/python
 

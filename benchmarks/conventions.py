@@ -158,9 +158,8 @@ def broken(kind: str, r: Recording, rng: np.random.Generator) -> tuple[Recording
 
 def found(r: Recording, simulate: bool = False) -> list[Any]:
     """What the check says of a recording."""
-    from jaxid.fitters.short_fit import left_by_short_fit
-
     from jaxid.conventions import checking, runs
+    from jaxid.fitters.short_fit import left_by_short_fit
 
     try:
         data = r.dataset()

@@ -8,11 +8,11 @@ from typing import Any
 
 import numpy as np
 import pytest
-from jaxid.fitters.short_fit import left_by_short_fit
 
 import jaxid
 from jaxid.conventions import checking
 from jaxid.conventions.mending import mended, Mending
+from jaxid.fitters.short_fit import left_by_short_fit
 from jaxid.models import Panda, SerialArm, UR10e
 from test_serial_arm import table_of
 from test_torque_diagnosis import at, recorded, run, THREE, wrist
