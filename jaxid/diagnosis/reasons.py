@@ -5,22 +5,38 @@ Gaps are multiples of the noise, shares are of the gap (1 is all of it).
 
 from __future__ import annotations
 
-import abc
 from collections.abc import Sequence
 from dataclasses import dataclass
+from string import Formatter
+from typing import ClassVar
 
 import numpy as np
 
 from jaxid.wording import listed, percent, times
 
 
+class _Words(Formatter):
+    """Says values as a form asks: `{gap:times}`, `{closed:percent}`, `{names:listed}`, `{closed:floor}` (whole percents)."""
+
+    SAY: ClassVar = {"times": times, "percent": percent, "listed": listed, "floor": lambda x: f"{np.floor(100 * x):.0f} %"}
+
+    def format_field(self, value, format_spec):
+        return self.SAY[format_spec](value) if format_spec in self.SAY else super().format_field(value, format_spec)
+
+
 @dataclass(frozen=True)
-class Reason(abc.ABC):
-    """One thing that a verdict rests on."""
+class Reason:
+    """One thing that a verdict rests on; `form` is its sentence with its fields in brackets."""
+
+    form: ClassVar[str] = ""
 
     @property
-    @abc.abstractmethod
-    def sentence(self) -> str: ...
+    def sentence(self) -> str:
+        return self.said()
+
+    def said(self, form: str | None = None, **more: object) -> str:
+        """A form (default: the reason's own) with the fields and `more` in it."""
+        return _Words().vformat(self.form if form is None else form, (), {**vars(self), **more})
 
 
 @dataclass(frozen=True)
@@ -28,10 +44,7 @@ class Remark(Reason):
     """What another part of the diagnosis found, in its own words."""
 
     words: str
-
-    @property
-    def sentence(self) -> str:
-        return self.words
+    form = "{words}"
 
 
 # By fit and validation data.
@@ -39,18 +52,13 @@ class Remark(Reason):
 
 @dataclass(frozen=True)
 class AtTheNoise(Reason):
-    @property
-    def sentence(self) -> str:
-        return "The model reaches the noise floor on data that were not fitted: there is no gap."
+    form = "The model reaches the noise floor on data that were not fitted: there is no gap."
 
 
 @dataclass(frozen=True)
 class NothingExplains(Reason):
     gap: float
-
-    @property
-    def sentence(self) -> str:
-        return f"There is a gap ({times(self.gap)} times the noise), and no effect of the library explains it."
+    form = "There is a gap ({gap:times} times the noise), and no effect of the library explains it."
 
 
 @dataclass(frozen=True)
@@ -58,11 +66,11 @@ class Lacks(Reason):
     names: str
     left: float
     claimed: bool = True
+    form = "{lead} {names}; with it {left:times} times the noise is left on validation data."
 
     @property
     def sentence(self) -> str:
-        lead = "The model lacks" if self.claimed else "Nearest comes"
-        return f"{lead} {self.names}; with it {times(self.left)} times the noise is left on validation data."
+        return self.said(lead="The model lacks" if self.claimed else "Nearest comes")
 
 
 @dataclass(frozen=True)
@@ -70,13 +78,10 @@ class LacksInPart(Reason):
     names: str
     closed: float
     left: float
-
-    @property
-    def sentence(self) -> str:
-        return (
-            f"The model lacks {self.names}, which explains {np.floor(100 * self.closed):.0f} % of the gap on validation data; a "
-            f"clear remainder ({times(self.left)} times the noise) stays unexplained."
-        )
+    form = (
+        "The model lacks {names}, which explains {closed:floor} of the gap on validation data; a clear remainder ({left:times} "
+        "times the noise) stays unexplained."
+    )
 
 
 @dataclass(frozen=True)
@@ -84,14 +89,10 @@ class FollowsFitRuns(Reason):
     names: str
     closed: float
     left: float
-
-    @property
-    def sentence(self) -> str:
-        return (
-            f"The model lacks {self.names}: with it the fit runs are followed down to the noise. The validation runs go where "
-            f"the fit runs do not: there {percent(self.closed)} of the gap is explained and {times(self.left)} times the noise "
-            "is left."
-        )
+    form = (
+        "The model lacks {names}: with it the fit runs are followed down to the noise. The validation runs go where the fit runs "
+        "do not: there {closed:percent} of the gap is explained and {left:times} times the noise is left."
+    )
 
 
 @dataclass(frozen=True)
@@ -99,13 +100,10 @@ class NotMost(Reason):
     names: str
     closed: float
     left: float
-
-    @property
-    def sentence(self) -> str:
-        return (
-            f"No effect explains most of the gap: {self.names} explains {percent(self.closed)} of it on validation data and "
-            f"leaves {times(self.left)} times the noise."
-        )
+    form = (
+        "No effect explains most of the gap: {names} explains {closed:percent} of it on validation data and leaves {left:times} "
+        "times the noise."
+    )
 
 
 @dataclass(frozen=True)
@@ -113,11 +111,11 @@ class Contributions(Reason):
     """What is left without each of several effects."""
 
     without: tuple[tuple[str, float], ...]
+    form = "What each contributes: {each} times the noise."
 
     @property
     def sentence(self) -> str:
-        each = ", ".join(f"without {name} {times(gap)}" for name, gap in self.without)
-        return f"What each contributes: {each} times the noise."
+        return self.said(each=", ".join(f"without {name} {times(gap)}" for name, gap in self.without))
 
 
 @dataclass(frozen=True)
@@ -126,26 +124,22 @@ class NearerOnValidation(Reason):
 
     names: str
     closed: float
-
-    @property
-    def sentence(self) -> str:
-        return (
-            f"On validation data alone {self.names} closes {percent(self.closed)} of it; fit and validation data together do not "
-            "bear that out."
-        )
+    form = (
+        "On validation data alone {names} closes {closed:percent} of it; fit and validation data together do not bear that out."
+    )
 
 
 @dataclass(frozen=True)
 class StandsStill(Reason):
     splits: tuple[str, ...]
+    form = (
+        "The data kept for {kept} still: any model predicts them, so that nothing can be judged on them, neither whether there "
+        "is a gap nor what would close it."
+    )
 
     @property
     def sentence(self) -> str:
-        kept = "choosing and reporting stand" if "report" in self.splits else "choosing stand"
-        return (
-            f"The data kept for {kept} still: any model predicts them, so that nothing can be judged on them, neither whether "
-            "there is a gap nor what would close it."
-        )
+        return self.said(kept="choosing and reporting stand" if "report" in self.splits else "choosing stand")
 
 
 # By the report data.
@@ -155,13 +149,10 @@ class StandsStill(Reason):
 class LittleOnReport(Reason):
     after: float
     retuned: float
-
-    @property
-    def sentence(self) -> str:
-        return (
-            f"On the report data {times(self.after)} times the noise is left with it, {times(self.retuned)} without: that is not "
-            "most of what little there is, so it is not claimed."
-        )
+    form = (
+        "On the report data {after:times} times the noise is left with it, {retuned:times} without: that is not most of what "
+        "little there is, so it is not claimed."
+    )
 
 
 @dataclass(frozen=True)
@@ -169,45 +160,35 @@ class FartherOnReport(Reason):
     after: float
     retuned: float
     before: float
+    form = (
+        "On the report data that model is {after:times} times the noise away, {retuned:times} without{stated}: it is not claimed."
+    )
 
     @property
     def sentence(self) -> str:
         apart = self.before < np.inf and times(self.before) != times(self.retuned)
-        stated = f", {times(self.before)} as it was stated" if apart else ""
-        return (
-            f"On the report data that model is {times(self.after)} times the noise away, {times(self.retuned)} without{stated}: "
-            "it is not claimed."
-        )
+        return self.said(stated=f", {times(self.before)} as it was stated" if apart else "")
 
 
 @dataclass(frozen=True)
 class LeftOnReport(Reason):
     after: float
-
-    @property
-    def sentence(self) -> str:
-        return f"On the report data {times(self.after)} times the noise is left."
+    form = "On the report data {after:times} times the noise is left."
 
 
 @dataclass(frozen=True)
 class PartOnReport(Reason):
     closed: float
-
-    @property
-    def sentence(self) -> str:
-        return f"On the report data it explains {percent(self.closed)} of the gap."
+    form = "On the report data it explains {closed:percent} of the gap."
 
 
 @dataclass(frozen=True)
 class WithinWhatIsKnown(Reason):
     after: float
-
-    @property
-    def sentence(self) -> str:
-        return (
-            f"The report data are {times(self.after)} times the noise away, but go where fit and validation data leave numbers "
-            "of the model open; within what is known of these it holds there too."
-        )
+    form = (
+        "The report data are {after:times} times the noise away, but go where fit and validation data leave numbers of the model "
+        "open; within what is known of these it holds there too."
+    )
 
 
 @dataclass(frozen=True)
@@ -217,29 +198,26 @@ class NextToTheNoise(Reason):
     names: str
     after: float
     retuned: float
-
-    @property
-    def sentence(self) -> str:
-        return (
-            f"{self.names} would follow fit and validation data more closely, but leaves {times(self.after)} times the noise of "
-            f"the report data, {times(self.retuned)} without: not claimed."
-        )
+    form = (
+        "{names} would follow fit and validation data more closely, but leaves {after:times} times the noise of the report data, "
+        "{retuned:times} without: not claimed."
+    )
 
 
 @dataclass(frozen=True)
 class ReportNotReached(Reason):
     gap: float
     places: tuple[tuple[str, float], ...]
+    form = (
+        "The model follows fit and validation data down to the noise, but not the report data: re-tuned it is {gap:times} times "
+        "the noise away there, and what the fit leaves open of its numbers does not account for it{worst}. What is missing does "
+        "not show in the data that were fitted."
+    )
 
     @property
     def sentence(self) -> str:
         where = listed(f"{times(left)} times the noise in {name}" for name, left in self.places[:3])
-        worst = f": beyond that it leaves {where}" if where else ""
-        return (
-            "The model follows fit and validation data down to the noise, but not the report data: re-tuned it is "
-            f"{times(self.gap)} times the noise away there, and what the fit leaves open of its numbers does not account for it"
-            f"{worst}. What is missing does not show in the data that were fitted."
-        )
+        return self.said(worst=f": beyond that it leaves {where}" if where else "")
 
 
 # By what is named.
@@ -248,17 +226,16 @@ class ReportNotReached(Reason):
 @dataclass(frozen=True)
 class NotBelievable(Reason):
     against: tuple[str, ...]
+    form = "It is not to be believed as it stands: {what}."
 
     @property
     def sentence(self) -> str:
-        return f"It is not to be believed as it stands: {'; '.join(self.against)}."
+        return self.said(what="; ".join(self.against))
 
 
 @dataclass(frozen=True)
 class Stopped(Reason):
-    @property
-    def sentence(self) -> str:
-        return "Stopped before it was known what these recordings would not show."
+    form = "Stopped before it was known what these recordings would not show."
 
 
 # By torque, on runs that were not fitted.
@@ -267,29 +244,21 @@ class Stopped(Reason):
 @dataclass(frozen=True)
 class Undetermined(Reason):
     what: str
-
-    @property
-    def sentence(self) -> str:
-        return f"The re-tuned model is {self.what}: these data do not determine it, and no effect is named beside it."
+    form = "The re-tuned model is {what}: these data do not determine it, and no effect is named beside it."
 
 
 @dataclass(frozen=True)
 class TorqueAtTheNoise(Reason):
-    @property
-    def sentence(self) -> str:
-        return "The model reaches the noise of the torque on data that were not fitted: there is no gap."
+    form = "The model reaches the noise of the torque on data that were not fitted: there is no gap."
 
 
 @dataclass(frozen=True)
 class NothingPredicts(Reason):
     gap: float
-
-    @property
-    def sentence(self) -> str:
-        return (
-            f"There is a gap ({times(self.gap)} times the noise), and no effect of the library predicts the runs that were not "
-            "fitted better."
-        )
+    form = (
+        "There is a gap ({gap:times} times the noise), and no effect of the library predicts the runs that were not fitted "
+        "better."
+    )
 
 
 @dataclass(frozen=True)
@@ -303,18 +272,17 @@ class HeldOut(Reason):
     different: bool = False
     whole: bool = True
     fitted: float = 0.0
+    form = "{what} {names:listed}; with it {left:times} times the noise is left on held-out data{more}."
+    in_part: ClassVar[str] = (
+        "{what} {names:listed}, which explains {closed:percent} of the gap on held-out data; a clear remainder stays un"
+        "explained: {left:times} times the noise is left on held-out data."
+    )
 
     @property
     def sentence(self) -> str:
         what = "What is different in the runs that were not fitted is" if self.different else "The model lacks"
-        left = f"{times(self.left)} times the noise is left on held-out data"
-        if self.whole:
-            fitted = f", {times(self.fitted)} times on the runs that were fitted" if self.fitted else ""
-            return f"{what} {listed(self.names)}; with it {left}{fitted}."
-        return (
-            f"{what} {listed(self.names)}, which explains {percent(self.closed)} of the gap on held-out data; a clear remainder "
-            f"stays unexplained: {left}."
-        )
+        more = f", {times(self.fitted)} times on the runs that were fitted" if self.fitted else ""
+        return self.said(self.form if self.whole else self.in_part, what=what, more=more)
 
 
 @dataclass(frozen=True)
@@ -322,10 +290,7 @@ class NotMostHeldOut(Reason):
     names: Sequence[str]
     closed: float
     left: float
-
-    @property
-    def sentence(self) -> str:
-        return (
-            f"No effect explains most of the gap: {listed(self.names)} explains {percent(self.closed)} of it on held-out data; "
-            f"{times(self.left)} times the noise is left on held-out data, so that it is not claimed."
-        )
+    form = (
+        "No effect explains most of the gap: {names:listed} explains {closed:percent} of it on held-out data; {left:times} times "
+        "the noise is left on held-out data, so that it is not claimed."
+    )
