@@ -133,7 +133,7 @@ def _part(binding: Binding, e: Any, count: int, number: int, each: int) -> Motio
     joints = [iy[k] for k in chain.joint_outputs]
     if not joints:  # speeds alone: the samples speak for themselves
         return None
-    sigma = e.noise_rms(binding.sigma, iy)
+    sigma = e.noise_rms(binding.readings, iy)
     cutoff = max(content_cutoff(t, y[:, i], sigma[k]) for i, k in zip(joints, chain.joint_outputs, strict=True))
     q, qd, qdd, _ = differentiate(t, y[:, joints], cutoff)
     nu = len(iu)
@@ -351,7 +351,7 @@ def _noise_motion(binding: Binding, runs: Sequence[Any], rng: Any, m: Motion) ->
     e = max(runs, key=len)
     t = e.t[: max(200, min(len(e), 4 * len(m.held)))]
     joints = [iy[k] for k in chain.joint_outputs]
-    sigma = np.array([binding.sigma[k] for k in chain.joint_outputs])
+    sigma = np.array([binding.readings[k] for k in chain.joint_outputs])
     y = e.motion()[: len(t)]
     cutoff = max(content_cutoff(t, y[:, i], s) for i, s in zip(joints, sigma, strict=True))
     white = differentiate(t, sigma * rng.standard_normal((len(t), len(joints))), cutoff)[:3]

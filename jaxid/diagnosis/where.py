@@ -2,8 +2,9 @@
 
 The missing force m(t) = drive - (M qdd + bias + friction) is computed along the smoothed measured motion. Derivatives of a
 noisy position make such a residual even for a perfect model, so every figure is compared with the same figure of simulated
-data: the model's own free run with the measured noise added, through the same filters. Where named effects explain what is
-missing, the force that they supply along the same motion is looked at in its place: it has no noise.
+data: the model's own free run with the sensors' noise, and what repeats of the run differ by, added, through the same filters.
+Where named effects explain what is missing, the force that they supply along the same motion is looked at in its place: it has no
+noise.
 """
 
 from __future__ import annotations
@@ -14,6 +15,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from jaxid.data.dataset import Experiment
+from jaxid.data.noise import repeats
 from jaxid.data.splits import LATE
 from jaxid.diagnosis.cause import span, variable, words
 from jaxid.diagnosis.regimes import regimes
@@ -23,6 +25,7 @@ from jaxid.dynamics.joint_readings import joint_motion, stated_positions
 from jaxid.fitting.problem_builder import Bench
 from jaxid.fitting.result import EffectEstimate
 from jaxid.fitting.scores import free_runs
+from jaxid.problem.binding import Binding
 from jaxid.problem.problem import Problem
 from jaxid.problem.residual import InverseDynamics, OutputError, Runs
 from jaxid.simulation import sample_buffers as samples
@@ -62,11 +65,13 @@ def missing_forces(bench: Bench, theta: np.ndarray, starts: np.ndarray, seed: in
     rng = np.random.default_rng(seed)
     nulls: list[list[np.ndarray]] = [[] for _ in experiments]
     simulated = free_runs(bench, "fit", [theta], starts[None])[0]
+    apart, white = what_repeats_differ_by(b), np.where(_repeated(b), b.readings, b.sigma)
     for _ in range(draws):
         motion = []
         for e, y in zip(experiments, simulated, strict=True):
-            noise = e.noise(b.sigma, iy)
-            noisy = y + noise * rng.standard_normal(y.shape)
+            noisy = y + e.noise(white, iy) * rng.standard_normal(y.shape)
+            if others := apart.get(e.name):
+                noisy += rng.choice((-1.0, 1.0)) * others[rng.integers(len(others))]
             motion.append(filtered(runs, e, noisy))
         for k, p in enumerate(_torque(problem, theta, motion)):
             nulls[k].append(-p)
@@ -79,6 +84,24 @@ def missing_forces(bench: Bench, theta: np.ndarray, starts: np.ndarray, seed: in
         load = e.u[:, iu[: b.chain.nq]] if b.chain.direct and len(iu) else np.zeros((len(e.t), b.chain.nq))
         out.append(Missing(e, keep, m.q[keep], m.qd[keep], m.qdd[keep], load[keep], force[k], np.array(nulls[k])))
     return out
+
+
+def what_repeats_differ_by(binding: Binding) -> dict[str, list[np.ndarray]]:
+    """Run -> by how much it and each of its repeats is off their mean [time ny], beyond what the sensors' noise makes of that: a
+    motion that no model foresees, of as much variance as one more repeat would have."""
+    _, iy = samples.columns(binding.dataset, binding.chain)
+    of_machine = np.sqrt(np.where(_repeated(binding), np.maximum(0.0, 1 - (binding.readings / binding.sigma) ** 2), 0.0))
+    out: dict[str, list[np.ndarray]] = {}
+    for group in repeats([e for e in binding.dataset.experiments if e.split != "report"]):
+        motions = np.stack([e.motion()[:, iy] for e in group])
+        apart = (motions - motions.mean(0)) * np.sqrt(len(group) / (len(group) - 1)) * of_machine
+        out |= {e.name: list(apart) for e in group}
+    return out
+
+
+def _repeated(binding: Binding) -> np.ndarray:
+    """Outputs [ny] whose noise is what repeats differ by."""
+    return np.array([binding.noise[name].source == "repeatability" for name, _ in binding.chain.signature.outputs])
 
 
 def _positions(runs, k: int) -> np.ndarray:

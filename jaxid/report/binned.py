@@ -25,7 +25,8 @@ STILL = 0.03
 
 @dataclass(frozen=True)
 class Means:
-    """Means over the parts of an axis: middle of each part, mean, and half its 95 % interval from one visit to the next."""
+    """Means over the parts of an axis: middle of each part, mean, and half its 95 % interval from one visit to the next (nan
+    where there are too few to tell)."""
 
     x: np.ndarray
     mean: np.ndarray
@@ -42,10 +43,10 @@ def means(runs: Sequence[tuple[np.ndarray, np.ndarray, np.ndarray]], edges: np.n
         for stretch in np.split(np.arange(len(part)), cuts):
             if len(stretch) and 0 <= (k := part[stretch[0]]) < len(found):
                 found[k].append(float(np.mean(y[stretch])))
-    told = [k for k, values in enumerate(found) if len(values) >= VISITS]
+    told = [k for k, values in enumerate(found) if values]
     values = [np.array(found[k]) for k in told]
     middle = 0.5 * (edges[1:] + edges[:-1])
-    half = [1.96 * np.std(v, ddof=1) / np.sqrt(len(v)) for v in values]
+    half = [1.96 * np.std(v, ddof=1) / np.sqrt(len(v)) if len(v) >= VISITS else np.nan for v in values]
     return Means(middle[told], np.array([v.mean() for v in values]), np.array(half))
 
 
@@ -70,7 +71,9 @@ def draw(axes: Axes, forces: Sequence[MissingForce], field: str, which: str, law
         keep = [moving(f) & ((sign == 0) | (np.sign(f.qd) == sign)) for f in forces]
         series = [(getattr(f, field), plot.series(getattr(f, which)), k) for f, k in zip(forces, keep, strict=True)]
         m = means(series, edges)
-        axes.errorbar(m.x, m.mean, m.half, fmt=mark, ms=3.6, lw=1.0, color=color)
+        known = np.isfinite(m.half)
+        axes.errorbar(m.x[known], m.mean[known], m.half[known], fmt=mark, ms=3.6, lw=1.0, color=color)
+        axes.plot(m.x[~known], m.mean[~known], mark, ms=3.6, mfc="white", mew=0.9, color=color)
         if law:
             given = [(x, plot.series(f.before) - plot.series(f.after), k) for f, (x, _, k) in zip(forces, series, strict=True)]
             supplied = means(given, edges)
