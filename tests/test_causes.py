@@ -48,5 +48,7 @@ def test_means_count_visits_not_samples():
     edges = np.linspace(-0.95, 0.95, 11)
     m = binned.means([(x, np.tanh(4 * x) + slow, np.ones(6000, bool))], edges)
     assert len(m.x) == 10 and np.mean(np.abs(m.mean - np.tanh(4 * m.x)) < m.half) >= 0.7
+    once = binned.means([(np.linspace(-0.95, 0.94, 6000), slow, np.ones(6000, bool))], edges)
+    assert len(once.x) == 10 and np.isnan(once.half).all()  # a mean that was seen once has no interval
     none = binned.means([(x, slow, np.zeros(6000, bool))], edges)
     assert len(none.x) == len(none.mean) == len(none.half) == 0

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -127,6 +128,18 @@ def test_repeated_runs_show_what_the_machine_does():
     expected = np.sqrt(np.mean(np.var(np.stack(wander), axis=0, ddof=1)))
     assert found.source == "repeatability" and found.std == pytest.approx(expected)
     assert "sensor's alone" not in found.text and "6 runs" in found.text
+
+
+def test_a_repeat_that_stops_before_the_other_is_one():
+    """As where the end of a run is kept for report; what covers less than half of the other says nothing of it."""
+    wander = [MOTION + 0.01 * k * np.sin(T) + noise(1e-5, k) for k in range(2)]
+    both = dataset(*wander, noise_std=1e-5)
+    short = lambda count: replace(
+        both, experiments=(both.experiments[0], both.experiments[1].piece(0, count, name="b", split="fit"))
+    )
+    expected = np.sqrt(np.mean(np.var(np.stack([y[: len(T) - 7] for y in wander]), axis=0, ddof=1)))
+    assert noise_floor(short(len(T) - 7))["q"].std == pytest.approx(expected)
+    assert noise_floor(short(len(T) // 2 - 1))["q"].source == "stated"
 
 
 def test_runs_from_different_starts_are_no_repeats():

@@ -88,6 +88,36 @@ def test_the_floor_is_told_where_it_lies():
     assert floor[: N // 2 - 20] == pytest.approx(10, rel=0.4) and floor[N // 2 + 20 :] == pytest.approx(1, rel=0.4)
 
 
+def test_what_repeats_differ_by_is_a_motion_and_no_noise_of_a_reading():
+    """Two runs of a mass whose friction differs by a fifth end rad apart: a torque that the model lacks stands out of that, where
+    rad of white noise would hide anything."""
+    rng, t = np.random.default_rng(0), np.arange(600) / 100
+    u = multisine(t, [0.05], seed=1, periods=3.0, lines=6)[:, 0]
+    runs = []
+    for friction in (0.018, 0.022):
+        q, qd, y = 0.0, 0.0, []
+        for push in u + 0.02 * (t > 4):  # what the model knows nothing of
+            y.append(q)
+            qd += 0.01 * (push - friction * qd) / 0.01
+            q += 0.01 * qd
+        runs.append(np.array(y) + 1e-4 * rng.standard_normal(len(t)))
+    data = jaxid.Dataset.from_arrays(
+        [t, t], {"tau": [u, u]}, {"q": runs}, split=["fit", "validation"], at_rest=True, model="joint",
+    )  # fmt: skip
+    binding = bind(None, data, without=["coulomb_friction", "constant_torque"])
+    assert binding.noise["q"].source == "repeatability" and binding.sigma[0] > 100 * binding.readings[0]
+    theta = binding.theta.copy()
+    for name, value in (("inertia", 0.01), ("viscous", 0.02)):
+        theta[binding.layout.index(name)] = value
+    bench = Bench(binding, differences=1)
+    (m,) = missing_forces(bench, theta, estimate_starts(bench, "fit", [theta])[0], 0)
+    late = m.experiment.t[m.keep] > 4.5
+    floor = np.sqrt(np.mean(m.null[:, late] ** 2))
+    assert abs(np.mean(m.force[late])) == pytest.approx(0.02, abs=0.006) and floor < 0.01
+    # What the repeats differ by, (0.022 - 0.018) qd / 2, is in the floor.
+    assert floor > 0.3 * 0.002 * np.sqrt(np.mean(m.qd[late] ** 2))
+
+
 @pytest.mark.slow
 def test_a_right_model_shows_what_noise_shows():
     """At each joint, though one moves faster than the other: what is measured and what is simulated pass the same filters."""

@@ -56,7 +56,7 @@ def _floor(channel: Channel, column: int, runs: Sequence[Experiment], groups: li
         scatter = [run.noise(np.zeros(1), [column])[at, 0] for run, at in parts]
         std = _beside(series, scatter) if any(s.any() for s in scatter) else sensor_noise(series)
         found["sensor"] = (std, "estimated from differences of neighbouring samples")
-    between = [_scatter([run.motion()[:, column] for run in group]) for group in groups]
+    between = [_scatter(together(group)[..., column]) for group in groups]
     if between:
         found["repeatability"] = (
             float(np.sqrt(np.mean(np.square(between)))),
@@ -162,7 +162,7 @@ def _grid_of(values: np.ndarray) -> tuple[float, bool, float] | None:
 
 def repeats(runs: Sequence[Experiment]) -> list[list[Experiment]]:
     """Groups of two and more runs with the same inputs at the same times, the same constants and the same start, or of which one
-    is stated to repeat the other."""
+    is stated to repeat the other; one may stop before the other, but not before half of it."""
     groups: list[list[Experiment]] = []
     for run in runs:
         group = next((g for g in groups if _same_conditions(g[0], run)), None)
@@ -174,17 +174,18 @@ def repeats(runs: Sequence[Experiment]) -> list[list[Experiment]]:
 
 
 def _same_conditions(a: Experiment, b: Experiment) -> bool:
-    if a.t.shape != b.t.shape:
+    count = min(len(a), len(b))
+    if 2 * count < max(len(a), len(b)):
+        return False
+    times = float(np.max(np.abs((a.t[:count] - a.t[0]) - (b.t[:count] - b.t[0]))))
+    if times > 0.01 * float(np.median(np.diff(a.t))):
         return False
     stated = a.repeat_of == b.name or b.repeat_of in (a.name, a.repeat_of or b.name)
     if stated:
-        return bool(np.max(np.abs((a.t - a.t[0]) - (b.t - b.t[0]))) <= 0.01 * float(np.median(np.diff(a.t))))
-    if a.u.shape != b.u.shape or not np.array_equal(a.u, b.u):
+        return True
+    if not np.array_equal(a.u[:count], b.u[:count]):
         return False
     if (a.constants, a.initial, a.at_rest) != (b.constants, b.initial, b.at_rest):
-        return False
-    step = float(np.median(np.diff(a.t)))
-    if np.max(np.abs((a.t - a.t[0]) - (b.t - b.t[0]))) > 0.01 * step:
         return False
     if a.initial is not None or a.at_rest:
         return True
@@ -192,5 +193,11 @@ def _same_conditions(a: Experiment, b: Experiment) -> bool:
     return bool(np.all(np.abs(a.y[0] - b.y[0]) <= 0.02 * np.ptp(a.y, axis=0)))
 
 
-def _scatter(repeated: Sequence[np.ndarray]) -> float:
-    return sqrt(float(np.mean(np.var(np.stack(repeated), axis=0, ddof=1))))
+def together(group: Sequence[Experiment]) -> np.ndarray:
+    """The motions of repeats as far as they all go [runs time ny]."""
+    count = min(map(len, group))
+    return np.stack([e.motion()[:count] for e in group])
+
+
+def _scatter(repeated: np.ndarray) -> float:
+    return sqrt(float(np.mean(np.var(repeated, axis=0, ddof=1))))

@@ -15,7 +15,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from jaxid.data.dataset import Experiment
-from jaxid.data.noise import repeats
+from jaxid.data.noise import repeats, together
 from jaxid.data.splits import LATE
 from jaxid.diagnosis.cause import span, variable, words
 from jaxid.diagnosis.regimes import regimes
@@ -71,7 +71,8 @@ def missing_forces(bench: Bench, theta: np.ndarray, starts: np.ndarray, seed: in
         for e, y in zip(experiments, simulated, strict=True):
             noisy = y + e.noise(white, iy) * rng.standard_normal(y.shape)
             if others := apart.get(e.name):
-                noisy += rng.choice((-1.0, 1.0)) * others[rng.integers(len(others))]
+                chosen = rng.choice((-1.0, 1.0)) * others[rng.integers(len(others))]
+                noisy[: len(chosen)] += chosen
             motion.append(filtered(runs, e, noisy))
         for k, p in enumerate(_torque(problem, theta, motion)):
             nulls[k].append(-p)
@@ -87,13 +88,13 @@ def missing_forces(bench: Bench, theta: np.ndarray, starts: np.ndarray, seed: in
 
 
 def what_repeats_differ_by(binding: Binding) -> dict[str, list[np.ndarray]]:
-    """Run -> by how much it and each of its repeats is off their mean [time ny], beyond what the sensors' noise makes of that: a
-    motion that no model foresees, of as much variance as one more repeat would have."""
+    """Run -> by how much it and each of its repeats is off their mean [time ny], as far as they all go, beyond what the sensors'
+    noise makes of that: a motion that no model foresees, of as much variance as one more repeat would have."""
     _, iy = samples.columns(binding.dataset, binding.chain)
     of_machine = np.sqrt(np.where(_repeated(binding), np.maximum(0.0, 1 - (binding.readings / binding.sigma) ** 2), 0.0))
     out: dict[str, list[np.ndarray]] = {}
     for group in repeats([e for e in binding.dataset.experiments if e.split != "report"]):
-        motions = np.stack([e.motion()[:, iy] for e in group])
+        motions = together(group)[..., iy]
         apart = (motions - motions.mean(0)) * np.sqrt(len(group) / (len(group) - 1)) * of_machine
         out |= {e.name: list(apart) for e in group}
     return out
