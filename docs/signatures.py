@@ -75,7 +75,7 @@ def _draw(folder: Path, model: str, names: list[str]) -> set[str]:
 
 def _force(path: Path, bench, e, theta, y: np.ndarray, nominal: np.ndarray, location: str) -> None:
     """Missing force against velocity and over time."""
-    from jaxid.diagnosis.where import _torque, filtered
+    from jaxid.diagnosis.missing import filtered, torque_along
     from jaxid.problem.residual import InverseDynamics
     from jaxid.report import plot
 
@@ -92,7 +92,7 @@ def _force(path: Path, bench, e, theta, y: np.ndarray, nominal: np.ndarray, loca
 
     def missing(outputs: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         motion = filtered(runs, e, outputs[:, columns])
-        return motion, -_torque(problem, theta, [motion])[0][:, j]
+        return motion, -torque_along(problem, theta, [motion])[0][:, j]
 
     # Less what the filters alone leave where the command steps.
     (motion, force), (_, left) = missing(y), missing(nominal)

@@ -19,10 +19,10 @@ from jaxid.diagnosis.goals import plant as goals_plant
 from jaxid.diagnosis.goals.plant import LedPlant
 from jaxid.diagnosis.goals.propose import proposals
 from jaxid.diagnosis.goals.study import LedStudy
+from jaxid.diagnosis.missing import missing_forces
 from jaxid.diagnosis.torque import plant as torque_plant
 from jaxid.diagnosis.torque.algebra import _boxed
 from jaxid.diagnosis.torque.plant import inverse_of
-from jaxid.diagnosis.where import missing_forces
 from jaxid.dynamics.parameter_vector import Form
 from jaxid.fitting.least_squares import descend
 from jaxid.fitting.problem_builder import Bench, estimate_starts

@@ -12,7 +12,8 @@ import numpy as np
 import pytest
 
 import jaxid
-from jaxid.diagnosis.where import findings, floor_at, Missing, missing_forces, supplied, table
+from jaxid.diagnosis.missing import Missing, missing_forces
+from jaxid.diagnosis.where import findings, floor_at, supplied, table
 from jaxid.fitting.problem_builder import Bench, estimate_starts
 from jaxid.problem.binding import bind
 from reference import multisine
@@ -116,6 +117,24 @@ def test_what_repeats_differ_by_is_a_motion_and_no_noise_of_a_reading():
     assert abs(np.mean(m.force[late])) == pytest.approx(0.02, abs=0.006) and floor < 0.01
     # What the repeats differ by, (0.022 - 0.018) qd / 2, is in the floor.
     assert floor > 0.3 * 0.002 * np.sqrt(np.mean(m.qd[late] ** 2))
+
+
+def test_a_joint_that_its_friction_may_hold_lacks_nothing():
+    """It is pushed by less than its friction, and its reading flickers: no force is missing, whichever way the flicker goes. A
+    model of half that friction lacks the rest of it."""
+    rng, t = np.random.default_rng(0), np.arange(600) / 100
+    u = 0.05 * np.sin(t)
+    data = jaxid.Dataset.from_arrays(
+        t, {"tau": u}, {"q": 1e-4 * rng.standard_normal(len(t))}, split="fit", at_rest=True, noise_std={"q": 1e-4}, model="joint",
+    )  # fmt: skip
+    binding = bind(None, data, splits=False)
+    bench = Bench(binding, differences=1)
+    for friction, most in ((0.06, 0.0), (0.03, 0.02)):
+        theta = binding.theta.copy()
+        for name, value in (("inertia", 1e-4), ("viscous", 0.0), ("coulomb", friction), ("offset", 0.0)):
+            theta[binding.layout.index(name)] = value
+        (m,) = missing_forces(bench, theta, estimate_starts(bench, "fit", [theta])[0], 0)
+        assert np.max(np.abs(m.force)) == pytest.approx(most, abs=0.004)
 
 
 @pytest.mark.slow

@@ -9,6 +9,7 @@ import numpy as np
 from jaxid.diagnosis import how_far as shrinking, where as location
 from jaxid.diagnosis.evidence import inflation, worth
 from jaxid.diagnosis.hypothesis import Candidate, Hypothesis, Search
+from jaxid.diagnosis.missing import missing_forces
 from jaxid.diagnosis.result import Ranked
 from jaxid.fitting.assemble import assemble, estimates
 from jaxid.fitting.fitter import Minimum
@@ -59,10 +60,10 @@ def where_it_lies(bench: Bench, nominal: Hypothesis, final: Hypothesis, verdict:
     places = {joint: e.location for joint, e in causes.items()}
     own = causes if verdict == "named" else {}
     only = tuple(places) if verdict == "named" else ()  # else what is left may lie anywhere
-    before = location.missing_forces(bench, nominal.theta, starts, seed)
+    before = missing_forces(bench, nominal.theta, starts, seed)
     found, rows, pictures = [], [], []
     if before:
-        also = lambda: location.missing_forces(bench, final.theta, _starts(bench, final), seed, draws=0)
+        also = lambda: missing_forces(bench, final.theta, _starts(bench, final), seed, draws=0)
         after = before if final is nominal else also()
         forces = {j: location.supplied(before, after, joints.index(j)) for j in only}
         given = {j: force for j, force in forces.items() if force is not None}

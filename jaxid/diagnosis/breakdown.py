@@ -8,8 +8,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from jaxid.diagnosis.evidence import HeldOut
+from jaxid.diagnosis.missing import Missing
 from jaxid.diagnosis.regimes import regimes
-from jaxid.diagnosis.where import Missing
 from jaxid.fitting.problem_builder import Bench
 from jaxid.fitting.scores import scored
 from jaxid.simulation.sample_buffers import columns

@@ -8,7 +8,7 @@ import numpy as np
 
 
 if TYPE_CHECKING:
-    from jaxid.diagnosis.where import Missing
+    from jaxid.diagnosis.missing import Missing
 
 
 def regimes(m: Missing, joint: int) -> dict[str, np.ndarray]:

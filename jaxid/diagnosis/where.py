@@ -1,144 +1,30 @@
 """Where the gap lies: the force that the model lacks, by joint, regime and time, against what noise alone would show.
 
-The missing force m(t) = drive - (M qdd + bias + friction) is computed along the smoothed measured motion. Derivatives of a
-noisy position make such a residual even for a perfect model, so every figure is compared with the same figure of simulated
-data: the model's own free run with the sensors' noise, and what repeats of the run differ by, added, through the same filters.
-Where named effects explain what is missing, the force that they supply along the same motion is looked at in its place: it has no
-noise.
+Every figure of the missing force (`missing`) is compared with the same figure of simulated data. Where named effects explain what
+is missing, the force that they supply along the same motion is looked at in its place: it has no noise.
 """
 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
 
 import numpy as np
 
 from jaxid.data.dataset import Experiment
-from jaxid.data.noise import repeats, together
 from jaxid.data.splits import LATE
 from jaxid.diagnosis.cause import span, variable, words
+from jaxid.diagnosis.missing import Missing
 from jaxid.diagnosis.regimes import regimes
 from jaxid.diagnosis.result import Finding, MissingForce, Regime
 from jaxid.diagnosis.thresholds import LIMITS
-from jaxid.dynamics.joint_readings import joint_motion, stated_positions
 from jaxid.fitting.problem_builder import Bench
 from jaxid.fitting.result import EffectEstimate
 from jaxid.fitting.scores import free_runs
-from jaxid.problem.binding import Binding
-from jaxid.problem.problem import Problem
-from jaxid.problem.residual import InverseDynamics, OutputError, Runs
-from jaxid.simulation import sample_buffers as samples
+from jaxid.problem.residual import OutputError
 from jaxid.wording import number, percent
 
 
-#: Simulated repetitions for the null of every regime.
-NULLS = 12
 WINDOW_S = 0.5
-
-
-@dataclass
-class Missing:
-    """Missing force of one run: [time nq], and [draws time nq] of what a perfect model would show."""
-
-    experiment: Experiment
-    keep: np.ndarray
-    q: np.ndarray
-    qd: np.ndarray
-    qdd: np.ndarray
-    load: np.ndarray
-    force: np.ndarray
-    null: np.ndarray
-
-
-def missing_forces(bench: Bench, theta: np.ndarray, starts: np.ndarray, seed: int, draws: int = NULLS) -> list[Missing]:
-    """Missing force on the fit runs at `theta`; empty where the model does not measure its joints."""
-    b = bench.binding
-    if not b.motions or b.chain.mechanism.hidden_states:
-        return []
-    residual = InverseDynamics(decimate=1)
-    runs = bench.runs(residual, "fit")
-    experiments = b.experiments("fit")
-    iu, iy = samples.columns(b.dataset, b.chain)
-    problem = bench.problem(residual, "fit", [], theta)
-    force = [-p for p in _torque(problem, theta)]
-    rng = np.random.default_rng(seed)
-    nulls: list[list[np.ndarray]] = [[] for _ in experiments]
-    simulated = free_runs(bench, "fit", [theta], starts[None])[0]
-    apart, white = what_repeats_differ_by(b), np.where(_repeated(b), b.readings, b.sigma)
-    for _ in range(draws):
-        motion = []
-        for e, y in zip(experiments, simulated, strict=True):
-            noisy = y + e.noise(white, iy) * rng.standard_normal(y.shape)
-            if others := apart.get(e.name):
-                chosen = rng.choice((-1.0, 1.0)) * others[rng.integers(len(others))]
-                noisy[: len(chosen)] += chosen
-            motion.append(filtered(runs, e, noisy))
-        for k, p in enumerate(_torque(problem, theta, motion)):
-            nulls[k].append(-p)
-    out = []
-    for k, e in enumerate(experiments):
-        m = b.motions[e.name]
-        record = runs.record(runs.records[k])
-        keep = np.zeros(len(e.t), bool)
-        keep[np.searchsorted(_positions(runs, k), record.samples)] = True
-        load = e.u[:, iu[: b.chain.nq]] if b.chain.direct and len(iu) else np.zeros((len(e.t), b.chain.nq))
-        out.append(Missing(e, keep, m.q[keep], m.qd[keep], m.qdd[keep], load[keep], force[k], np.array(nulls[k])))
-    return out
-
-
-def what_repeats_differ_by(binding: Binding) -> dict[str, list[np.ndarray]]:
-    """Run -> by how much it and each of its repeats is off their mean [time ny], as far as they all go, beyond what the sensors'
-    noise makes of that: a motion that no model foresees, of as much variance as one more repeat would have."""
-    _, iy = samples.columns(binding.dataset, binding.chain)
-    of_machine = np.sqrt(np.where(_repeated(binding), np.maximum(0.0, 1 - (binding.readings / binding.sigma) ** 2), 0.0))
-    out: dict[str, list[np.ndarray]] = {}
-    for group in repeats([e for e in binding.dataset.experiments if e.split != "report"]):
-        motions = together(group)[..., iy]
-        apart = (motions - motions.mean(0)) * np.sqrt(len(group) / (len(group) - 1)) * of_machine
-        out |= {e.name: list(apart) for e in group}
-    return out
-
-
-def _repeated(binding: Binding) -> np.ndarray:
-    """Outputs [ny] whose noise is what repeats differ by."""
-    return np.array([binding.noise[name].source == "repeatability" for name, _ in binding.chain.signature.outputs])
-
-
-def _positions(runs, k: int) -> np.ndarray:
-    record = runs.record(runs.records[k])
-    return np.arange(record.first, record.last + 1)
-
-
-def filtered(runs: Runs, e: Experiment, y: np.ndarray) -> np.ndarray:
-    """Joints, their velocities and accelerations [time 3 nq] of simulated outputs y [time ny], through the filter of the measured
-    motion."""
-    assert runs.setting is not None
-    chain = runs.layout.chain
-    start = stated_positions(e, chain.signature)
-    return np.concatenate(joint_motion(chain, e.t, y, [runs.setting.cutoff_hz] * chain.nq, start)[:3], 1)
-
-
-def _torque(problem: Problem, theta: np.ndarray, motion: Sequence[np.ndarray] | None = None) -> list[np.ndarray]:
-    """Minus the missing force at the kept samples of each run; `motion` [time 3 nq] per run replaces the measured one."""
-    import jax.numpy as jnp
-
-    from jaxid.numerics.precision import float64
-
-    engine = problem.runs.engine
-    kept = engine.samples
-    if motion is not None:
-        x = np.array(kept.x)
-        for number, m in zip(problem.records, motion, strict=True):
-            r = problem.runs.record(number)
-            x[r.first : r.last + 1] = m
-        with float64():
-            engine.samples = kept._replace(x=jnp.asarray(x))
-    try:
-        return problem.predictions(problem.z(theta))
-    finally:
-        engine.samples = kept
-
 
 #: Each regime in words, and what tells it.
 _WORDS = {

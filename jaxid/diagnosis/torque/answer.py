@@ -11,12 +11,12 @@ import numpy as np
 from jaxid.diagnosis import where as location
 from jaxid.diagnosis.breakdown import Share
 from jaxid.diagnosis.how_far import closed, shrink
+from jaxid.diagnosis.missing import Missing
 from jaxid.diagnosis.result import ChannelGap, Finding, HowFar, MissingForce, Ranked, Regime
 from jaxid.diagnosis.thresholds import LIMITS
 from jaxid.diagnosis.torque.choose import Chooser, Model
 from jaxid.diagnosis.torque.library import BODY, Unit
 from jaxid.diagnosis.torque.study import Rows, Study
-from jaxid.diagnosis.where import Missing
 from jaxid.dynamics.parameter import resolve, specs
 from jaxid.fitting.problem_builder import Bench
 from jaxid.fitting.result import EffectEstimate, Estimate, Score, Trace
