@@ -303,3 +303,14 @@ def test_only_what_the_data_do_not_allow_becomes_a_note(monkeypatch, error, note
     else:
         with pytest.raises(ValueError, match="a slip"):
             checked(data)
+
+
+def test_a_current_is_no_torque_whatever_its_channel_is_called():
+    """A dataset that names no model states units of its own; a model that is given beside it is held to them."""
+    t = np.arange(400) / 100
+    data = jaxid.Dataset.from_arrays(t, {"tau": np.sin(t)}, {"q": np.sin(t) ** 2}, units={"tau": "mA"})
+    with pytest.raises(UsageError, match="'tau' is in A, but model 'joint' needs N m"):
+        jaxid.fit("joint", data)
+    checked = jaxid.check("joint", data)
+    assert not checked.model and any("'tau' is in A" in note for note in checked.notes)
+    assert "no model was asked" in str(checked)

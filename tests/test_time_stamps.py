@@ -98,3 +98,11 @@ def test_a_diagnosis_names_time_stamps_that_scatter(beside):
     assert d.how_far.gap_after < 1.1 and d.how_far.gap_retuned > 5
     assert d.which.ranking[0].effect == "timestamp_jitter" and d.which.ranking[0].evidence > 100
     assert "scatter by" in d.which.text
+
+
+def test_stamps_that_no_reading_shows_are_not_asked():
+    """To second order they shift a reading as a smooth law may; the noise that they would make is not there."""
+    data = recording("joint", 3, dead_zone=0.03)
+    found = jaxid.diagnose(None, data, effects=["timestamp_jitter"])
+    assert found.which.verdict == "unknown" and not found.which.ranking
+    assert found.notes[-1].startswith("timestamp_jitter: neighbouring readings do not scatter")

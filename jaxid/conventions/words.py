@@ -31,6 +31,8 @@ def finding_text(f: DataFinding) -> str:
 def headline(checked: Checked) -> str:
     """The answer in one sentence."""
     applied = [f for f in checked.findings if f.decisive]
+    if not checked.findings and not checked.model:
+        return "Nothing found in the samples themselves; no model was asked."
     if not checked.findings:
         return "Nothing found: the recording contradicts neither itself nor the model."
     if not checked.usable:

@@ -68,6 +68,10 @@ class Question:
     step: float = STEP  # of its simulations, s
 
 
+#: Where the user asks for time stamps that scatter.
+NOT_SCATTERED = f"{JITTER}: neighbouring readings do not scatter with speed, so that the time stamps do not"
+
+
 def run_diagnosis(
     model: object,
     dataset: Dataset,
@@ -135,7 +139,7 @@ def _run(
         return diagnose_by_torque(binding, library, max_effects, residual.cutoff_hz, seed, reference, progress)
     own = residual or default_residual(binding)
     still = standing_still(binding)
-    stamps = {}
+    stamps, others = {}, tuple(n for n in allowed if n != JITTER)
     if any(k.name == JITTER for k in library):
         names = [n for n, _ in binding.chain.signature.outputs]
         stamps = {c: s for c, s in scattered_stamps(binding.dataset, binding.noise).items() if c in names}
@@ -143,11 +147,11 @@ def _run(
         scatter = timing.Scatter(stamps, binding)
         readings = with_scatter(dataset, stamps, binding.noise)
         stamped = bind(model, readings, without=without, candidates=library).with_stamps(stamps)
-        others = tuple(n for n in allowed if n != JITTER)
         found, _ = _diagnosed(Question(stamped, own, others, max_effects, seed, progress, known), scatter)
         if found.which.verdict == "named":
             return dataclasses.replace(found, wall_time_s=time.perf_counter() - began)
-    question = Question(binding, own, allowed, max_effects, seed, progress, known, still)
+    # Stamps that scatter are noise, which neighbouring readings show or refute: no fit may take something smooth for it.
+    question = Question(binding, own, allowed if stamps else others, max_effects, seed, progress, known, still)
     found, grown = _diagnosed(question)
     verdict = found.which.verdict
     doubtful = verdict in ("unknown", "partly") or (verdict == "named" and found.how_far.gap_after > LIMITS.remainder)
@@ -174,7 +178,8 @@ def _run(
             return _diagnosed(dataclasses.replace(question, binding=wider, allowed=names, known=Interim(silent=True)))[0]
 
         found = asked_last(found, nominal, own.name, ask)
-    notes = (*found.notes, *(s.text for s in stamps.values()))
+    unseen = asked is not None and JITTER in asked and not stamps
+    notes = (*found.notes, *(s.text for s in stamps.values()), *((NOT_SCATTERED,) if unseen else ()))
     return dataclasses.replace(found, notes=notes, wall_time_s=time.perf_counter() - began)
 
 

@@ -17,6 +17,7 @@ from jaxid.data.dataset import Dataset, Experiment, ParameterPrior
 from jaxid.data.joint_names import in_chain_order, joint_names
 from jaxid.data.noise import Noise, noise_floor
 from jaxid.data.time_stamps import scattered_stamps, Stamps, with_scatter
+from jaxid.data.units import si_unit
 from jaxid.dynamics.chain import Chain
 from jaxid.dynamics.effect import Effect, JointEffect, neutral
 from jaxid.dynamics.joint_readings import all_read, with_speeds
@@ -157,6 +158,7 @@ def _signature(mechanism: Mechanism, dataset: Dataset) -> Signature:
     for s in mechanism.signatures:
         s = with_speeds(s, {c.name: c.unit for c in dataset.outputs})
         if outputs >= {n for n, _ in s.outputs} and (free or inputs >= {n for n, _ in s.inputs}):
+            _check_units(mechanism.name, dataset, (*s.outputs, *(() if free else s.inputs)))
             return s
     wanted = "; or ".join(
         f"inputs {', '.join(n for n, _ in s.inputs)} and outputs {', '.join(n for n, _ in s.outputs)}"
@@ -166,6 +168,17 @@ def _signature(mechanism: Mechanism, dataset: Dataset) -> Signature:
         f"model {mechanism.name} needs {wanted}; the dataset has inputs {', '.join(sorted(inputs)) or 'none'} and outputs "
         f"{', '.join(sorted(outputs)) or 'none'}. Rename channels with `column`, or choose another model"
     )
+
+
+def _check_units(model: str, dataset: Dataset, needed: Iterable[tuple[str, str]]) -> None:
+    """A current is no torque, whatever its channel is called."""
+    units = {c.name: c.unit for c in dataset.channels}
+    for name, unit in needed:
+        if si_unit(units[name]) != si_unit(unit):
+            raise UsageError(
+                f"{name!r} is in {units[name]}, but model {model!r} needs {unit}. Correct the unit, or convert it under "
+                f'[channels.{name}]: scale = … (in {unit} per {units[name]}) and unit = "{unit}"'
+            )
 
 
 def parse_effect(text: str | Effect | type[Effect], chain: Chain) -> tuple[type[Effect], str | None]:
