@@ -84,6 +84,9 @@ def test_what_an_effect_does_not_take_away_is_looked_at_as_measured():
 
 def test_the_floor_is_told_where_it_lies():
     m = missing(np.zeros((N, 2)), np.random.default_rng(3))
+    m.null[:, N // 3 : N // 2] = 0.0  # held by its friction
+    assert np.isfinite(floor_at(m, 0)).all()
+    m = missing(np.zeros((N, 2)), np.random.default_rng(3))
     m.null[:, : N // 2] *= 10
     floor = floor_at(m, 0)
     assert floor[: N // 2 - 20] == pytest.approx(10, rel=0.4) and floor[N // 2 + 20 :] == pytest.approx(1, rel=0.4)

@@ -90,7 +90,8 @@ def floor_at(m: Missing, joint: int) -> np.ndarray:
     """The same at every sample [time], over a hundredth of the run: noise shows more where the motion is abrupt."""
     from scipy.ndimage import uniform_filter1d
 
-    return np.sqrt(uniform_filter1d(np.mean(m.null[:, :, joint] ** 2, 0), 1 + len(m.force) // 100, mode="nearest"))
+    square = uniform_filter1d(np.mean(m.null[:, :, joint] ** 2, 0), 1 + len(m.force) // 100, mode="nearest")
+    return np.sqrt(np.maximum(square, 0.0))  # a running sum of zeros ends below zero
 
 
 def findings(
