@@ -1,12 +1,16 @@
 """The README's code runs as it stands there."""
 
+import math
 import re
+import shlex
 import shutil
 from pathlib import Path
 
 import numpy as np
+import pytest
 
 import jaxid
+from jaxid.cli.app import main
 from jaxid.wording import percent
 
 
@@ -15,6 +19,8 @@ README = (ROOT / "README.md").read_text()
 OWN_MODEL, FROM_PYTHON = re.findall(r"```python\n(.*?)```", README, re.S)
 EXTENDING = re.findall(r"```python\n(.*?)```", (ROOT / "docs" / "extending.md").read_text(), re.S)
 OWN_EFFECT = next(block for block in EXTENDING if "JointEffect" in block)
+TABLE, ROBOT = (b.splitlines() for b in re.findall(r"```sh\n(.*?)```", README, re.S) if b.startswith("jaxid"))
+(STATED,) = re.findall(r"```toml\n(.*?)```", README, re.S)
 (ANSWER,) = re.findall(r"```text\n(.*?)```", README, re.S)
 #: A number, and how near one that another machine computed has to be.
 NUMBER, NEAR = re.compile(r"\d+(?:\.\d+)?(?:e[+-]?\d+)?"), 0.05
@@ -88,3 +94,62 @@ def test_the_recipes_for_a_model_and_an_effect_fit():
 
     joint = Chain(jaxid.models.Joint()).with_effects(made["SpringTorque"]())
     assert "spring_torque.stiffness@q" in Layout(joint).names
+
+
+def typed(lines: list[str], *more: str) -> None:
+    """Each line as it stands there; `more` behind a diagnosis."""
+    for line in lines:
+        program, *words = shlex.split(line, comments=True)
+        assert program == "jaxid" and main([*words, *(more if words[0] == "diagnose" else ())]) == 0, line
+
+
+def test_the_road_from_a_table_runs_as_it_is_typed(tmp_path, monkeypatch, capsys):
+    monkeypatch.chdir(tmp_path)
+    t = np.arange(600) / 100
+    torque, q, qd, angle = 0.6 * np.sin(2.1 * t) + 0.4 * np.sin(5.3 * t), 0.0, 0.0, []
+    for push in torque:
+        angle.append(np.degrees(q))
+        for _ in range(100):
+            qd += 1e-4 * (push - 0.05 * qd - 1.2 * math.sin(q)) / 0.06
+            q += 1e-4 * qd
+    angle += 0.02 * np.random.default_rng(0).standard_normal(t.size)
+    rows = [f"{a:.2f},{b:.6f},{c:.6f}" for a, b, c in zip(t, torque, angle, strict=True)]
+    Path("log.csv").write_text("\n".join(["time_s,motor_Nm,enc_deg", *rows]))
+    typed(TABLE, "--effects", "dead_zone")
+    told = capsys.readouterr().out
+    assert "Nothing found" in told and "Nothing is missing" in told, told
+    assert Path("out/report.html").stat().st_size > 10_000 and Path("out/diagnosis.json").is_file()
+
+
+@pytest.mark.slow
+def test_the_road_of_a_robot_runs_as_it_is_typed(tmp_path, monkeypatch, capsys):
+    """One hinge that is driven by goals, recorded with friction that its file does not state."""
+    import mujoco
+
+    monkeypatch.chdir(tmp_path)
+    robot = """<mujoco><option timestep="0.001" integrator="implicitfast"/><compiler angle="radian"/><worldbody>
+<body name="arm"><joint name="shoulder" type="hinge" axis="0 1 0" damping="0.3" frictionloss="{}"/>
+<inertial pos="0.2 0 0" mass="1.2" diaginertia="0.01 0.02 0.02"/></body></worldbody></mujoco>"""
+    Path("recording").mkdir()
+    Path("recording/robot.xml").write_text(robot.format(0.0))
+    model = mujoco.MjModel.from_xml_string(robot.format(0.4))
+    rng, text = np.random.default_rng(1), ['name = "recording"', STATED]
+    names = ("shoulder", "input", "_cmd"), ("shoulder", "output", "")
+    text += [f'[channels.{n}{tail}]\nrole = "{role}"\nunit = "rad"' for n, role, tail in names]
+    for k, split in enumerate(("fit", "validation", "report")):
+        data, rows = mujoco.MjData(model), ["t,shoulder_cmd,shoulder"]
+        tones, phases = rng.uniform(0.1, 0.35, 4), rng.uniform(0, 6, 4)
+        goal = lambda t, a=tones, p=phases: float(np.sum(a * np.sin(np.array([0.8, 1.9, 3.1, 5.2]) * t + p))) * min(1, t)
+        for i in range(1200):
+            target = goal(i / 200)
+            rows.append(f"{i / 200:.3f},{target:.6f},{data.qpos[0] + 1e-4 * rng.standard_normal():.6f}")
+            for _ in range(5):
+                data.qfrc_applied[0] = 20.0 * (target - data.qpos[0]) - 1.5 * data.qvel[0]
+                mujoco.mj_step(model, data)
+        Path(f"recording/run_{k}.csv").write_text("\n".join(rows))
+        text.append(f'[[experiments]]\nfile = "run_{k}.csv"\nsplit = "{split}"\nat_rest = true')
+    Path("recording/dataset.toml").write_text("\n".join(text))
+    typed(ROBOT, "--effects", "stribeck_friction,input_delay")
+    fixed = mujoco.MjModel.from_xml_path("fixed/robot.xml")
+    assert fixed.dof_frictionloss[0] == pytest.approx(0.4, abs=0.05)
+    assert "The model lacks" not in capsys.readouterr().out  # friction is a number of the file

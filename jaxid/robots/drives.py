@@ -152,7 +152,9 @@ class Law:
         listed = lambda a: ", ".join(f"{x:g}" for x in dict.fromkeys(a))
         stated = "; ".join(f"{k} = {listed(a)}" for k, a in (("kp", self.kp), ("kd", self.kd), ("ki", self.ki)) if any(a))
         when = "continuous" if self.period <= 0 else f"every {self.period:g} s"
-        return f"driven by the {self.kind} law of {self.origin} ({stated}; {when})"
+        rate = "the goal's rate less the joint's" if self.rate or any(self.rates) else "the joint's own rate"
+        rates = f", on {rate}" if any(self.kd) else ""
+        return f"driven by the {self.kind} law of {self.origin} ({stated}{rates}; {when})"
 
 
 def _at(t: np.ndarray, when: np.ndarray, x: np.ndarray) -> np.ndarray:
