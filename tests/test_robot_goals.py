@@ -21,7 +21,6 @@ from jaxid.diagnosis.goals.propose import proposals
 from jaxid.diagnosis.goals.study import LedStudy
 from jaxid.diagnosis.missing import missing_forces
 from jaxid.diagnosis.torque import plant as torque_plant
-from jaxid.diagnosis.torque.algebra import _boxed
 from jaxid.diagnosis.torque.plant import inverse_of
 from jaxid.dynamics.parameter_vector import Form
 from jaxid.fitting.least_squares import descend
@@ -30,6 +29,7 @@ from jaxid.fitting.secant import descend_on_secants
 from jaxid.models import Robot
 from jaxid.models.effects import Saturation, StribeckFriction
 from jaxid.numerics import kept
+from jaxid.numerics.boxed import within_box
 from jaxid.problem import binding, torque_filter
 from jaxid.problem.binding import bind, Binding
 from jaxid.problem.residual import OutputError
@@ -194,7 +194,7 @@ def test_numbers_within_bounds_are_the_best_there():
         y = A @ x + rng.normal(size=60)
         low = x - rng.exponential(size=n) * rng.choice([0.01, 10.0], n)
         high = low + 0.01 + 3 * rng.exponential(size=n)
-        found, held = _boxed(A.T @ A, A.T @ y, np.zeros(n), low, high)
+        found, held = within_box(A.T @ A, A.T @ y, np.zeros(n), low, high)
         assert np.all((low <= found) & (found <= high)) and np.all((found == low)[held] | (found == high)[held])
         least = 2 * lsq_linear(A, y, (low, high), method="bvls").cost
         assert np.sum((A @ found - y) ** 2) <= least * (1 + 1e-9)

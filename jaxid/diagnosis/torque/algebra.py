@@ -15,12 +15,11 @@ import numpy as np
 
 from jaxid.diagnosis.thresholds import LIMITS
 from jaxid.diagnosis.torque.rows import Run
+from jaxid.numerics.boxed import scaled, WEAK, within_box
 
 
 #: Rounds in which the size of what is left and the weight of rows of which less is known settle.
 ROUNDS = 5
-#: A direction of the scaled columns in which the data say less than this share of what they say elsewhere stays where it was.
-WEAK = 1e-9
 #: Held-out rows are compared in so many blocks.
 BLOCKS = 24
 
@@ -144,56 +143,16 @@ def solve(g: np.ndarray, at: np.ndarray, known: Known, start: np.ndarray, lower:
     H0, b0 = g[np.ix_(at, at)], g[at, -1]
     P = known.information[np.ix_(at, at)]
     H, b = H0 + P, b0 + P @ known.mean[at]
-    theta, held = _boxed(H, b, start[at], lower[at], upper[at])
+    theta, held = within_box(H, b, start[at], lower[at], upper[at])
     rest = float(g[-1, -1] - 2 * b0 @ theta + theta @ H0 @ theta)
     prior = float((theta - known.mean[at]) @ P @ (theta - known.mean[at]))
     return Solution(at, theta, rest + prior, held, H)
 
 
-def _boxed(
-    H: np.ndarray, b: np.ndarray, start: np.ndarray, lower: np.ndarray, upper: np.ndarray
-) -> tuple[np.ndarray, np.ndarray]:
-    """The minimum of x'Hx / 2 - b'x in a box, and which numbers a bound holds: the primal method of active sets (Nocedal and
-    Wright, Numerical Optimization, 2006, 16.5), from a start, which directions that H leaves open keep."""
-    x, held = np.clip(start, lower, upper), np.zeros(len(start), bool)
-    size = np.sqrt(np.maximum(np.diag(H), 1e-300))
-    for _ in range(10 + 3 * len(x)):
-        free = ~held
-        step = np.zeros_like(x)
-        step[free] = _within(H, b, x, free) - x[free]
-        room = np.where(step > 0, upper - x, np.where(step < 0, x - lower, np.inf))
-        share = room / np.maximum(np.abs(step), 1e-300)
-        if (k := int(np.argmin(share))) < len(x) and share[k] < 1:
-            x = np.clip(x + share[k] * step, lower, upper)
-            x[k], held[k] = (upper if step[k] > 0 else lower)[k], True
-            continue
-        x = np.clip(x + step, lower, upper)
-        inwards = np.where(x <= lower, 1.0, -1.0) * (b - H @ x) / size
-        wrong = np.where(held & (lower < upper), inwards, 0.0)
-        if not wrong.max(initial=0.0) > 1e-9 * np.sqrt(max(float(b @ x), 1e-300)):
-            break
-        held[int(np.argmax(wrong))] = False
-    return x, held
-
-
-def _scaled(H: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    size = np.sqrt(np.maximum(np.diag(H), 0.0))
-    size = np.where(size > 0, size, np.inf)
-    return H / size / size[:, None], size
-
-
-def _within(H: np.ndarray, b: np.ndarray, theta: np.ndarray, free: np.ndarray) -> np.ndarray:
-    """Numbers that are free, the others held; directions that the data leave open stay where theta has them."""
-    F = H[np.ix_(free, free)]
-    rest = b[free] - H[np.ix_(free, ~free)] @ theta[~free] - F @ theta[free]
-    S, size = _scaled(F)
-    return theta[free] + np.linalg.solve(S + WEAK * np.eye(len(S)), rest / size) / size if len(S) else theta[free]
-
-
 def _spread(H: np.ndarray, free: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Covariance, and which numbers take part in no direction that the data leave open."""
     out, determined = np.full(H.shape, np.nan), np.zeros(len(H), bool)
-    S, size = _scaled(H[np.ix_(free, free)])
+    S, size = scaled(H[np.ix_(free, free)])
     if not len(S):
         return out, determined
     values, vectors = np.linalg.eigh(S)
