@@ -72,23 +72,25 @@ def judged(binding: Binding, fit: ForceFit, motion: Motion, many: bool = False) 
 def _next(binding: Binding, fit: ForceFit, m: Motion, names: Names, many: bool = False) -> tuple[Shown | None, Motion | None]:
     """The next finding, and the motion without it. A fault beside a strong effect that the model lacks hides in what that leaves:
     where laws of the joints' own motion take much of the gap, what nothing explains of the whole is asked of what they leave."""
-    found = _claimed(binding, fit, m, names, many, laws=False)
+    plain, beside = fit.fit(m, False), fit.fit(m, True)
+    found = _claimed(binding, fit, m, names, many, plain, beside, laws=False)
     if found is not None and found[0].finding.decisive:
         return found
-    if fit.fit(m, True).worst + FLOOR <= GONE * (fit.fit(m, False).worst + FLOOR):
-        beside = _claimed(binding, fit, m, names, many, laws=True)
-        if beside is not None and (found is None or beside[0].finding.decisive):
-            return beside
+    if beside.worst + FLOOR <= GONE * (plain.worst + FLOOR):
+        less = _claimed(binding, fit, m, names, many, plain, beside, laws=True)
+        if less is not None and (found is None or less[0].finding.decisive):
+            return less
     return found or (None, None)
 
 
 def _claimed(
-    binding: Binding, fit: ForceFit, m: Motion, names: Names, many: bool, laws: bool
+    binding: Binding, fit: ForceFit, m: Motion, names: Names, many: bool, plain: Fitted, beside: Fitted, laws: bool
 ) -> tuple[Shown, Motion | None] | None:
-    plain = fit.fit(m, laws)
-    before = plain.worst + FLOOR
+    """What a reading explains of what is left of the motion as it is, `plain` or `beside` laws."""
+    recorded = beside if laws else plain
+    before = recorded.worst + FLOOR
     few = m.thinned(FEW) if many else m
-    if before <= 2 * FLOOR or before <= ALIKE * (fit.noise(plain, binding, few) + FLOOR):
+    if before <= 2 * FLOOR or before <= ALIKE * (fit.noise(recorded, binding, few) + FLOOR):
         return None
     tried: list[Judged] = []
     for readings in _readings(names, fit.driven):
@@ -126,7 +128,7 @@ def _claimed(
     # What leaves as much as the whole drive explains nothing of it.
     if not closes or left.worst > (FLOOR if laws else 1.0):
         return None
-    beyond = laws or _beyond(fit, m, change(m), left, FREE not in what)
+    beyond = laws or _beyond(fit, change(m), beside, left, FREE not in what)
     if not beyond and left.worst + FLOOR > ASKED * before:
         return None
     decisive = beyond and not others and not (FREE in what and _bounded(binding))
@@ -142,7 +144,7 @@ def _claimed(
         _words(best.reading, value, what, (before, left.worst + FLOOR), _doubt(beyond, bool(others)), laws),
         _line(binding, best.reading, mending),
         interval,
-        plain.worst / noise,
+        recorded.worst / noise,
         left.worst / noise,
         decisive,
         same_as=tuple(a for a in alike if a != (best.reading.kind, best.reading.channels[0])),
@@ -157,16 +159,16 @@ def _bounded(binding: Binding) -> bool:
     return spec is not None and any(p.lower is not None or p.upper is not None for p in spec.parameters.values())
 
 
-def _beyond(fit: ForceFit, m: Motion, changed: Motion, left: Fitted, known: bool) -> bool:
-    """Whether laws of the joints' own motion come nowhere near: less remains beside them, or, of a reading that has no number of
-    its own (`known`), they close less of the gap as recorded."""
-    own, beside = fit.fit(m).worst + FLOOR, fit.fit(changed).worst + FLOOR
+def _beyond(fit: ForceFit, changed: Motion, recorded: Fitted, left: Fitted, known: bool) -> bool:
+    """Whether laws of the joints' own motion come nowhere near: less remains beside them than of the motion as `recorded`, or, of
+    a reading that has no number of its own (`known`), they close less of its gap."""
+    own, beside = recorded.worst + FLOOR, fit.fit(changed).worst + FLOOR
     return (known and left.worst + FLOOR <= ALIKE * own) or beside <= GONE * own
 
 
 def _tried(fit: ForceFit, m: Motion, readings: list[Reading], before: float, laws: bool) -> list[Judged]:
-    """What readings of a motion leave, the least first."""
-    found = (Judged(r, fit.fit(r.change(m), laws, hopeless=before)) for r in readings)
+    """What readings of a motion leave, the least first; what cannot come near what is decisive is given up."""
+    found = (Judged(r, fit.fit(r.change(m), laws, hopeless=ALIKE * GONE * before)) for r in readings)
     return sorted((t for t in found if np.isfinite(t.left)), key=lambda t: t.left)
 
 

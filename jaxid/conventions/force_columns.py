@@ -17,8 +17,9 @@ from jaxid.numerics.precision import float64
 from jaxid.problem.binding import Binding
 
 
-#: Samples at which the force is looked at, and at which readings are gone through: what is compiled is compiled for these alone.
-ROWS, FEW = 1200, 150
+#: Rows at which the force is looked at, and at which readings are gone through; samples of one call: what is compiled is compiled
+#: for these alone.
+ROWS, FEW, AT_ONCE = 1200, 150, 750
 
 
 def force(chain: Any, q: Any, qd: Any, qdd: Any, u: Any) -> Any:
@@ -29,25 +30,22 @@ def force(chain: Any, q: Any, qd: Any, qdd: Any, u: Any) -> Any:
     return missing
 
 
-def _program(layout: Layout, free: tuple[int, ...] | None) -> Traced:
-    """`force` by all numbers of a layout, one program for all chains of its structure: at sets of numbers [sets rows nq], or at
-    one with its slopes by those that are `free` [rows nq], [rows nq free]."""
+def _program(layout: Layout, free: tuple[int, ...]) -> Traced:
+    """`force` at sets of those numbers of a layout that are `free`, one program for all chains of its structure: the others
+    [numbers], the sets [sets free] and a motion [samples nq] give [sets samples nq]."""
     form = layout.form
 
     def made() -> Traced:
-        key = key_of(force, form.bare, *([] if free is None else [free]))
-        at = lambda theta, *sample: force(form.model(theta), *sample)
+        key = key_of(force, form.bare, free)
+        place = {i: k for k, i in enumerate(free)}
 
-        def sets(theta, *motion):
-            return jax.vmap(lambda own: jax.vmap(lambda *s: at(own, *s))(*motion))(theta)
+        def sets(theta, own, *motion):
+            def at(own, *sample):  # number by number: what depends on none that is free is worked out once
+                return force(form.model([own[place[i]] if i in place else theta[i] for i in range(len(theta))]), *sample)
 
-        def with_slopes(theta, *motion):  # backwards: a sample has fewer forces than the model has numbers
-            theta, index = jnp.asarray(theta), jnp.array(free, int)
-            by = lambda own, *s: (found := at(theta.at[index].set(own), *s), found)
-            slopes, here = jax.vmap(lambda *s: jax.jacrev(by, has_aux=True)(theta[index], *s))(*motion)
-            return here, slopes
+            return jax.vmap(lambda own: jax.vmap(lambda *sample: at(own, *sample))(*motion))(own)
 
-        return Traced(sets if free is None else with_slopes, key)
+        return Traced(sets, key)
 
     return shared("forces", (form, free), made)
 
@@ -60,13 +58,17 @@ class Forces:
         self.binding, self.free, self.motion = binding, free, motion
         self._known: tuple[Any, ...] = ()
 
-    def at(self, thetas: np.ndarray, m: Any) -> np.ndarray:
-        """Missing force [sets rows nq] at sets of numbers, `ROWS` samples at a time."""
-        run = _program(self.binding.layout, None)
-        motion = m.q, m.qd, m.qdd, m.u
+    def at(self, thetas: np.ndarray, m: Any, u: np.ndarray | None = None) -> np.ndarray:
+        """Missing force [sets rows nq] at sets of numbers, of which those that are free may differ from the binding's; `u` in
+        place of the motion's inputs. One set, or as many as give the slopes, are one call for `AT_ONCE` samples."""
+        run = _program(self.binding.layout, tuple(self.free))
+        own = _padded(thetas[:, self.free], 1 if len(thetas) == 1 else 1 + len(self.free))
+        motion = m.q, m.qd, m.qdd, m.u if u is None else u
+        parts = range(0, len(m.q), AT_ONCE)
         with float64():
-            found = [run(thetas, *(_padded(x[a : a + ROWS], ROWS) for x in motion)) for a in range(0, len(m.q), ROWS)]
-        return _finite(np.concatenate([np.asarray(f) for f in found], 1))[:, : len(m.q)]
+            found = [run(self.binding.theta, own, *(_padded(x[a : a + AT_ONCE], AT_ONCE) for x in motion)) for a in parts]
+        found = np.concatenate([np.asarray(f) for f in found], 1)[: len(thetas), : len(m.q)]
+        return np.nan_to_num(found, nan=1e12, posinf=1e12, neginf=-1e12)
 
     def missing(self, theta: np.ndarray, m: Any) -> np.ndarray:
         """Missing force [rows nq] at these numbers, of which those that are free may differ from the binding's."""
@@ -81,7 +83,7 @@ class Forces:
         columns [rows nq free]. They are kept: a reading of the inputs alone leaves them as they are."""
         key = (m.q, m.qd, m.qdd) if self.additive else (m.q, m.qd, m.qdd, m.u)
         if not self._known or any(a is not b for a, b in zip(self._known[0], key, strict=True)):
-            here, slopes = self._with_slopes(self._inside[0], m, 0 * m.u if self.additive else m.u)
+            here, slopes = self._with_slopes(m, 0 * m.u if self.additive else m.u)
             self._known = key, (here - slopes @ self._steps[0, self.free], slopes)
         return self._known[1]
 
@@ -89,8 +91,8 @@ class Forces:
     def linear(self) -> bool:
         """Whether the force is linear in the free numbers, as an arm's is, seen at three sets of them."""
         m, b = self.motion, self.binding
-        here, slopes = self._with_slopes(self._inside[0], m, m.u)
-        others = self._with_slopes(self._inside[1], m, m.u)[0], self._with_slopes(b.theta, m, m.u)[0]
+        here, slopes = self._with_slopes(m, m.u)
+        others = self.at(np.stack([self._inside[1], b.theta]), m)
         moves = self._steps[1] - self._steps[0], -self._steps[0]
         size = 1e-9 * (max(float(np.abs(f).max()) for f in (here, *others)) + 1e-300)
         return all(np.allclose(here + slopes @ s[self.free], f, rtol=0, atol=size) for s, f in zip(moves, others, strict=True))
@@ -101,7 +103,7 @@ class Forces:
         m = self.motion
         if not self.binding.chain.direct or m.u.shape != m.q.shape:
             return False
-        (driven, by), (still, without) = (self._with_slopes(self._inside[0], m, u) for u in (m.u, 0 * m.u))
+        (driven, by), (still, without) = (self._with_slopes(m, u) for u in (m.u, 0 * m.u))
         size = 1e-9 * (float(np.abs(driven).max()) + 1e-300)
         return np.allclose(driven - still, m.u, rtol=0, atol=size) and np.allclose(by, without, rtol=1e-9, atol=size)
 
@@ -118,21 +120,16 @@ class Forces:
     def _inside(self) -> np.ndarray:
         return self.binding.theta + self._steps
 
-    def _with_slopes(self, theta: np.ndarray, m: Any, u: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """The force [rows nq] and its slopes [rows nq free], `FEW` samples at a time: one program, however many there are."""
-        parts = range(0, len(m.q), FEW)
-        run = _program(self.binding.layout, tuple(self.free))
-        with float64():
-            found = [run(theta, *(_padded(x[a : a + FEW], FEW) for x in (m.q, m.qd, m.qdd, u))) for a in parts]
-        here = np.concatenate([np.asarray(f) for f, _ in found])[: len(m.q)]
-        slopes = np.concatenate([np.asarray(J) for _, J in found])[: len(m.q)]
-        return _finite(here), _finite(slopes)
+    def _with_slopes(self, m: Any, u: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """The force [rows nq] at numbers inside the box, and how it changes by a step of each [rows nq free]: of a linear model
+        its slopes."""
+        h = self._steps[0, self.free]
+        thetas = np.repeat(self._inside[:1], 1 + len(h), 0)
+        thetas[1 + np.arange(len(h)), self.free] += h
+        found = self.at(thetas, m, u)
+        return found[0], np.moveaxis((found[1:] - found[0]) / h[:, None, None], 0, -1)
 
 
 def _padded(x: np.ndarray, room: int) -> np.ndarray:
     """A series [rows ...] with its last sample repeated up to `room`."""
     return np.concatenate([x, np.repeat(x[-1:], room - len(x), 0)]) if len(x) < room else x
-
-
-def _finite(x: Any) -> np.ndarray:
-    return np.nan_to_num(np.asarray(x), nan=1e12, posinf=1e12, neginf=-1e12)
