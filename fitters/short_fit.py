@@ -16,10 +16,10 @@ from .lm import LevenbergMarquardt
 SHORT = 400  # evaluations
 
 
-def left_by_short_fit(binding: Binding, data: Dataset) -> float | None:
-    """What a model as it stands leaves of a dataset after a short fit, times the noise; None where nothing is simulated."""
+def left_by_short_fit(binding: Binding, data: Dataset, effects: tuple[str, ...] = ()) -> float | None:
+    """What a model, with more effects, leaves of a dataset after a short fit, times the noise; None without a simulation."""
     try:
-        own = bind(binding.chain, data)
+        own = bind(binding.chain, data, effects=effects)
         residual = default_residual(own)
         if residual.torques:
             return None

@@ -14,23 +14,25 @@ from dataclasses import replace
 
 import numpy as np
 
+from jaxid.catalogue import effect_class
 from jaxid.conventions import runs, samples
 from jaxid.conventions.decide import judged
 from jaxid.conventions.finding import Checked, DataFinding
 from jaxid.conventions.limits import GONE
 from jaxid.conventions.mending import mended, Mending
-from jaxid.conventions.missing_force import ForceFit, LONGEST, measured, NEIGHBOURS
+from jaxid.conventions.missing_force import ForceFit, LAWS, LONGEST, measured, NEIGHBOURS
 from jaxid.conventions.samples import Shown
 from jaxid.data.capacity import give_back
 from jaxid.data.dataset import Dataset
 from jaxid.data.noise import noise_floor
+from jaxid.dynamics.chain import Chain
 from jaxid.errors import DatasetError, DatasetWarning, UsageError
 from jaxid.problem.binding import bind, Binding
 from jaxid.robots.floating import wanted
 
 
-#: What a short fit of a bound model leaves of a dataset, times the noise; None where nothing is simulated.
-Gap = Callable[[Binding, Dataset], float | None]
+#: What a short fit of a bound model, with more effects, leaves of a dataset, times the noise; None where nothing is simulated.
+Gap = Callable[[Binding, Dataset, tuple[str, ...]], float | None]
 
 #: Numbers of a model beyond which readings are gone through on few samples, and nothing is simulated.
 MOST_NUMBERS = 15
@@ -183,23 +185,28 @@ def _by_model(binding: Binding, data: Dataset, as_recorded: bool, gap: Gap | Non
 
 def _confirmed(binding: Binding, data: Dataset, total: Mending, shown: list[Shown], gap: Gap) -> list[Shown]:
     """Gaps by simulation as recorded and mended; what does not hold there is a question. What was found beside any law that the
-    model may lack has only to leave no more: the gap of such a law remains."""
-    before, after = gap(binding, data), gap(binding, mended(data, total))
+    model may lack is simulated beside these laws, as recorded and mended alike: their gap is not the finding's."""
+    laws = _laws(binding.chain) if any(s.beside for s in shown if s.mending) else ()
+    before, after = gap(binding, data, laws), gap(binding, mended(data, total), laws)
     if before is None or after is None:
         return shown
-    alone = all(s.beside for s in shown if s.mending)
-    held = after <= (1.0 if alone else GONE) * before
+    held = after <= GONE * before
     out = []
     for s in shown:
         if not s.mending:
             out.append(s)
-        elif held:
-            out.append(Shown(replace(s.finding, gap_before=before, gap_if_mended=after), s.mending))
-        else:
-            text = f"{s.finding.text} A simulation does not bear it out ({before:.3g} to {after:.3g} times the noise)."
-            finding = replace(s.finding, gap_before=before, gap_if_mended=after, decisive=False, text=text)
-            out.append(Shown(finding, Mending()))
+            continue
+        said = "" if held else f" A simulation does not bear it out ({before:.3g} to {after:.3g} times the noise)."
+        said += " It was simulated beside any friction and spring that the model may lack." if laws else ""
+        finding = replace(s.finding, gap_before=before, gap_if_mended=after, text=s.finding.text + said, decisive=held)
+        out.append(Shown(finding, s.mending if held else Mending()))
     return out
+
+
+def _laws(chain: Chain) -> tuple[str, ...]:
+    """The laws of `ForceFit` that a model lacks, as effects at each place."""
+    kinds = [k for k in map(effect_class, LAWS) if k.name not in chain.contents]
+    return tuple(f"{k.name}@{place}" for k in kinds for place in chain.offers(k))
 
 
 __all__ = ["Checked", "DataFinding", "run_check"]
