@@ -193,7 +193,6 @@ class ForceFit:
         if not self.driven and self.free:  # without a drive nothing says how large the inertia is: one number is held
             self.free = self.free[1:]
         self.forces = Forces(binding, self.free, motion.thinned(FEW))
-        self._known: tuple[Any, ...] = ()
 
     @property
     def _bounds(self) -> tuple[np.ndarray, np.ndarray]:
@@ -215,22 +214,21 @@ class ForceFit:
         found = self.forces.at(thetas, m)
         return m.mean(np.moveaxis((found[1:] - found[0]) / h[:, None, None], 0, -1))
 
-    def norm(self, m: Motion) -> np.ndarray:
-        """What the force is measured by, [nq]: the drive where it is measured, else what the motion takes at start values."""
+    def norm(self, m: Motion, theta: np.ndarray | None = None) -> np.ndarray:
+        """What the force is measured by, [nq]: the drive where it is measured, else what the motion takes at these numbers (those
+        of the start). Under another scale of a channel a motion takes more, and as much as it takes remains more."""
         if self.binding.chain.direct and self.driven:
             u = m.mean(m.u)
             size = np.sqrt(np.mean((u - (u.mean(0) if len(u) else 0)) ** 2, axis=0))
         else:
-            size = self._needed(m)
+            size = self._taken(m, self.binding.theta if theta is None else theta)
         return np.where(size > 1e-9 * np.max(size), size, np.max(size) + 1e-300)
 
-    def _needed(self, m: Motion) -> np.ndarray:
-        """What a motion takes at start values [nq]; readings of the inputs leave it as it was."""
-        key = (m.q, m.qd, m.qdd)
-        if not self._known or any(a is not b for a, b in zip(self._known[0], key, strict=True)):
-            still = replace(m, mix=0 * m.mix)
-            self._known = key, np.sqrt(np.mean(self.missing(self.binding.theta, still) ** 2, axis=0))
-        return self._known[1]
+    def _taken(self, m: Motion, theta: np.ndarray) -> np.ndarray:
+        """What a motion takes [nq], accelerations and the rest apart: at a joint without a drive they add up to nothing."""
+        still = replace(m, mix=0 * m.mix)
+        whole, slow = (m.mean(self.forces.at(theta[None], x)[0]) for x in (still, replace(still, qdd=0 * m.qdd)))
+        return np.sqrt(np.mean((whole - slow) ** 2 + slow**2, axis=0))
 
     def laws(self, m: Motion) -> np.ndarray:
         """Forces [rows nq laws] of `LAWS`, of unit size; those that brake or hold come negative."""
@@ -309,20 +307,23 @@ class ForceFit:
             done = new < 1e-14 or (whole and new <= promised * (1 + AS_SAID)) or new > cost * (1 - (FINE if whole else COARSE))
             reach *= 4 if cost - new > 0.5 * (cost - promised) else 1
             x, r, cost = trial, tried, new
-            done |= round_ >= 2 and cost > hopeless**2 * weighed
+            done |= round_ >= 2 and cost > hopeless**2 * weighed and b.chain.direct
             if done:
                 break
-        rms = lambda keep: float(np.sqrt(np.sum(r[keep] ** 2) / max(1, np.count_nonzero(m.weight[keep]))))
+        theta = b.theta.copy()
+        theta[free] = x[:p]
+        left = r * (norm / self.norm(m if more is None else more(x[p : p + k]), theta))
+        rms = lambda keep: float(np.sqrt(np.sum(left[keep] ** 2) / max(1, np.count_nonzero(m.weight[keep]))))
         return Fitted(x, rms(train), rms(m.held) if m.held.any() else rms(train), r, J)
 
     def noise(self, fitted: Fitted, binding: Binding, m: Motion) -> float:
         """What the sensors' noise alone leaves of a fit, as a share of the drive, at the samples of a motion."""
         rng = np.random.default_rng(0)
-        norm = self.norm(m)
-        runs = [e for e in binding.dataset.experiments if e.split != "report"]
-        noisy = _noise_motion(binding, runs, rng, m)
         theta = binding.theta.copy()
         theta[self.free] = fitted.x[: len(self.free)]
+        norm = self.norm(m, theta)
+        runs = [e for e in binding.dataset.experiments if e.split != "report"]
+        noisy = _noise_motion(binding, runs, rng, m)
         moved = replace(m, q=m.q + noisy[0], qd=m.qd + noisy[1], qdd=m.qdd + noisy[2])
         # Signs of slow velocities flip: no more than any reading would show, so only smooth parts are compared.
         change = (self.missing(theta, moved) - self.missing(theta, m)) * m.weight / norm
