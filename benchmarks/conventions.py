@@ -1,16 +1,18 @@
 """Recordings whose conventions are broken: 15 kinds on three models, with and without an effect that the model lacks as well.
 
-    python benchmarks/conventions.py [--seed N] [--simulate]
+    python benchmarks/conventions.py [--seed N] [--simulate] [--diagnose MODEL,...]
 
 The motion is a multisine; the torque that it takes is worked out by the equations of benchmarks/twins.py, so no simulation and no
 line of the product makes the data. Prints what `jaxid.check` finds: of each kind the finding, its size, and what else was
-claimed. With --simulate the findings are confirmed by simulation, as the command does.
+claimed. With --simulate the findings are confirmed by simulation, as the command does; with --diagnose each recording of these
+models is diagnosed, and counted is where an effect is named that only stands in for what is broken.
 """
 
 from __future__ import annotations
 
 import argparse
 import sys
+from collections.abc import Sequence
 from dataclasses import dataclass
 from math import pi
 from pathlib import Path
@@ -179,15 +181,34 @@ def right(finding: Any, kind: str, channel: str, plant: Plant) -> bool:
     return finding.kind == kind and bool(at & {finding.channel, *(c for _, c in finding.same_as)})
 
 
+#: What a diagnosis may name beside the drag of a recording that has it: the effect that is what the finding says.
+MEANT = {"saturated": {"saturation"}, "filtered": {"sensor_lag", "sensor_delay"}}
+
+
+def stand_ins(r: Recording, kind: str, effect: str, effects: Sequence[str] | None = None) -> tuple[str, list[str]]:
+    """The verdict of a diagnosis (of these effects, else the library), and what is named in place of the broken convention."""
+    import jaxid
+
+    try:
+        d = jaxid.diagnose(None, r.dataset(), effects=effects)
+    except (DatasetError, jaxid.UsageError) as error:
+        return f"refused: {str(error).splitlines()[0][:60]}", []
+    meant = MEANT.get(kind, set()) | ({"quadratic_drag"} if effect else set())
+    named = [f"{e.effect}@{e.location}" for e in d.which.effects]
+    wrong = [n for n in named if d.which.verdict == "named" and n.split("@")[0] not in meant]
+    return f"{d.which.verdict} {' '.join(named)}".strip(), wrong
+
+
 #: The seed of the kept result: taken once, for it alone.
 FRESH = 37
 
 
-def main(seed: int = FRESH, simulate: bool = False) -> dict[str, Any]:
-    """Of each model how many were found, and where they were not or something else was claimed."""
+def main(seed: int = FRESH, simulate: bool = False, diagnose: Sequence[str] = ("pendulum",)) -> dict[str, Any]:
+    """Of each model how many were found, where they were not or something else was claimed, and what diagnoses named instead."""
     rows = []
     for model in MODELS:
-        counted: dict[str, list[str]] = {"found": [], "missed": [], "something else claimed": []}
+        kept = ("found", "missed", "something else claimed", "diagnosed", "stands in")
+        counted: dict[str, list[str]] = {k: [] for k in kept}
         for kind in KINDS:
             if kind == "swapped_channels" and PLANTS[model].n == 1:
                 continue
@@ -202,14 +223,23 @@ def main(seed: int = FRESH, simulate: bool = False) -> dict[str, Any]:
                 size = "" if not own else f"{own[0].value} (true {value}) {'decisive' if own[0].decisive else 'question'}"
                 print(f"{model:11} {kind:17} {effect or '-':5} {'found' if own else 'MISSED':6} {size}", end="")
                 print("".join(f"  ALSO {f.kind} of {f.channel} {f.value}" for f in rest), flush=True)
+                if model in diagnose:
+                    verdict, wrong = stand_ins(r, kind, effect)
+                    counted["diagnosed"].append(kind)
+                    counted["stands in"] += [f"{', '.join(wrong)} for {kind}"] if wrong else []
+                    print(f"{'':18} diagnosed: {verdict}{'  STANDS IN' if wrong else ''}", flush=True)
         hits, count = len(counted["found"]), len(counted["found"]) + len(counted["missed"])
         listed = lambda key, own=counted: ", ".join(dict.fromkeys(own[key])) or "-"
+        asked = len(counted["diagnosed"])
         rows.append(
-            {"model": model, "found": f"{hits} of {count}"} | {k: listed(k) for k in ("missed", "something else claimed")}
+            {"model": model, "found": f"{hits} of {count}"}
+            | {k: listed(k) for k in ("missed", "something else claimed")}
+            | {"an effect named in its place": f"{len(counted['stands in'])} of {asked}" if asked else "not asked"}
         )
     text = (
         "Recordings with one convention broken, 15 kinds on three models, with and without a drag that the model lacks; seed "
-        f"{seed}, run once. What all inputs or outputs share (a clock, a row, a start in motion) is found at any of them."
+        f"{seed}, run once. What all inputs or outputs share (a clock, a row, a start in motion) is found at any of them. Each "
+        "recording of the pendulum is diagnosed too, with the whole library: an effect named in place of what is broken is wrong."
     )
     return {"title": "Broken conventions", "text": text, "rows": rows}
 
@@ -221,5 +251,6 @@ if __name__ == "__main__":
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--seed", type=int, default=5)
     parser.add_argument("--simulate", action="store_true")
+    parser.add_argument("--diagnose", default="")
     arguments = parser.parse_args()
-    print(*main(arguments.seed, arguments.simulate)["rows"], sep="\n")
+    print(*main(arguments.seed, arguments.simulate, arguments.diagnose.split(","))["rows"], sep="\n")
