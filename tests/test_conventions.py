@@ -126,6 +126,16 @@ def test_no_scale_of_an_angle_hides_what_a_drive_of_volts_lacks(turned, late, fo
     assert [(f.kind, f.channel, f.value) for f in claimed if f.kind != "row_shift"] == found
 
 
+def test_degrees_of_a_servo_under_goals_are_told_from_other_units():
+    """Gain, torque and back-EMF make up for much of a scale: the factor is sought from the numbers that fit with it."""
+    r = recording("servo", 5, noise=0.0)
+    speed = np.gradient(r.y, r.t, axis=1)
+    goal = r.y + (r.u + 0.04 * speed) / (0.12 * 7.4 * 0.4)
+    noisy = r.y + 3e-4 * np.random.default_rng(0).standard_normal(r.y.shape)
+    (finding,) = [f for f in found(replace(r, u=goal, y=np.degrees(noisy))) if f.decisive]
+    assert (finding.kind, finding.channel) == ("scale", "q") and finding.value == pytest.approx(180 / pi)
+
+
 def test_a_slow_sensor_is_no_sign():
     r = recording("pendulum", 5)
     b, a = butter(1, 1.0, fs=200)  # pyright: ignore

@@ -185,7 +185,7 @@ def _refined(fit: ForceFit, m: Motion, best: Judged, names: Names, near: list[Ju
     if found is None:
         return None
     more, size = found
-    fitted = fit.fit(m, laws, more=lambda x: more(m, x), size=1)
+    fitted = fit.fit(m, laws, more=lambda x: more(m, x), size=1, begin=best.fitted.x)
     x = float(fitted.x[len(fit.free)])
     moved = replace(m)
     _, std = fit.spread(fitted, moved, len(fit.free))
@@ -195,22 +195,31 @@ def _refined(fit: ForceFit, m: Motion, best: Judged, names: Names, near: list[Ju
     if best.reading.kind == "zero":
         travel = float(np.ptp(m.q[:, names.joints.index(best.reading.channels[0])]))
     if best.reading.kind == "scale":
-        factor, what = nearest_factor(value, names.unit(best.reading.channels[0]))
+        unit = names.unit(best.reading.channels[0])
+        factor, what = nearest_factor(value, unit)
+        own, name = nearest_factor(best.reading.value, unit)
+        if abs(np.log(best.reading.value / own)) < 1e-3 and best.left <= fitted.worst + FLOOR:  # no other size leaves less
+            factor, what, value = own, name, own
+            ends = ends if ends is not None and ends[0] <= own <= ends[1] else None
         change = _scaled(replace(best.reading, value=factor), names)
         alike = abs(np.log(value / factor)) <= APART
         alike = alike and fit.fit(change(m), laws).worst + FLOOR <= ALIKE * (fitted.worst + FLOOR)
-        if alike and not any(
-            t.reading.channels == best.reading.channels and abs(np.log(t.reading.value / factor)) > APART for t in near
-        ):
+        if alike and not _far(best, near, factor):
             return factor, ends, what, change, True
     own = nearest_convention(best.reading.kind, names.unit(best.reading.channels[0]), value, std, travel)
-    if own is None:
+    if own is None or (own[1] == FREE and _far(best, near, value)):  # what many factors fit is none of them
         return value, ends, "", best.reading.change, False
     value, what = own
     if best.reading.kind == "zero":
         j = names.joints.index(best.reading.channels[0])
         return value, ends, what, (lambda m: offset_joint(m, j, -value)), True
     return value, ends, what, _scaled(replace(best.reading, value=value), names), True
+
+
+def _far(best: Judged, near: list[Judged], factor: float) -> bool:
+    """Whether a factor of the same channel that leaves as little lies far from this one."""
+    own = [t.reading.value for t in near if t.reading.channels == best.reading.channels]
+    return any(abs(np.log(value / factor)) > APART for value in own)
 
 
 def _scaled(reading: Reading, names: Names) -> Callable[[Motion], Motion]:

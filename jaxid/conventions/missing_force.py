@@ -243,9 +243,11 @@ class ForceFit:
         more: Callable[[np.ndarray], Motion] | None = None,
         size: int = 0,
         hopeless: float = np.inf,
+        begin: np.ndarray | None = None,
     ) -> Fitted:
-        """Gauss-Newton between the bounds of all numbers. `more` gives the motion by `size` further numbers of the reading; what
-        after three steps still leaves more than `hopeless` of the drive is given up."""
+        """Gauss-Newton between the bounds of all numbers, from those of `begin`, a fit without `more`. `more` gives the motion by
+        `size` further numbers of the reading; what after three steps still leaves more than `hopeless` of the drive is given
+        up."""
         b, free = self.binding, self.free
         norm = self.norm(m)
         train = ~m.held
@@ -261,7 +263,9 @@ class ForceFit:
         upper = np.concatenate([high, np.full(lower.size - p, np.inf)])
         x = np.concatenate([b.theta[free], np.zeros(lower.size - p)])
         if more is None and len(m.held) > 2 * FEW and not self.forces.linear:  # most of the steps at few rows
-            x = self.fit(m.thinned(FEW), laws, hopeless=hopeless).x
+            begin = self.fit(m.thinned(FEW), laws, hopeless=hopeless).x
+        if begin is not None:
+            x = np.concatenate([begin[:p], np.zeros(k), begin[p:]])
         scale = np.concatenate([np.maximum(np.abs(b.theta[free]), b.scale[free]), np.ones(lower.size - p)])
 
         def residual(x: np.ndarray) -> np.ndarray:

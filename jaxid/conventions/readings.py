@@ -10,6 +10,7 @@ from math import pi
 
 import numpy as np
 
+from jaxid.conventions.limits import APART
 from jaxid.conventions.mending import Mending
 from jaxid.conventions.missing_force import Motion
 from jaxid.problem.binding import Binding
@@ -184,7 +185,7 @@ def nearest_convention(kind: str, unit: str, value: float, std: float, travel: f
         beyond = max(0.5, 0.5 * travel)  # what a tilted base and a sensor's bias may be
         return (wound, "an offset") if abs(wound) > beyond and std < 0.1 else None
     factor, name = nearest_factor(value, unit)
-    if abs(np.log(value / factor)) <= max(0.03, 3 * std) and std < 0.2:
+    if abs(np.log(value / factor)) <= min(APART, max(0.03, 3 * std)) and std < 0.2:
         return factor, name
     low, high = EFFECT_RANGE
     return (value, FREE) if not low < value < high and std < 0.05 else None
