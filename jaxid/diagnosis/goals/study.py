@@ -12,6 +12,7 @@ import numpy as np
 from jaxid.data.dataset import Experiment
 from jaxid.diagnosis.goals.loop import FINE, LoopRun, mean_input, RawRun, refined
 from jaxid.diagnosis.goals.plant import CHANGED, Drive, LedPlant
+from jaxid.diagnosis.goals.probes import at_levels, is_level, LEVELS, probes_of, scaled
 from jaxid.diagnosis.torque.algebra import gram, solve, weighted, Weights
 from jaxid.diagnosis.torque.library import Unit, units
 from jaxid.diagnosis.torque.plant import inverse_of
@@ -31,8 +32,6 @@ OFF = 1e-4
 FIRST, EASIER, HARDER, LAST = 1e-2, 5.0, 4.0, 1e3
 #: A step that gains less of the logarithm of the likelihood is the last one.
 ENOUGH = 0.1
-#: A number that is neutral from here on is a limit; shares of the time in which the drive stays below those that are asked for.
-ENDLESS, LEVELS = 1e9, (0.5, 0.7, 0.8, 0.9, 0.95, 0.98, 0.99, 0.995, 0.999)
 
 
 class LedStudy(Study):
@@ -258,8 +257,8 @@ class LedStudy(Study):
         base = drive.theta(theta)
         before = [drive.torque(r, o, base) for r, o in zip(self.free, self.other, strict=True)]
         places = b.chain.offers(kind)[:n]
-        levels = np.max([np.quantile(np.abs(x), LEVELS, axis=0) for x in before], 0) if _is_level(kind) else None
-        probes = [_probes(b, kind, j) if levels is None else _at_levels(kind, levels[:, j]) for j in range(len(places))]
+        levels = np.max([np.quantile(np.abs(x), LEVELS, axis=0) for x in before], 0) if is_level(kind) else None
+        probes = [probes_of(b, kind, j) if levels is None else at_levels(kind, levels[:, j]) for j in range(len(places))]
         out = []
         for k in range(max(map(len, probes), default=0)):  # a drive is its own joint's: all at once
             at = base.copy()
@@ -269,7 +268,7 @@ class LedStudy(Study):
             change = [drive.torque(r, o, at) - x for r, o, x in zip(self.free, self.other, before, strict=True)]
             for j, (place, own) in enumerate(zip(places, probes, strict=True)):
                 if k < len(own) and any(np.any(c[:, j]) for c in change):
-                    out.append(_scaled(kind, place, own[k], j, [-(c * np.eye(n)[j])[:, :, None] for c in change]))
+                    out.append(scaled(kind, place, own[k], j, [-(c * np.eye(n)[j])[:, :, None] for c in change]))
         return out
 
     def _bodies(self, kind: Any, theta: np.ndarray) -> list[Unit]:
@@ -348,40 +347,6 @@ def _led(r: Run, begins: int, linear: np.ndarray) -> LoopRun:
     own = {f.name: getattr(r, f.name) for f in fields(Run)}
     kept = slice(max(r.kept.start, begins), r.kept.stop, r.kept.step)
     return LoopRun(**own | {"u": mean_input(r.u, linear), "kept": kept})
-
-
-def _is_level(kind: type[Effect]) -> bool:
-    """Whether an effect is a level beyond which a command does not go: it shows at levels that this motion reaches."""
-    own = specs(kind)
-    return len(own) == 1 and all(s.log and float(s.value) >= ENDLESS for s in own.values())
-
-
-def _at_levels(kind: type[Effect], levels: np.ndarray) -> list[dict[str, float]]:
-    (field,) = specs(kind)
-    return [{field: float(x)} for x in levels if x > 0]
-
-
-def _probes(b: Binding, kind: type[Effect], place: int) -> list[dict[str, float]]:
-    reference = b.reference(kind, place)
-    found = [{f: float(resolve(v, reference)) for f, v in probe.items()} for probe in kind.probes]
-    return [dict(x) for x in dict.fromkeys(tuple(p.items()) for p in found)]
-
-
-def _scaled(kind: type[Effect], place: str, shape: dict[str, float], joint: int, made: list[np.ndarray]) -> Unit:
-    """A unit whose number is the effect's first, or how much of it there is where that is not 0 where it does nothing."""
-    field, value = next(iter(shape.items()))
-    own = specs(kind)
-    strong = own[field].value == 0
-    low = -np.inf if strong and resolve_lower(own[field]) < 0 else 0.0
-    columns = [x / value if strong else x for x in made]
-    rest = {f: v for f, v in shape.items() if f != field or not strong}
-    inf = np.full(1, np.inf)
-    return Unit(kind.name, place, (field if strong else "share",), np.array([low]), inf, inf, rest, (joint,), columns)
-
-
-def resolve_lower(spec) -> float:
-    lower = spec.lower
-    return float(lower) if isinstance(lower, int | float) else -1.0
 
 
 def _times(b: Binding) -> int:
