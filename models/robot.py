@@ -18,8 +18,6 @@ from jaxid.data.dataset import Dataset
 from jaxid.dynamics.chain import Chain
 from jaxid.dynamics.mechanism import Signature, Staged
 from jaxid.dynamics.parameter import constant, param, ParameterSpec
-from jaxid.dynamics.rigid_body import add, cross, inner, scaled
-from jaxid.numerics.fast_math import sincos
 from jaxid.robots import dynamics, free_numbers
 from jaxid.robots.bodies import BODY, body_of, ten_numbers
 from jaxid.robots.channels import AT_TORQUE, GRAVITY, PLACE, RIDE, signature_of, torque
@@ -278,16 +276,7 @@ class Robot(Staged):
 
     def _fall(self, angles: Any) -> tuple[Any, ...]:
         """Vector of free fall in the frame of a base that is turned so."""
-        R = dynamics.turn(*angles)
-        g = jnp.asarray(self.gravity)
-        fall = tuple(sum(R[i][k] * g[i] for i in range(3)) for k in range(3))
-        if self.tilt is not None:  # v cos - (axis x v) sin + axis (axis . v) (1 - cos)
-            angle, axis = self.tilt
-            fall = (fall[0], fall[1], fall[2])
-            sine, cosine = sincos(angle)
-            along, across = scaled((1 - cosine) * inner(axis, fall), axis), scaled(-sine, cross(axis, fall))
-            fall = add(scaled(cosine, fall), add(along, across))
-        return fall
+        return dynamics.falling(angles, jnp.asarray(self.gravity), self.tilt)
 
     def prepare(self, h):
         return eqx.tree_at(lambda m: m.prepared, self, (self.body(), self.standing()), is_leaf=lambda x: x is None)
@@ -321,6 +310,17 @@ class Robot(Staged):
             return M, bias
         S = np.array(self.coupling)
         return S.T @ M @ S, S.T @ bias
+
+    def damped(self, h, x, tau, qd, slope, stiffness):
+        """Where goals drive, by one evaluation in the middle of the step: their law is quicker than what it moves, its torque is
+        that of the middle and of second order, and the rest need be no better."""
+        if self.drive_law is None:
+            return super().damped(h, x, tau, qd, slope, stiffness)
+        return dynamics.middle_step(self.matrices, h, x, tau, qd, slope, stiffness)
+
+    @property
+    def of_one_joint(self):
+        return frozenset({"armature", "stiffness"} if self.coupling is None else ())
 
     def inverse(self, q, qd, qdd):
         """Joint torque of a motion [nq], dissipation excluded."""

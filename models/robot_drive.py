@@ -51,6 +51,10 @@ class PositionLaw(InputEffect):
     period: float = eqx.field(static=True, default=0.0)
     control: tuple[tuple[float, float], ...] = eqx.field(static=True, default=())
 
+    @property
+    def holds(self):
+        return self.period <= 0
+
     def start(self, u):
         if self.period <= 0:
             return jnp.zeros_like(u) if self.kind == "pid" else ()

@@ -5,6 +5,7 @@ import importlib
 from dataclasses import replace
 from typing import Any
 
+import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
@@ -23,7 +24,7 @@ from jaxid.fitting.simulate import own_numbers
 from jaxid.models import Robot
 from jaxid.models.effects import CoulombFriction, Saturation, SensorBias
 from jaxid.problem.binding import bind, resolve_model
-from jaxid.problem.residual import InverseDynamics
+from jaxid.problem.residual import InverseDynamics, OutputError
 from jaxid.robots.beside import left_out as without_channels, rides
 from jaxid.robots.drives import stated_law
 from jaxid.robots.match import prepared, spec_of_file
@@ -320,3 +321,34 @@ def test_forces_that_a_model_lacks_become_its_free_run():
 def test_a_goal_that_is_held_counts_from_both_sides_of_its_jump():
     u = np.array([[0.0, 0.0], [2.0, 2.0], [2.0, 4.0]])
     assert np.array_equal(mean_input(u, np.array([False, True])), [[0.0, 0.0], [1.0, 2.0], [2.0, 4.0]])
+
+
+def test_a_step_under_goals_is_one_evaluation_of_second_order():
+    """A law's torque is that of the middle of a step: four evaluations of the rest made it no better."""
+    b = bind(*prepared(Robot.from_mjcf("robot.xml", text=ARM), recording(pd())))
+
+    def simulated(step):
+        p = Bench(b, step).problem(OutputError(), "fit", [], b.theta)
+        return p.predictions(p.z(b.theta))[0]
+
+    coarse, half, fine = (simulated(step) for step in (0.01, 0.005, 0.00125))
+    apart, less = np.abs(coarse - fine).max(), np.abs(half - fine).max()
+    assert 3.5 < apart / less < 5 and less < 1e-4
+    body: Any = b.chain.body()
+    x = jnp.zeros(2), jnp.ones(2)
+    program = lambda body: str(jax.make_jaxpr(lambda x: body.damped(0.01, x, x[0], x[1], x[0], x[0])[1])(x))
+    assert "length=4" not in program(body) and "length=4" in program(Robot(body.tree.tree, driven=False))
+
+
+@pytest.mark.parametrize("armature", [1e-3, 1e-7])
+def test_a_joint_that_is_too_light_for_its_law_follows_its_goal(armature):
+    """The law would swing it by 1 and by 100 rad in a step, and the second ran away."""
+    text = f"""<mujoco><worldbody><body name="l"><joint name="turn" axis="0 0 1" damping="0.4" armature="{armature}"/>
+<inertial pos="0 0 0.05" mass="0.1" diaginertia="2e-7 2e-7 2e-7"/></body></worldbody></mujoco>"""
+    goal = np.where(T < 1.0, 0.0, 0.2)
+    data = Dataset.from_arrays(T, {"turn_cmd": goal}, {"turn": goal}, units={"turn": "rad", "turn_cmd": "rad"},
+                               controller=pd(kd=0.0), check_model=False)  # fmt: skip
+    b = bind(*prepared(Robot.from_mjcf("robot.xml", text=text), data))
+    p = Bench(b, 0.01).problem(OutputError(), "fit", [], b.theta)
+    (q,) = p.predictions(p.z(b.theta))
+    assert np.abs(q).max() < 0.22 and abs(q[-1, 0] - 0.2) < 1e-3

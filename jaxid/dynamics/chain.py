@@ -32,7 +32,7 @@ from jaxid.dynamics.effect import (
 from jaxid.dynamics.mechanism import Mechanism, Signature
 from jaxid.dynamics.parameter import specs, with_fields
 from jaxid.dynamics.present import at_time, numbers_of
-from jaxid.numerics.fast_math import dot, fence, inverse
+from jaxid.numerics.fast_math import dot, fence
 
 
 if TYPE_CHECKING:
@@ -306,12 +306,9 @@ class Chain(eqx.Module):
         else:
             lam = jnp.where(s.qd > 0, plus, minus) * jnp.tanh(s.qd / eps)
 
-        free = body.free(h, x, -F - lam)
         # Smooth law, linearised at the prediction, at the middle velocity (v + w) / 2: stable at any slope.
+        free, w, A = body.damped(h, x, -F - lam, s.qd, slope, self._stiffness(body, s, z))
         push = lambda dv: slope * dv if slope.ndim == 1 else dot(slope, dv)
-        B = inverse(jnp.eye(v.shape[0]) + (free.A * slope if slope.ndim == 1 else dot(free.A, slope)) / 2)
-        w = dot(B, free.qd + dot(free.A, push(s.qd - v / 2)))
-        A = dot(B, free.A)
         dry, end, bend = solve_dry(v, w + dot(A, lam), A, minus, plus, lam, eps)
         # A joint that sticks stands exactly still: rounding left here would ruin every later decision and gradient.
         sticks = (end == 0) & (minus + plus > 0)
@@ -330,6 +327,13 @@ class Chain(eqx.Module):
             return F, minus, plus, slope
         F, minus, plus = law(qd)
         return F, minus, plus, jax.jacfwd(lambda qd: law(qd)[0])(qd)
+
+    def _stiffness(self, body: Mechanism, s: Signals, z: tuple) -> Float[Array, " nq"]:
+        """How tightly a law holds each joint where it stands in a step, as torque per position."""
+        if not any(e.holds for _, e in self.at(InputEffect)):
+            return jnp.zeros_like(s.q)
+        drive = lambda q: body.drive(self.signature, self.commanded(s._replace(q=q), z)[0], s.q, s.qd)
+        return jnp.maximum(-jax.jvp(drive, (s.q,), (jnp.ones_like(s.q),))[1], 0.0)
 
     def recorded(
         self, t: Float[Array, " time"], y: Float[Array, "time ny"], h: Float[Array, ""] | None, rate: Float[Array, " ny"]

@@ -129,6 +129,11 @@ class Mechanism(eqx.Module):
         """Joint torque that the inputs make; a mechanism whose inputs are not joint torques has its own law."""
         return u if signature.inputs else jnp.zeros_like(q)
 
+    @property
+    def of_one_joint(self) -> frozenset[str]:
+        """Fields whose numbers act each at its own joint alone."""
+        return frozenset()
+
     def behind_law(self, effect: Any) -> bool:
         """Whether an effect at the inputs acts on the torque that a law makes of a goal, and not on the goal."""
         return False
@@ -183,6 +188,23 @@ class Mechanism(eqx.Module):
     @abc.abstractmethod
     def free(self, h: Any, x: Any, tau: Float[Array, " nq"]) -> Free:
         """Motion over a step of length h under held torque."""
+
+    def damped(
+        self,
+        h: Any,
+        x: Any,
+        tau: Float[Array, " nq"],
+        qd: Float[Array, " nq"],
+        slope: Float[Array, " nq"] | Float[Array, "nq nq"],
+        stiffness: Float[Array, " nq"],
+    ) -> tuple[Free, Float[Array, " nq"], Float[Array, "nq nq"]]:
+        """`free`; and velocity and compliance at the end of the step where the joints are damped beside it: by `slope` (of each,
+        or a matrix) times what their mean speed exceeds `qd`, the one predicted for the middle of the step. `stiffness` is how
+        tightly a law holds them, torque per position."""
+        free, v = self.free(h, x, tau), self.port(x)[1]
+        B = inverse(jnp.eye(v.shape[0]) + (free.A * slope if slope.ndim == 1 else dot(free.A, slope)) / 2)
+        push = slope * (qd - v / 2) if slope.ndim == 1 else dot(slope, qd - v / 2)
+        return free, dot(B, free.qd + dot(free.A, push)), dot(B, free.A)
 
     @abc.abstractmethod
     def close(

@@ -9,6 +9,7 @@ Sources: Luh, Walker, Paul 1980; Featherstone, Rigid Body Dynamics Algorithms, 2
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from typing import Any, NamedTuple
 
 import jax
@@ -16,8 +17,9 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
+from jaxid.dynamics.mechanism import Free
 from jaxid.dynamics.rigid_body import add, cross, inner, into, moved, out_of, Placements, scaled, times, Vector
-from jaxid.numerics.fast_math import dot, sincos
+from jaxid.numerics.fast_math import dot, inverse, sincos
 
 
 class Plan(NamedTuple):
@@ -235,6 +237,25 @@ def mass_matrix(plan: Plan, body: Body, E: Placements) -> Float[Array, "n n"]:
     return upper + upper.T - upper * np.eye(n)
 
 
+#: A joint that a law holds so tightly that it swings by more than sqrt(2) rad in a step is taken to be so much heavier; twice as
+#: tightly held, the step would run away from it.
+LIGHTEST = 0.5
+
+
+def middle_step(
+    matrices: Callable[[Any, Any], tuple[Any, Any]], h: Any, x: tuple[Any, Any], tau: Any, qd: Any, slope: Any, stiffness: Any
+) -> tuple[Free, Any, Any]:
+    """`Mechanism.damped` of a rigid mechanism with these `matrices` of (q, qd), by its forces in the middle of the step alone:
+    second order, and one evaluation where the scheme of Runge and Kutta takes four."""
+    q, v = x
+    M, bias = matrices(q + h / 2 * v, qd)
+    D, push = (jnp.diag(slope), slope * (v - qd)) if slope.ndim == 1 else (slope, dot(slope, v - qd))
+    unresolved = jnp.maximum(LIGHTEST * h * h * stiffness - jnp.sum(M * np.eye(len(v)), -1), 0.0)
+    A = h * inverse(M + h / 2 * D + jnp.diag(unresolved))
+    w = v + dot(A, tau - bias - push)
+    return Free(w, A, q + h / 2 * (v + w)), w, A
+
+
 def poses(plan: Plan, E: Placements, route: Any) -> Placements:
     """Frames of the nodes in the base's frame, components [n]."""
 
@@ -258,6 +279,19 @@ def turn(roll: Any, pitch: Any, yaw: Any) -> tuple[tuple[Any, ...], ...]:
         (sy * cp, sy * sp * sr + cy * cr, sy * sp * cr - cy * sr),
         (-sp, cp * sr, cp * cr),
     )
+
+
+def falling(angles: Any, gravity: Float[Array, " 3"], tilt: Any = None) -> tuple[Any, ...]:
+    """`gravity`, a vector of free fall in the world, in the frame of a base turned by its roll, pitch and yaw, and by a `tilt`
+    (angle, axis) further."""
+    R = turn(*angles)
+    fall: Any = tuple(sum(R[i][k] * gravity[i] for i in range(3)) for k in range(3))
+    if tilt is not None:  # v cos - (axis x v) sin + axis (axis . v) (1 - cos)
+        angle, axis = tilt
+        sine, cosine = sincos(angle)
+        along, across = scaled((1 - cosine) * inner(axis, fall), axis), scaled(-sine, cross(axis, fall))
+        fall = add(scaled(cosine, fall), add(along, across))
+    return fall
 
 
 def angular_velocity(angles: Float[Array, " 3"], rates: Float[Array, " 3"]) -> Float[Array, " 3"]:
