@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from types import SimpleNamespace
+from typing import Any
 
 import jax
 import jax.numpy as jnp
@@ -14,9 +16,10 @@ from jaxid.data.dataset import ModelSpec, ParameterPrior
 from jaxid.fitters import DifferentialEvolution, LevenbergMarquardt
 from jaxid.fitting import run as fits
 from jaxid.fitting.ending import looked_again
+from jaxid.fitting.least_squares import descend
 from jaxid.fitting.problem_builder import Bench, default_residual, start_values
 from jaxid.problem.binding import bind
-from jaxid.problem.objective import FunctionProblem
+from jaxid.problem.objective import FunctionProblem, Linear
 from jaxid.runtime import Interrupted
 from jaxid.storage import interim
 
@@ -159,3 +162,24 @@ def test_a_fast_short_record_is_cut_so_that_every_part_is_judged(recwarn):
     assert all(np.isfinite(fit.scores[split]["position"].rmse) for split in ("fit", "validation", "report"))
     assert fit.parameters["inertia"].value == pytest.approx(20, rel=0.01)
     assert not [w for w in recwarn if issubclass(w.category, RuntimeWarning)]
+
+
+def test_a_valley_in_which_steps_gain_nothing_beside_the_noise_is_at_its_end():
+    """1000 residuals of about 3 times the noise; every step gains a ten-thousandth of what one of them varies by."""
+    wide = np.full(1, 1e9)
+    problem: Any = SimpleNamespace(
+        size=1, free=np.zeros(1, int), log=np.zeros(1, bool), lower=-wide, upper=wide, scale=np.ones(1), weighted=True,
+        loss_name="sum_of_squares",
+    )  # fmt: skip
+    asked = []
+
+    def expansion(jobs, share):
+        z = float(jobs[0][1][0])
+        asked.append(z)
+        return [Linear(9000.0 - 5e-4 * len(asked), np.array([-1e-2]), np.array([[1e-2]]), 1000)]
+
+    for weighted, steps in ((True, 4), (False, 31)):
+        problem.weighted = weighted
+        asked.clear()
+        (path,) = descend([(problem, np.zeros(1))], 30, 1e-10, expansion=expansion, material=True)
+        assert len(asked) == steps and path.converged == weighted

@@ -66,7 +66,7 @@ def search(
             points = distinct([p.z for p in own if np.isfinite(p.cost)] or [own[0].z])[:keep]
             current[k] = [(own[0].problem if len(own) else groups[k][0][0], z) for z in points]
     flat = [(k, job) for k, g in enumerate(current) for job in g]
-    paths = descend([job for _, job in flat], iterations, tolerance, 1.0, of(flat))
+    paths = descend([job for _, job in flat], iterations, tolerance, 1.0, of(flat), material=True)
     tried += sum(p.linearisations for p in paths)
     best = []
     for k in range(len(groups)):
@@ -131,6 +131,10 @@ def race(
 
 Curvature = Callable[["Path", np.ndarray, Linear], np.ndarray]
 
+#: A step that lowers a sum of squares over the noise by less than this many variances moves no number by more than about a
+#: thirtieth of its standard deviation. So many in a row, and the rest of a valley is of no account either.
+SLIGHT, IN_A_ROW = 1e-3, 3
+
 
 @dataclass
 class Path:
@@ -148,6 +152,7 @@ class Path:
     converged: bool = False
     stopped: str = "iteration limit"
     history: list[tuple[int, float]] | None = None
+    slight: int | None = None  # how many steps in a row gained nothing material; None where that is not asked
 
     @property
     def loss(self) -> float:
@@ -165,6 +170,7 @@ def descend(
     curvature: Curvature = lambda path, trial, new: new.hessian,
     hopeless: Callable[[Sequence[Path]], Sequence[bool]] | None = None,
     enough: Callable[[int, Path], bool] | None = None,
+    material: bool = False,
 ) -> list[Path]:
     """Levenberg-Marquardt on many (problem, start) on the same runs at once; each linearisation of all is one batch.
 
@@ -172,10 +178,11 @@ def descend(
     other losses; `curvature` may put another matrix in the place of that of an accepted trial. A `log`, of all jobs or of each,
     counts evaluations (a share of the records as that share of one) and ends the descent when the budget is used up. Paths that
     are `hopeless` after the first few steps are given up, and a path (its number, itself) of which `enough` is known at any.
+    With `material` a path also ends where its steps gain nothing beside the noise.
     """
     if expansion is None:
         expansion = linearise if all(p.loss_name == "sum_of_squares" for p, _ in jobs) else expand
-    paths = [Path(p, problem_clip(p, z), history=[]) for p, z in jobs]
+    paths = [Path(p, problem_clip(p, z), history=[], slight=0 if material and p.weighted else None) for p, z in jobs]
     trials = [p.z for p in paths]
     active = list(range(len(paths)))
     each = share * (1 + paths[0].problem.size)
@@ -255,6 +262,10 @@ def accept(path: Path, trial: np.ndarray, new: Linear, tolerance: float, curvatu
         path.scale = np.maximum(path.scale, _scale(path.hessian))
         if small:
             path.converged, path.stopped = True, "tolerance"
+        elif path.slight is not None:
+            path.slight = path.slight + 1 if 2 * gained <= SLIGHT * max(1.0, path.loss) else 0
+            if path.slight == IN_A_ROW:
+                path.converged, path.stopped = True, "steps gain nothing beside the noise"
     else:
         if predicted <= tolerance * path.cost:
             path.converged, path.stopped = True, "tolerance"

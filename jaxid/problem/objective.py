@@ -112,6 +112,11 @@ class AbstractProblem(abc.ABC):
         return self.lower.size
 
     @property
+    def weighted(self) -> bool:
+        """Whether its loss is a sum of squares of residuals over their noise."""
+        return False
+
+    @property
     def by_windows(self) -> bool:
         """Whether its records are windows of runs, each with a start of its own."""
         return False

@@ -287,6 +287,10 @@ class Problem(AbstractProblem):
         return len(self.records)
 
     @property
+    def weighted(self) -> bool:
+        return self.loss_name == "sum_of_squares"
+
+    @property
     def by_windows(self) -> bool:
         return len(self.records) > len(self.runs.experiments)
 
