@@ -214,7 +214,8 @@ def _diagnosed(question: Question, scatter: timing.Scatter | None = None) -> tup
     if verdict.name in ("none", "unknown") and not question.still:
         pool = candidates(bench, question.allowed) if verdict.name == "none" else []
         try:
-            looked = Looker(bench, residual, search.nominal).look([c for c in pool if c.effect != JITTER])
+            settled = None if search.settled is None else search.settled[0].path
+            looked = Looker(bench, residual, search.nominal, settled).look([c for c in pool if c.effect != JITTER])
         except KeyboardInterrupt as stop:
             stopped, verdict = stop, verdict.because(Stopped())
         verdict = verdict.because(*map(Remark, looked.signs))

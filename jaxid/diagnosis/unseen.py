@@ -18,7 +18,7 @@ from jaxid.diagnosis.evidence import knowledge, memory
 from jaxid.diagnosis.hypothesis import Candidate, Hypothesis, probes_of
 from jaxid.diagnosis.screen import each_probe, probe_residuals, Retuning
 from jaxid.diagnosis.thresholds import LIMITS
-from jaxid.fitting.least_squares import descend
+from jaxid.fitting.least_squares import descend, Path
 from jaxid.fitting.problem_builder import Bench, estimate_starts
 from jaxid.problem.problem import Problem, Rows, rows
 from jaxid.problem.residual import Residual
@@ -161,17 +161,12 @@ class Match:
 class Looker:
     """Looks behind a nominal model that reaches the noise, on the runs that fitted and chose."""
 
-    def __init__(self, bench: Bench, residual: Residual, nominal: Hypothesis):
+    def __init__(self, bench: Bench, residual: Residual, nominal: Hypothesis, settled: Path | None = None):
+        """`settled`: the nominal model as it was already fitted to the runs that fitted and chose."""
         self.bench, self.residual, self.nominal = bench, residual, nominal
         held = "validation" if bench.binding.experiments("validation") else ""
         self.split = f"fit+{held}" if held else "fit"
-        own = nominal.path.problem
-        p = bench.problem(residual, self.split, own.free, nominal.theta)
-        starts = p.start0.copy()
-        starts[: len(own.records)] = own.starts(nominal.path.z)
-        if held and residual.free_run:
-            starts[len(own.records) :] = estimate_starts(bench, held, [nominal.theta])[0]
-        path = descend([(p, p.z(nominal.theta, starts))], 12, 1e-6)[0]
+        path = settled or self._refitted(held)
         self.p, self.z, self.theta = path.problem, path.z, path.problem.theta(path.z)
         self.parts = list(rows([(self.p, self.z)]))
         self.before = np.concatenate([part.r.ravel() for part in self.parts])
@@ -180,6 +175,15 @@ class Looker:
         self.std = np.full(self.p.free.size, np.inf)  # of the free numbers; nothing hides in what is not known at all
         if (told := knowledge(path)) is not None:
             self.std = np.sqrt(np.diag(np.linalg.pinv(told[1], hermitian=True)) * self.inflation)
+
+    def _refitted(self, held: str) -> Path:
+        own = self.nominal.path.problem
+        p = self.bench.problem(self.residual, self.split, own.free, self.nominal.theta)
+        starts = p.start0.copy()
+        starts[: len(own.records)] = own.starts(self.nominal.path.z)
+        if held and self.residual.free_run:
+            starts[len(own.records) :] = estimate_starts(self.bench, held, [self.nominal.theta])[0]
+        return descend([(p, p.z(self.nominal.theta, starts))], 12, 1e-6)[0]
 
     def look(self, pool: Sequence[Candidate]) -> Look:
         probes, signs = self._probed(pool)
