@@ -35,7 +35,10 @@ class LedPlant(AnyPlant):
 
     def friction(self, run: Run, theta: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """What the motion leaves to dry friction and what friction takes of it, [time n]."""
-        left, minus, plus = self.balance(run, theta)
+        return self.taken(run, *self.balance(run, theta))
+
+    def taken(self, run: Run, left: np.ndarray, minus: np.ndarray, plus: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """What is `left` to dry friction of these levels and what friction takes of it, [time n]."""
         way = np.tanh(run.qd / self.eps)
         room = 1 - np.abs(way)
         turned = np.where(way > 0, plus, minus) * way
@@ -52,22 +55,16 @@ class LedPlant(AnyPlant):
 
     def columns(self, run: Run, theta: np.ndarray) -> np.ndarray:
         """Minus the derivatives of the missing force by the numbers that are fitted, [time n size]."""
-        out = np.zeros((*run.q.shape, self.size))
+        out, at = np.zeros((*run.q.shape, self.size)), self.missing(run, theta)
         for group in self._alone():
-            at = [self.free[k] for k in group]
-            apart = CHANGED * self.binding.scale[at]
-            low, high = (
-                np.maximum(theta[at] - apart, self.binding.lower[at]),
-                np.minimum(theta[at] + apart, self.binding.upper[at]),
-            )
-            ends = []
-            for value in (low, high):
-                moved = theta.copy()
-                moved[at] = value
-                ends.append(self.missing(run, moved))
-            slope = ends[0] - ends[1]
-            for k, width in zip(group, high - low, strict=True):
-                place = slice(None) if len(group) == 1 else self.binding.layout.entries[self.free[k]].place
+            own = [self.free[k] for k in group]
+            apart = CHANGED * self.binding.scale[own]
+            apart = np.where(theta[own] + apart <= self.binding.upper[own], apart, -apart)
+            moved = theta.copy()
+            moved[own] += apart
+            slope = at - self.missing(run, moved)
+            for k, i, width in zip(group, own, apart, strict=True):
+                place = slice(None) if len(group) == 1 else self.binding.layout.entries[i].place
                 out[:, place, k] = slope[:, place] / width
         return out
 
@@ -78,31 +75,31 @@ class LedPlant(AnyPlant):
             e = b.layout.entries[i]
             effect = b.chain.effects[e.owner] if e.owner >= 0 else None
             own = isinstance(effect, JointEffect | InputEffect) and not effect.couples
+            own |= e.owner < 0 and e.field in b.chain.mechanism.of_one_joint
             groups.setdefault((e.owner, e.field) if own else k, []).append(k)
         return list(groups.values())
 
-    def slopes(self, run: Run, theta: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Minus the derivatives of what is left to dry friction by accelerations, speeds and positions, each [time n n]."""
+    def slopes(self, run: Run, theta: np.ndarray, left: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Minus the derivatives of what is `left` to dry friction by accelerations, speeds and positions, each [time n n]."""
         n = run.q.shape[1]
         top = np.maximum(np.percentile(np.abs(run.qd), 99, axis=0), 1e-6)
         made: list[np.ndarray] = []
         for field, size in (("qdd", np.ones(n)), ("qd", np.minimum(FASTER * top, self.turn / 4)), ("q", np.full(n, MOVED))):
-            columns = []
-            for j in range(n):
-                step = size[j] * np.eye(n)[j]
-                low, high = (self.balance(run, theta, **{field: s * step})[0] for s in (-1.0, 1.0))
-                columns.append((low - high) / (2 * size[j]))
-            made.append(np.stack(columns, 2))
+            moved = (self.balance(run, theta, **{field: step})[0] for step in np.diag(size))
+            made.append(np.stack([(left - ahead) / h for ahead, h in zip(moved, size, strict=True)], 2))
         return made[0], made[1], made[2]
 
-    def loop(self, run: Run, theta: np.ndarray) -> Loop:
-        """The free run to first order about the measured motion; a joint that friction holds is moved by no force."""
-        inertia, damping, stiffness = self.slopes(run, theta)
+    def loop(self, run: Run, theta: np.ndarray) -> tuple[Loop, np.ndarray]:
+        """The free run to first order about the measured motion, a joint that friction holds being moved by no force; and the
+        force [time n] that the model lacks there."""
+        left, minus, plus = self.balance(run, theta)
+        left, taken = self.taken(run, left, minus, plus)
+        inertia, damping, stiffness = self.slopes(run, theta, left)
         level = self._dry(theta)
         slow = 1 / np.cosh(np.clip(run.qd / self.eps, -300, 300)) ** 2
-        left, taken = self.friction(run, theta)
         moves = np.where(left == taken, np.abs(np.tanh(run.qd / self.eps)), 1.0)
-        return loop_of(run.step, *(run.padded(x) for x in (inertia, damping, level / self.eps * slow, stiffness, moves)))
+        matrices = (inertia, damping, level / self.eps * slow, stiffness, moves)
+        return loop_of(run.step, *map(run.padded, matrices)), left - taken
 
     def _dry(self, theta: np.ndarray) -> np.ndarray:
         """Level of the model's own dry friction [n]."""

@@ -44,6 +44,9 @@ class LedStudy(Study):
     ):
         """`begin`: numbers that the re-tuning begins with, those of the binding by default."""
         self.begin = binding.theta if begin is None else begin
+        #: By run, what was worked out of it last and at which numbers: its free run to first order, and its rows.
+        self._taken: dict[str, tuple[bytes, LoopRun, np.ndarray, Run]] = {}
+        self._made: dict[str, tuple[bytes, np.ndarray, np.ndarray]] = {}
         super().__init__(binding, kinds, cutoff_hz, None, False)
 
     def with_binding(self, binding: Binding) -> LedStudy:
@@ -172,9 +175,15 @@ class LedStudy(Study):
     def linearise(self, theta: np.ndarray) -> None:
         """Takes the free runs to first order at the numbers theta. What numbers and effects change is read along these free runs,
         not along the measured motion: noise is not in it, and nothing is gained by making all forces small."""
-        self.runs = [replace(r, loop=self.plant.loop(r, theta)) for r in self.runs]  # type: ignore[call-arg]
-        self.apart = [r.free_run(self.plant.missing(r, theta)) for r in self.runs]  # type: ignore[attr-defined]
-        self.free = [_moved(r, x) for r, x in zip(self.runs, self.apart, strict=True)]
+        now = theta.tobytes()
+        for r in self.runs:
+            if r.experiment.name not in self._taken or self._taken[r.experiment.name][0] != now:
+                loop, force = self.plant.loop(r, theta)
+                run: Any = replace(r, loop=loop)  # type: ignore[call-arg]
+                apart = run.free_run(force)
+                self._taken[r.experiment.name] = now, run, apart, _moved(run, apart)
+        every = [self._taken[r.experiment.name] for r in self.runs]
+        self.runs, self.apart, self.free = [e[1] for e in every], [e[2] for e in every], [e[3] for e in every]
 
     def made(self, theta: np.ndarray, found: list[Unit]) -> Rows:
         if not found:  # else they were made for this free run
@@ -184,12 +193,21 @@ class LedStudy(Study):
     def _columns(self, theta: np.ndarray, found: list[Unit]) -> Rows:
         """Rows of the free runs as they were taken at theta."""
         rows = []
-        for k, (run, free) in enumerate(zip(self.runs, self.free, strict=True)):
-            own = np.concatenate([self.plant.columns(free, theta), self._turning_columns(free), self._late(free, theta)], 2)
-            made = run.rows(own)
-            target = run.sampled(self.apart[k]) + made[:, :, : self.plant.size] @ theta[self.plant.free]  # type: ignore[attr-defined]
+        for k in range(len(self.runs)):
+            made, target = self._own_rows(k, theta)
             rows.append(np.concatenate([made, *(u.columns[k] for u in found), target[:, :, None]], 2))
         return Rows(theta, found, rows)
+
+    def _own_rows(self, k: int, theta: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Columns and target of a run without effects."""
+        run: Any = self.runs[k]
+        free, now, name = self.free[k], theta.tobytes(), run.experiment.name
+        if name not in self._made or self._made[name][0] != now:
+            own = np.concatenate([self.plant.columns(free, theta), self._turning_columns(free), self._late(free, theta)], 2)
+            made = run.rows(own)
+            target = run.sampled(self.apart[k]) + made[:, :, : self.plant.size] @ theta[self.plant.free]
+            self._made[name] = now, made, target
+        return self._made[name][1:]
 
     def _unasked(self, run: Run) -> np.ndarray:
         return np.zeros((0, run.q.shape[1], 3 * run.q.shape[1]))  # made anew along every free run: see `made`
