@@ -5,6 +5,7 @@ import gc
 import itertools
 import os
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any, cast
 
 import jax
@@ -16,6 +17,7 @@ import jaxid
 from jaxid.conventions.missing_force import ForceFit, measured
 from jaxid.data.dataset import Controller
 from jaxid.diagnosis.goals import plant as goals_plant
+from jaxid.diagnosis.goals.law_told import law_told
 from jaxid.diagnosis.goals.plant import LedPlant
 from jaxid.diagnosis.goals.propose import proposals
 from jaxid.diagnosis.goals.study import LedStudy
@@ -25,6 +27,7 @@ from jaxid.diagnosis.torque.plant import inverse_of
 from jaxid.dynamics.parameter_vector import Form
 from jaxid.fitting.least_squares import descend
 from jaxid.fitting.problem_builder import Bench, estimate_starts
+from jaxid.fitting.result import Estimate
 from jaxid.fitting.secant import descend_on_secants
 from jaxid.models import Robot
 from jaxid.models.effects import Saturation, StribeckFriction
@@ -137,6 +140,34 @@ def test_secants_end_where_slopes_of_all_numbers_do():
     more = Bench(b, differences=1).problem(OutputError(), "fit", [*b.free, b.layout.index("kp@lift")], b.theta)
     again = slopes.of(more, more.z(p.theta(path.z), p.starts(path.z)), slopes.r)
     assert [n for n, age in zip(more.names, again.age, strict=True) if age > 1000] == ["kp@lift"]  # alone is simulated
+
+
+def test_a_free_run_is_linearised_once_at_the_same_numbers(monkeypatch):
+    model = robot(limb("lift", 0.1))
+    study, asked = along(bind(model, moving(model, swinging()))), []
+    whole = LedPlant.balance
+    monkeypatch.setattr(LedPlant, "balance", lambda *args, **more: (asked.append(1), whole(*args, **more))[1])
+    once = study.made(study.theta, [])
+    first = len(asked)
+    again = study.with_binding(study.binding).made(study.theta, [])
+    assert len(asked) == first and all(np.array_equal(a, b) for a, b in zip(once.rows, again.rows, strict=True))
+    moved = study.theta.copy()
+    moved[study.plant.free[0]] *= 1.1
+    assert not np.array_equal(study.made(moved, []).rows[0], once.rows[0]) and len(asked) > first
+
+
+def test_what_is_told_of_a_law_says_what_dry_friction_passes_for():
+    names = ("kp@a", "delay@a", "frictionloss@a", "kp@b")
+    told = {n: Estimate(v, s, u, 0, 9) for n, v, s, u in zip(names, (13.8, 0.01, 0.4, 2.0), (4.8, 0.002, 0.1, None),
+                                                           ("N m/rad", "s", "N m", "N m/rad"), strict=True)}  # fmt: skip
+    std = np.diag([4.8, 0.002, 0.1])
+    M = std @ np.array([[1, 0.2, 0.99], [0.2, 1, -0.3], [0.99, -0.3, 1]]) @ std
+    fit: Any = SimpleNamespace(parameters=told, covariance=SimpleNamespace(names=names[:3], matrix=M))
+    kp, delay = law_told(fit, ("a", "b"))
+    assert "a 13.8 ± 4.8 N m/rad and b not determined" in kp and "only together with its dry friction at a" in kp
+    assert "a 0.01 ± 0.002 s; told apart from dry friction at a (correlation -0.30 at most)" in delay
+    fit.parameters = {}
+    assert law_told(fit, ("a", "b")) == []
 
 
 def test_gains_are_no_numbers_of_a_reading():

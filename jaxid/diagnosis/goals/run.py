@@ -10,6 +10,7 @@ import numpy as np
 
 from jaxid.data.dataset import Dataset
 from jaxid.diagnosis.goals.floor import between_simulators, with_floor
+from jaxid.diagnosis.goals.law_told import law_told
 from jaxid.diagnosis.goals.propose import as_vector, goes_the_other_way, kinds_of, Proposal, proposals, shown, with_other_hold
 from jaxid.diagnosis.goals.search import Decider
 from jaxid.diagnosis.goals.study import LedStudy, loop_step
@@ -130,6 +131,7 @@ def diagnose_led(
         notes.append(MEANING)
     if study.of("validation"):
         notes.append(SETTLED)
+    notes += law_told(found.final, binding.chain.signature.joints)
     notes.append(f"{found.nominal.evaluations} free runs were simulated under the law, in steps of {step:.2g} s at most")
     return replace(found, notes=(*found.notes, *notes), wall_time_s=time.perf_counter() - began)
 
