@@ -18,6 +18,7 @@ from jaxid.conventions.missing_force import ForceFit, measured
 from jaxid.data.dataset import Controller
 from jaxid.diagnosis.goals import plant as goals_plant
 from jaxid.diagnosis.goals.law_told import law_told
+from jaxid.diagnosis.goals.limits import limits_shown
 from jaxid.diagnosis.goals.plant import LedPlant
 from jaxid.diagnosis.goals.propose import proposals
 from jaxid.diagnosis.goals.study import LedStudy
@@ -168,6 +169,19 @@ def test_what_is_told_of_a_law_says_what_dry_friction_passes_for():
     assert "a 0.01 ± 0.002 s; told apart from dry friction at a (correlation -0.30 at most)" in delay
     fit.parameters = {}
     assert law_told(fit, ("a", "b")) == []
+
+
+def test_a_limit_that_the_file_does_not_have_is_read_off_the_measured_motion():
+    """A drive that gives a third of what is asked leaves no re-tuned model near the data."""
+    model = robot(limb("lift", 0.1))
+    goal = 3 * swinging()
+    whole = moving(model, goal)
+    free = whole.experiments[0]
+    limit = 0.35 * float(np.abs(20.0 * (free.u - free.y)[:, 0] - 0.5 * np.gradient(free.y[:, 0], 0.01)).max())
+    data = moving(model, goal, effects=[{"effect": "saturation", "location": "lift_tau", "parameters": {"limit": limit}}])
+    (unit,) = limits_shown(along(bind(model, data), [Saturation]))
+    assert (unit.effect, unit.location) == ("saturation", "lift_tau") and abs(unit.shape["limit"] - limit) < 0.3 * limit
+    assert limits_shown(along(bind(model, whole), [Saturation])) == []
 
 
 def test_gains_are_no_numbers_of_a_reading():

@@ -8,6 +8,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from jaxid.data.dataset import Dataset
+from jaxid.diagnosis.goals.limits import limits_shown
 from jaxid.diagnosis.goals.study import LedStudy
 from jaxid.diagnosis.thresholds import LIMITS
 from jaxid.diagnosis.torque.algebra import better, BLOCKS, gram
@@ -57,7 +58,8 @@ def proposals(study: LedStudy, most: int) -> tuple[Proposal, list[Proposal]]:
         return bare, []
     chosen = chooser.run()
     first = [chosen] if chosen.units else []
-    return bare, [_proposal(study, chooser, m) for m in [*first, *_next(chooser, chosen)][:FIRST]]
+    limits = [Proposal((u,), (np.ones(1),), study.binding.theta.copy()) for u in limits_shown(study)[:1]]
+    return bare, [*limits, *(_proposal(study, chooser, m) for m in [*first, *_next(chooser, chosen)])][:FIRST]
 
 
 def _next(chooser: Chooser, chosen: Model) -> list[Model]:
