@@ -45,7 +45,7 @@ class LedStudy(Study):
         """`begin`: numbers that the re-tuning begins with, those of the binding by default."""
         self.begin = binding.theta if begin is None else begin
         #: By run, what was worked out of it last and at which numbers: its free run to first order, and its rows.
-        self._taken: dict[str, tuple[bytes, LoopRun, np.ndarray, Run]] = {}
+        self._taken: dict[str, tuple[bytes, Run, np.ndarray, Run]] = {}
         self._made: dict[str, tuple[bytes, np.ndarray, np.ndarray]] = {}
         super().__init__(binding, kinds, cutoff_hz, None, False)
 
