@@ -51,9 +51,10 @@ class PositionLaw(InputEffect):
     period: float = eqx.field(static=True, default=0.0)
     control: tuple[tuple[float, float], ...] = eqx.field(static=True, default=())
 
-    @property
-    def holds(self):
-        return self.period <= 0
+    def stiffness(self):
+        if self.period > 0:
+            return None
+        return jnp.abs(self.gain * self.kp * (self.kd if self.kind == "cascade" else 1.0))
 
     def start(self, u):
         if self.period <= 0:

@@ -307,7 +307,7 @@ class Chain(eqx.Module):
             lam = jnp.where(s.qd > 0, plus, minus) * jnp.tanh(s.qd / eps)
 
         # Smooth law, linearised at the prediction, at the middle velocity (v + w) / 2: stable at any slope.
-        free, w, A = body.damped(h, x, -F - lam, s.qd, slope, self._stiffness(body, s, z))
+        free, w, A = body.damped(h, x, -F - lam, s.qd, slope, self._stiffness())
         push = lambda dv: slope * dv if slope.ndim == 1 else dot(slope, dv)
         dry, end, bend = solve_dry(v, w + dot(A, lam), A, minus, plus, lam, eps)
         # A joint that sticks stands exactly still: rounding left here would ruin every later decision and gradient.
@@ -328,12 +328,10 @@ class Chain(eqx.Module):
         F, minus, plus = law(qd)
         return F, minus, plus, jax.jacfwd(lambda qd: law(qd)[0])(qd)
 
-    def _stiffness(self, body: Mechanism, s: Signals, z: tuple) -> Float[Array, " nq"]:
+    def _stiffness(self) -> Float[Array, " nq"]:
         """How tightly a law holds each joint where it stands in a step, as torque per position."""
-        if not any(e.holds for _, e in self.at(InputEffect)):
-            return jnp.zeros_like(s.q)
-        drive = lambda q: body.drive(self.signature, self.commanded(s._replace(q=q), z)[0], s.q, s.qd)
-        return jnp.maximum(-jax.jvp(drive, (s.q,), (jnp.ones_like(s.q),))[1], 0.0)
+        own = [k for _, e in self.at(InputEffect) if (k := e.stiffness()) is not None]
+        return sum((jnp.pad(k, (0, self.nq - k.shape[0])) for k in own), jnp.zeros(self.nq))  # none at the angles of a base
 
     def recorded(
         self, t: Float[Array, " time"], y: Float[Array, "time ny"], h: Float[Array, ""] | None, rate: Float[Array, " ny"]

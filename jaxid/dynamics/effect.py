@@ -107,10 +107,9 @@ class InputEffect(Effect):
     #: Whether it closes a loop: it is told what the encoders read in place of the joints' positions.
     reads_encoders: ClassVar[bool] = False
 
-    @property
-    def holds(self) -> bool:
-        """Whether it answers at any moment to where the joints are."""
-        return False
+    def stiffness(self) -> Array | None:
+        """How tightly it holds each joint where it stands at any moment, torque per position; None: not at all."""
+        return None
 
     def settled(self, z: Any, u: Float[Array, " nu"], q: Float[Array, " nq"], hold: Callable[[], Float[Array, " nq"]]) -> Any:
         """State `z` of a run that begins at positions q, which the joint torque hold() [nq] keeps."""

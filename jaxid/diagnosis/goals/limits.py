@@ -25,8 +25,8 @@ BETWEEN = 9
 
 
 def limits_shown(study: Any) -> list[Unit]:
-    """Limits that leave little of the force that the file as it stands lacks at their joints, the one that leaves least first;
-    each with the level that does."""
+    """Limits that leave little of the force that the file as it stands lacks at their joints, and less than the re-tuned model
+    does, the one that leaves least first; each with the level that does."""
     found = [pair for kind in study.kinds if is_level(kind) for pair in _shown(study, kind)]
     return [unit for _, unit in sorted(found, key=lambda pair: pair[0])]
 
@@ -58,6 +58,8 @@ def _shown(study: Any, kind: type[Effect]) -> list[tuple[float, Unit]]:
             own.append(study.runs[k].sampled(force - taken))
         return np.sqrt(np.mean(np.concatenate(own) ** 2, 0))
 
+    retuned = [plant.missing(run, study.theta) for run in study.runs]
+    rms = lambda which: np.sqrt(np.mean(np.concatenate([study.runs[k].sampled(retuned[k]) for k in which]) ** 2, 0))
     whole = [np.maximum(left([0.0] * len(study.runs), which), 1e-300) for which in splits]
     levels = np.max([np.quantile(np.abs(x), LEVELS, axis=0) for x in asked], 0)
     shares = lambda levels: np.array(
@@ -71,7 +73,8 @@ def _shown(study: Any, kind: type[Effect]) -> list[tuple[float, Unit]]:
     at, out = np.argmin(share[:, 0], 0), []
     for j, place in enumerate(places):
         level = levels[at[j], j]
-        if share[at[j], :, j].max() < LEFT and level > 0:
+        beyond = all(s * w[j] < rms(which)[j] for s, w, which in zip(share[at[j], :, j], whole, splits, strict=True))
+        if share[at[j], :, j].max() < LEFT and beyond and level > 0:
             made = [(c[:, j, None] * np.eye(n)[j])[:, :, None] for c in changed(levels[at[j]])]
             out.append((float(share[at[j], 0, j]), scaled(kind, place, at_levels(kind, np.array([level]))[0], j, made)))
     return out
