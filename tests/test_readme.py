@@ -1,10 +1,12 @@
 """The README's code runs as it stands there."""
 
+import importlib
 import math
 import re
 import shlex
 import shutil
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -124,8 +126,7 @@ def test_the_road_from_a_table_runs_as_it_is_typed(tmp_path, monkeypatch, capsys
 @pytest.mark.slow
 def test_the_road_of_a_robot_runs_as_it_is_typed(tmp_path, monkeypatch, capsys):
     """One hinge that is driven by goals, recorded with friction that its file does not state."""
-    import mujoco
-
+    mujoco: Any = importlib.import_module("mujoco")
     monkeypatch.chdir(tmp_path)
     robot = """<mujoco><option timestep="0.001" integrator="implicitfast"/><compiler angle="radian"/><worldbody>
 <body name="arm"><joint name="shoulder" type="hinge" axis="0 1 0" damping="0.3" frictionloss="{}"/>
