@@ -5,7 +5,8 @@ import os
 from dataclasses import replace
 from math import pi
 from pathlib import Path
-from typing import ClassVar
+from types import SimpleNamespace
+from typing import Any, cast, ClassVar
 
 import jax.numpy as jnp
 import numpy as np
@@ -16,11 +17,13 @@ from scipy.signal import butter, lfilter, sosfilt
 import jaxid
 from benchmarks.conventions import broken, found, KINDS, recording
 from jaxid.cli.app import main
-from jaxid.conventions import checking
+from jaxid.conventions import checking, finding, law
 from jaxid.conventions.force_columns import Forces
 from jaxid.conventions.mending import mended, Mending
 from jaxid.conventions.missing_force import measured
 from jaxid.conventions.readings import scaled_input, scaled_joint
+from jaxid.conventions.words import finding_text
+from jaxid.data.dataset import Controller
 from jaxid.dynamics.mechanism import Rigid, Signature
 from jaxid.dynamics.parameter import constant, param
 from jaxid.errors import UsageError
@@ -374,3 +377,24 @@ def test_a_current_is_no_torque_whatever_its_channel_is_called():
     checked = jaxid.check("joint", data)
     assert not checked.model and any("'tau' is in A" in note for note in checked.notes)
     assert "no model was asked" in str(checked)
+
+
+@pytest.mark.parametrize(
+    ("as_read", "other", "late", "decisive"), [(71, 1.5, 27, True), (71, 20, 1.5, False), (71, 60, 71, None), (1.1, 0.7, 1, None)]
+)
+def test_a_law_is_read_otherwise_where_no_delay_comes_near(as_read, other, late, decisive):
+    data = jaxid.Dataset.from_arrays(
+        np.arange(100) / 100, {"q_cmd": np.sin(np.arange(100.0))}, {"q": np.cos(np.arange(100.0))}, units={"q_cmd": "rad"},
+        controller=Controller("pd", {"kp": 20.0, "kd": 1.5}), check_model=False,
+    )  # fmt: skip
+    driven = cast(Any, SimpleNamespace(chain=SimpleNamespace(mechanism=SimpleNamespace(drive_law=object()))))
+    assert law.is_open(driven, data) and not law.is_open(driven, law.read_as(data, "none"))
+    for key, value in (("sample_time", 0.0), ("kd", 0.0)):
+        stated = Controller("pd", {"kp": 20.0, "kd": 1.5, key: value})
+        assert not law.is_open(driven, replace(data, controller=stated))
+    left = lambda d, effects: late if effects else other if "reference_velocity" in d.controller.settings else as_read
+    found = law.law_reading(data, left, ("q_cmd",))
+    assert (found and found.decisive) == decisive
+    if found is not None:
+        assert found.line == 'reference_velocity = "none"' and bool(found.same_as) != decisive
+        assert "under [controller]" in finding_text(found) and found.kind in finding.KINDS

@@ -123,16 +123,14 @@ def test_the_road_from_a_table_runs_as_it_is_typed(tmp_path, monkeypatch, capsys
     assert Path("out/report.html").stat().st_size > 10_000 and Path("out/diagnosis.json").is_file()
 
 
-@pytest.mark.slow
-def test_the_road_of_a_robot_runs_as_it_is_typed(tmp_path, monkeypatch, capsys):
-    """One hinge that is driven by goals, recorded with friction that its file does not state."""
+def one_hinge(folder: Path) -> Any:
+    """Writes a recording of one hinge that is driven by goals, with friction that its file does not state; returns MuJoCo."""
     mujoco: Any = importlib.import_module("mujoco")
-    monkeypatch.chdir(tmp_path)
     robot = """<mujoco><option timestep="0.001" integrator="implicitfast"/><compiler angle="radian"/><worldbody>
 <body name="arm"><joint name="shoulder" type="hinge" axis="0 1 0" damping="0.3" frictionloss="{}"/>
 <inertial pos="0.2 0 0" mass="1.2" diaginertia="0.01 0.02 0.02"/></body></worldbody></mujoco>"""
-    Path("recording").mkdir()
-    Path("recording/robot.xml").write_text(robot.format(0.0))
+    folder.mkdir()
+    (folder / "robot.xml").write_text(robot.format(0.0))
     model = mujoco.MjModel.from_xml_string(robot.format(0.4))
     rng, text = np.random.default_rng(1), ['name = "recording"', STATED]
     names = ("shoulder", "input", "_cmd"), ("shoulder", "output", "")
@@ -147,10 +145,30 @@ def test_the_road_of_a_robot_runs_as_it_is_typed(tmp_path, monkeypatch, capsys):
             for _ in range(5):
                 data.qfrc_applied[0] = 20.0 * (target - data.qpos[0]) - 1.5 * data.qvel[0]
                 mujoco.mj_step(model, data)
-        Path(f"recording/run_{k}.csv").write_text("\n".join(rows))
+        (folder / f"run_{k}.csv").write_text("\n".join(rows))
         text.append(f'[[experiments]]\nfile = "run_{k}.csv"\nsplit = "{split}"\nat_rest = true')
-    Path("recording/dataset.toml").write_text("\n".join(text))
+    (folder / "dataset.toml").write_text("\n".join(text))
+    return mujoco
+
+
+@pytest.mark.slow
+def test_the_road_of_a_robot_runs_as_it_is_typed(tmp_path, monkeypatch, capsys):
+    monkeypatch.chdir(tmp_path)
+    mujoco = one_hinge(Path("recording"))
     typed(ROBOT, "--effects", "stribeck_friction,input_delay")
     fixed = mujoco.MjModel.from_xml_path("fixed/robot.xml")
     assert fixed.dof_frictionloss[0] == pytest.approx(0.4, abs=0.05)
     assert "The model lacks" not in capsys.readouterr().out  # friction is a number of the file
+
+
+@pytest.mark.slow
+def test_a_law_that_does_not_say_which_rate_it_brakes_is_asked(tmp_path):
+    """Without the line of the README kd would be taken to act on the goal's rate too, which looks like a delay."""
+    one_hinge(tmp_path / "recording")
+    toml = tmp_path / "recording" / "dataset.toml"
+    toml.write_text("\n".join(line for line in toml.read_text().splitlines() if not line.startswith(("sample_time", "     "))))
+    checked = jaxid.check(None, jaxid.load_dataset(tmp_path / "recording"))
+    (law,) = [f for f in checked.findings if f.kind == "law"]
+    assert law.decisive and law.applied and law.line == 'reference_velocity = "none"' and "delay" in law.text
+    assert checked.mended is not None and checked.mended.controller is not None
+    assert checked.mended.controller.settings["reference_velocity"] == "none"

@@ -18,6 +18,7 @@ from jaxid.catalogue import effect_class
 from jaxid.conventions import runs, samples
 from jaxid.conventions.decide import judged
 from jaxid.conventions.finding import Checked, DataFinding
+from jaxid.conventions.law import is_open, law_reading, OTHER, read_as
 from jaxid.conventions.limits import GONE
 from jaxid.conventions.mending import mended, Mending
 from jaxid.conventions.missing_force import ForceFit, LAWS, LONGEST, measured, NEIGHBOURS
@@ -57,6 +58,12 @@ def run_check(
         notes += [why] if why else []
         if binding is not None:
             try:
+                read = _law_read(model, binding, data, tuple(without), gap)
+                if read is not None:
+                    applied = read.decisive and not as_recorded
+                    found.append(replace(read, applied=applied))
+                    data = read_as(data, OTHER) if applied else data
+                    binding = _bound(model, data, tuple(without))[0] or binding
                 more, data = _by_model(binding, data, as_recorded, gap)
                 found += more
             except UsageError as error:  # what these data do not allow is not the end of what comes after
@@ -160,6 +167,18 @@ def _beginnings(data: Dataset) -> Dataset:
                 scatter=cut(e.scatter), left_out=cut(e.left_out))
         for e in data.experiments
     ))  # fmt: skip
+
+
+def _law_read(model: object, binding: Binding, data: Dataset, without: tuple[str, ...], gap: Gap | None) -> DataFinding | None:
+    """What simulations say of a law that [controller] leaves open."""
+    if gap is None or len(binding.free) > MOST_NUMBERS or not is_open(binding, data):
+        return None
+
+    def left(data: Dataset, effects: tuple[str, ...]) -> float | None:
+        own, _ = _bound(model, data, without)
+        return None if own is None else gap(own, data, effects)
+
+    return law_reading(data, left, tuple(n for n, _ in binding.chain.signature.inputs))
 
 
 def _by_model(binding: Binding, data: Dataset, as_recorded: bool, gap: Gap | None) -> tuple[list[DataFinding], Dataset]:

@@ -22,7 +22,7 @@ def finding_text(f: DataFinding) -> str:
         parts.append(f"These data cannot tell it from {one_line(same)}.")
     if f.line:
         place = "under [[experiments]]" if f.kind in ("not_at_rest", "does_not_move") else f"under [channels.{f.channel}]"
-        place = "at the top" if f.kind == "time_unit" else place
+        place = {"time_unit": "at the top", "law": "under [controller]"}.get(f.kind, place)
         said = "; ".join(one_line(line) for line in f.line.split("\n"))
         parts.append(f"In dataset.toml, {one_line(place)}: {said}")
     return " ".join(parts)
