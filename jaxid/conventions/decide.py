@@ -113,18 +113,20 @@ def _claimed(
     value, interval, what = best.reading.value, None, best.reading.what
     others = {t.reading.kind for t in near} - {best.reading.kind}
     change = best.reading.change
-    if (refined := _refined(fit, m, best, names, near, laws)) is not None:
+    if (refined := _refined(fit, m, best, names, near, before, laws)) is not None:
         value, interval, what, change, conventional = refined
         if not conventional and not laws:  # beside what the model lacks many sizes are alike; less what laws take, one is not
             own = _tried(fit, m, [t.reading for t in (best, *near) if t.reading.channels == best.reading.channels], before, True)
             near_own = [t for t in own[1:] if t.left <= ALIKE * own[0].left]
-            value, interval, what, change, conventional = _refined(fit, m, own[0], names, near_own, True) or refined
+            value, interval, what, change, conventional = _refined(fit, m, own[0], names, near_own, before, True) or refined
         if not conventional:
             return None
         others |= {"another channel" for t in same if t.reading.channels != best.reading.channels}
     left = fit.fit(change(m), laws)
     closes = max(best.left, left.worst + FLOOR) <= GONE * before  # with its known value, too
     # Beside any law it has to be the whole answer: what has another cause goes some way by many a reading.
+    # It has to show in what is fitted, too: held-out motion alone tells how laws that the model lacks extrapolate.
+    closes &= ALIKE * (left.left + FLOOR) <= recorded.left + FLOOR
     # What leaves as much as the whole drive explains nothing of it.
     if not closes or left.worst > (FLOOR if laws else 1.0):
         return None
@@ -160,10 +162,11 @@ def _bounded(binding: Binding) -> bool:
 
 
 def _beyond(fit: ForceFit, changed: Motion, recorded: Fitted, left: Fitted, known: bool) -> bool:
-    """Whether laws of the joints' own motion come nowhere near: less remains beside them than of the motion as `recorded`, or, of
-    a reading that has no number of its own (`known`), they close less of its gap."""
+    """Whether laws of the joints' own motion come nowhere near: they alone do not leave less of the motion as `recorded` than the
+    reading alone, and less remains beside them of it; or, of a reading that has no number of its own (`known`), they close less
+    of the gap."""
     own, beside = recorded.worst + FLOOR, fit.fit(changed).worst + FLOOR
-    return (known and left.worst + FLOOR <= ALIKE * own) or beside <= GONE * own
+    return (known and left.worst + FLOOR <= ALIKE * own) or (left.worst + FLOOR <= own and beside <= GONE * own)
 
 
 def _tried(fit: ForceFit, m: Motion, readings: list[Reading], before: float, laws: bool) -> list[Judged]:
@@ -178,7 +181,7 @@ def _readings(names: Names, driven: bool) -> Iterator[list[Reading]]:
     yield list(scales(names))
 
 
-def _refined(fit: ForceFit, m: Motion, best: Judged, names: Names, near: list[Judged], laws: bool):
+def _refined(fit: ForceFit, m: Motion, best: Judged, names: Names, near: list[Judged], before: float, laws: bool):
     """Size with interval, words, change, and whether it is a convention's own value; None for what has no size. A known factor is
     one where it leaves as little as any other and none of those that come `near` is far from it."""
     found = refinement(best.reading, names)
@@ -198,7 +201,8 @@ def _refined(fit: ForceFit, m: Motion, best: Judged, names: Names, near: list[Ju
         unit = names.unit(best.reading.channels[0])
         factor, what = nearest_factor(value, unit)
         own, name = nearest_factor(best.reading.value, unit)
-        if abs(np.log(best.reading.value / own)) < 1e-3 and best.left <= fitted.worst + FLOOR:  # no other size leaves less
+        # Which is all of the answer, and no other size leaves less.
+        if abs(np.log(best.reading.value / own)) < 1e-3 and best.left <= min(WHOLE * before, fitted.worst + FLOOR):
             factor, what, value = own, name, own
             ends = ends if ends is not None and ends[0] <= own <= ends[1] else None
         change = _scaled(replace(best.reading, value=factor), names)
