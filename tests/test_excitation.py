@@ -58,6 +58,7 @@ def test_the_motion_keeps_its_limits_and_rests_at_both_ends(arm):
             assert e["highest"] == pytest.approx(np.abs(qd[:, j]).max(), rel=2e-3)
 
 
+@pytest.mark.slow
 def test_the_condition_number_is_that_of_the_written_out_regressor(arm):
     """58 columns: base parameters, then the paper's friction with its exponents; sign(qd) smoothed as in the identification."""
     model, (q, qd, qdd) = UR10(), arm.fourier(arm.t)

@@ -69,6 +69,7 @@ def test_two_hypotheses_are_left(diagnosis):
     assert "--next" in diagnosis.next_experiment
 
 
+@pytest.mark.slow
 def test_the_input_stays_within_what_was_recorded(made, recordings, tmp_path):
     u, q = made.dataset.experiments[0].u[:, 0], made.dataset.experiments[0].y[:, 0]
     assert np.abs(u).max() <= max(np.abs(r[0]).max() for r in recordings) * (1 + 1e-9)

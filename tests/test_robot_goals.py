@@ -208,6 +208,7 @@ def test_limbs_of_one_shape_share_their_programs():
     assert "left" not in repr(jax.tree.structure(left.chain)) and isinstance(left, Form)
 
 
+@pytest.mark.slow
 def test_a_process_that_looks_at_many_robots_keeps_the_last_programs(monkeypatch):
     """Counted: programs that are alive, each of another robot."""
     monkeypatch.setattr(kept, "MOST", 2)

@@ -100,6 +100,7 @@ def test_a_diagnosis_names_time_stamps_that_scatter(beside):
     assert "scatter by" in d.which.text
 
 
+@pytest.mark.slow
 def test_stamps_that_no_reading_shows_are_not_asked():
     """To second order they shift a reading as a smooth law may; the noise that they would make is not there."""
     data = recording("joint", 3, dead_zone=0.03)
