@@ -47,6 +47,7 @@ def harmless_cell(value: str) -> bool:
     return not value.startswith(FORMULA[:-1]) and visible(value) and not value.strip().startswith(FORMULA[:-1])
 
 
+@pytest.mark.slow
 def test_forty_names_in_every_field(tmp_path, capsys):
     """Study, description, dataset and path; effects, models and fitters of such names are refused by name."""
     assert len(NAMES) >= 40

@@ -106,6 +106,7 @@ def test_rotary_and_linear_joint():
     assert fit.parameters["inertia"].unit == "kg" and fit.parameters["viscous"].unit == "N s/m"
 
 
+@pytest.mark.slow
 def test_planar_arm():
     """Its base parameters: with the lengths and the two centres of mass known, all others are determined."""
     t = np.arange(401) * 0.01
@@ -343,6 +344,7 @@ def cut_in_time(q: np.ndarray, u: np.ndarray, t: np.ndarray, noise: float, effec
     return jaxid.fit(None, data, effects=[effect])
 
 
+@pytest.mark.slow
 def test_a_part_cut_from_a_run_starts_before_its_sensor():
     """What was measured has gone through the sensor already: taken for the motion, it would be late twice."""
     t, lag, noise = np.arange(1001) * 0.005, 0.02, 1e-4

@@ -184,6 +184,7 @@ def test_a_limit_that_the_file_does_not_have_is_read_off_the_measured_motion():
     assert limits_shown(along(bind(model, whole), [Saturation])) == []
 
 
+@pytest.mark.slow
 def test_gains_are_no_numbers_of_a_reading():
     """The smaller all numbers of a torque equation are, the less it leaves, and any reading then fits."""
     model = robot(limb("lift"), limb("turn", axis="0 0 1", x=0.3))
