@@ -6,7 +6,7 @@ from dataclasses import replace
 from math import pi
 from pathlib import Path
 from types import SimpleNamespace
-from typing import Any, cast, ClassVar
+from typing import Any, ClassVar
 
 import jax.numpy as jnp
 import numpy as np
@@ -387,11 +387,13 @@ def test_a_law_is_read_otherwise_where_no_delay_comes_near(as_read, other, late,
         np.arange(100) / 100, {"q_cmd": np.sin(np.arange(100.0))}, {"q": np.cos(np.arange(100.0))}, units={"q_cmd": "rad"},
         controller=Controller("pd", {"kp": 20.0, "kd": 1.5}), check_model=False,
     )  # fmt: skip
-    driven = cast(Any, SimpleNamespace(chain=SimpleNamespace(mechanism=SimpleNamespace(drive_law=object()))))
-    assert law.is_open(driven, data) and not law.is_open(driven, law.read_as(data, "none"))
-    for key, value in (("sample_time", 0.0), ("kd", 0.0)):
-        stated = Controller("pd", {"kp": 20.0, "kd": 1.5, key: value})
-        assert not law.is_open(driven, replace(data, controller=stated))
+
+    def driven(**law: Any) -> Any:
+        return SimpleNamespace(chain=SimpleNamespace(mechanism=SimpleNamespace(drive_law=SimpleNamespace(**law))))
+
+    assert law.is_open(driven(rate=True, kd=(0.0, 1.5)), data)
+    assert not law.is_open(driven(rate=True, kd=(1.5,)), law.read_as(data, "none"))
+    assert not law.is_open(driven(rate=False, kd=(1.5,)), data) and not law.is_open(driven(rate=True, kd=(0.0,)), data)
     left = lambda d, effects: late if effects else other if "reference_velocity" in d.controller.settings else as_read
     found = law.law_reading(data, left, ("q_cmd",))
     assert (found and found.decisive) == decisive

@@ -60,10 +60,10 @@ def run_check(
             try:
                 read = _law_read(model, binding, data, tuple(without), gap)
                 if read is not None:
-                    applied = read.decisive and not as_recorded
-                    found.append(replace(read, applied=applied))
-                    data = read_as(data, OTHER) if applied else data
-                    binding = _bound(model, data, tuple(without))[0] or binding
+                    found.append(replace(read, applied=read.decisive and not as_recorded))
+                    if found[-1].applied:
+                        data = read_as(data, OTHER)
+                        binding = _bound(model, data, tuple(without))[0] or binding
                 more, data = _by_model(binding, data, as_recorded, gap)
                 found += more
             except UsageError as error:  # what these data do not allow is not the end of what comes after

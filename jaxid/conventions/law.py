@@ -7,8 +7,6 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import replace
 
-import numpy as np
-
 from jaxid.conventions.finding import DataFinding
 from jaxid.conventions.limits import ALIKE, GONE
 from jaxid.data.dataset import Dataset
@@ -16,19 +14,15 @@ from jaxid.problem.binding import Binding
 from jaxid.wording import times
 
 
-#: Where the reading stands, and what it is where it is not stated.
-KEY, DEFAULT, OTHER = "reference_velocity", "difference", "none"
+#: Where the reading stands, and what it is besides the one that is taken where it is not stated.
+KEY, OTHER = "reference_velocity", "none"
 DELAY = "input_delay"
 
 
 def is_open(binding: Binding, data: Dataset) -> bool:
-    """Whether goals drive through a law whose kd acts, and [controller] leaves open on which rate."""
-    law = data.controller
-    if law is None or law.kind not in ("pd", "pid") or getattr(binding.chain.mechanism, "drive_law", None) is None:
-        return False
-    kd = law.settings.get("kd", 0.0)
-    gains = kd.values() if isinstance(kd, dict) else np.ravel(kd)  # type: ignore[arg-type]
-    return KEY not in law.settings and law.settings.get("sample_time") != 0 and any(float(x) > 0 for x in gains)
+    """Whether goals drive through a law that takes the goal's rate off the joint's, and [controller] does not say so."""
+    law, stated = getattr(binding.chain.mechanism, "drive_law", None), data.controller
+    return law is not None and stated is not None and KEY not in stated.settings and law.rate and any(law.kd)
 
 
 def read_as(data: Dataset, reading: str) -> Dataset:
@@ -42,8 +36,11 @@ def law_reading(
 ) -> DataFinding | None:
     """What the other reading of an open law explains: decisive where neither the law as it is read nor a delay of its goals (at
     `places`) beside it comes near. `gap`: what a dataset and more effects leave, times the noise."""
-    before, after = gap(data, ()), gap(read_as(data, OTHER), ())
-    if before is None or after is None or after > GONE * before or before <= ALIKE:
+    before = gap(data, ())
+    if before is None or before <= ALIKE:
+        return None
+    after = gap(read_as(data, OTHER), ())
+    if after is None or after > GONE * before:
         return None
     late = gap(data, tuple(f"{DELAY}@{place}" for place in places))
     decisive = late is None or after <= GONE * late
