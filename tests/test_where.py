@@ -140,6 +140,17 @@ def test_a_joint_that_its_friction_may_hold_lacks_nothing():
         assert np.max(np.abs(m.force)) == pytest.approx(most, abs=0.004)
 
 
+def test_a_reading_that_is_left_out_leaves_a_floor():
+    t, rng = np.arange(400) / 100, np.random.default_rng(0)
+    q = 0.01 * np.sin(2 * t) ** 2 + 1e-4 * rng.standard_normal(t.size)
+    whole = jaxid.Dataset.from_arrays(t, {"tau": np.sin(2 * t)}, {"q": q}, split="fit", noise_std={"q": 1e-4}, model="joint")
+    run = dataclasses.replace(whole.experiments[0], left_out=(np.arange(t.size) == 200)[:, None])
+    binding = bind(None, dataclasses.replace(whole, experiments=(run,)), splits=False)
+    bench = Bench(binding, differences=1)
+    (m,) = missing_forces(bench, binding.theta, estimate_starts(bench, "fit", [binding.theta])[0], 0)
+    assert np.isfinite(m.force).all() and np.isfinite(m.null).all()
+
+
 @pytest.mark.slow
 def test_a_right_model_shows_what_noise_shows():
     """At each joint, though one moves faster than the other: what is measured and what is simulated pass the same filters."""

@@ -55,12 +55,14 @@ def missing_forces(bench: Bench, theta: np.ndarray, starts: np.ndarray, seed: in
     nulls: list[list[np.ndarray]] = [[] for _ in experiments]
     simulated = free_runs(bench, "fit", [theta], starts[None])[0]
     apart, white = what_repeats_differ_by(b), np.where(_repeated(b), b.readings, b.sigma)
-    still = [_rate_of(runs, e, e.noise(white, iy) * rng.standard_normal(e.y[:, iy].shape)) for e in experiments]
+    # Readings that are left out have no noise: the motion goes on between their neighbours.
+    noise = [np.where(e.read[:, iy], e.noise(white, iy), 0.0) for e in experiments]
+    still = [_rate_of(runs, e, n * rng.standard_normal(n.shape)) for e, n in zip(experiments, noise, strict=True)]
     force = _lacking(problem, theta, still)
     for _ in range(draws):
         motion = []
-        for e, y in zip(experiments, simulated, strict=True):
-            noisy = y + e.noise(white, iy) * rng.standard_normal(y.shape)
+        for e, n, y in zip(experiments, noise, simulated, strict=True):
+            noisy = y + n * rng.standard_normal(y.shape)
             if others := apart.get(e.name):
                 chosen = rng.choice((-1.0, 1.0)) * others[rng.integers(len(others))]
                 noisy[: len(chosen)] += chosen
