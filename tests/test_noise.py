@@ -219,3 +219,16 @@ def test_g_needs_to_know_what_it_measures():
     with pytest.raises(UnitError, match="did you mean 'N mm'"):
         conversion("N mmm")
     assert si_unit("furlong") == "furlong" and si_unit("deg") == "rad"
+
+
+def test_what_repeats_differ_by_adds_up_along_a_run_not_within_windows():
+    """Friction that differs from time to time: after ten seconds the joint is elsewhere, a second after each start it is not."""
+    slow = lambda k: k * 0.01 * T**2
+    runs = [MOTION + slow(k) + noise(1e-4, k + 1) for k in (-1, 0, 1)]
+    whole, parts = noise_floor(dataset(*runs))["q"], noise_floor(dataset(*runs), window=lambda e: 1.0)["q"]
+    assert whole.source == parts.source == "repeatability"
+    assert whole.std == pytest.approx(0.01 * 100 / math.sqrt(5), rel=0.01)
+    assert parts.std == pytest.approx(math.hypot(0.01 / math.sqrt(180), 1e-4), rel=0.05)  # a parabola beside its line
+    assert "windows of 1 s" in parts.text
+    alike = noise_floor(dataset(*(MOTION + noise(1e-4, k) for k in range(3))), window=lambda e: 1.0)["q"]
+    assert alike.std == pytest.approx(1e-4, rel=0.1)

@@ -11,11 +11,16 @@ import numpy as np
 import pytest
 
 import jaxid
+from jaxid.data.dataset import Channel, Dataset, Experiment
 from jaxid.data.signals import zero_phase
 from jaxid.diagnosis.run import run_diagnosis
+from jaxid.diagnosis.torque.answer import of_model
 from jaxid.diagnosis.torque.reference import Reference
+from jaxid.diagnosis.torque.study import Study
 from jaxid.dynamics.kinematics import modified_dh
 from jaxid.models import SerialArm, UR10e
+from jaxid.models.effects import AsymmetricFriction
+from jaxid.problem.binding import bind
 from jaxid.problem.residual import InverseDynamics
 from jaxid.problem.torque_filter import evenly
 from test_serial_arm import table_of, twin
@@ -226,3 +231,39 @@ def test_a_load_is_weighed_where_joints_stick_and_torques_are_held(monkeypatch):
     found = payload_of(d)
     assert abs(found["mass"].value - 1.2) < 2 * found["mass"].std < 0.02
     assert abs(found["x"].value - 0.24) < 0.005
+
+
+def repeated(drift: float, more: float = 0.0) -> jaxid.Dataset:
+    """A joint with friction on four motions, each three times; `drift` is what its friction differs by from time to time, `more`
+    viscous friction that acts forwards alone."""
+    rng, runs = np.random.default_rng(4), []
+    for motion in range(4):
+        for again, split in enumerate(("fit", "validation", "report")):
+            t, q, qd, qdd = moved(1, 40 + motion)
+            dry = (1 + drift * rng.standard_normal()) * (0.35 * np.tanh(qd / 0.003) + 0.2 * qd)
+            tau = 0.02 * qdd + dry + more * np.maximum(qd, 0) + 0.003 * rng.standard_normal(q.shape)
+            first = None if again == 0 else f"m{motion}_0"
+            runs.append(
+                Experiment(f"m{motion}_{again}", split, t, tau, q + NOISE * rng.standard_normal(q.shape), repeat_of=first)
+            )
+    return Dataset("repeated", (Channel("tau", "input", "N m"), Channel("q", "output", "rad")), tuple(runs))
+
+
+@pytest.mark.parametrize("drift", [0.0, 0.08])
+def test_what_repeats_differ_by_is_noise(drift):
+    data = repeated(drift)
+    study = Study(bind("joint", data), [AsymmetricFriction], None, None, False)
+    rows, weights = study.rows_with_effects(study.theta)
+    coulomb = np.linalg.norm(weights.spread[study.plant.free.index(study.binding.layout.index("coulomb"))]) / 0.35
+    assert coulomb < 0.02 if drift == 0 else 0.04 < coulomb < 0.16
+    chooser = study.chooser(rows, weights, study.of("fit"), study.of("validation"), 3)
+    nominal = of_model(study, rows, chooser.nominal)
+    assert 0.4 < nominal.gap(study.of("validation")) < 2.2
+    assert chooser.run().units == ()
+
+
+def test_an_effect_shows_in_spite_of_what_repeats_differ_by():
+    study = Study(bind("joint", repeated(0.04, 0.15)), [AsymmetricFriction], None, None, False)
+    rows, weights = study.rows_with_effects(study.theta)
+    found = study.chooser(rows, weights, study.of("fit"), study.of("validation"), 3).run()
+    assert [rows.units[u].effect for u in found.units] == ["asymmetric_friction"]

@@ -8,13 +8,14 @@ in it.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from math import comb, sqrt
 
 import numpy as np
 
 from jaxid.data.dataset import Channel, Dataset, Experiment
+from jaxid.data.units import si_unit
 
 
 BLOCK = 50  # samples; the median over blocks keeps impacts and reversals out of the estimate
@@ -32,15 +33,21 @@ class Noise:
     text: str
 
 
-def noise_floor(dataset: Dataset, readings: bool = False) -> dict[str, Noise]:
+Window = Callable[[Experiment], float]
+
+
+def noise_floor(dataset: Dataset, readings: bool = False, window: Window | None = None) -> dict[str, Noise]:
     """Output channel -> its noise. Report runs are not looked at unless there is no other run. `readings`: without what the
-    machine does differently from run to run, which is motion, too."""
+    machine does differently from run to run, which is motion, too. `window`: the length, s, of parts of a run that each have a
+    start of their own; what repeats differ by is then what they differ by within one, not what has added up since they began."""
     runs = [e for e in dataset.experiments if e.split != "report"] or list(dataset.experiments)
     groups = [] if readings else repeats(runs)
-    return {channel.name: _floor(channel, i, runs, groups) for i, channel in enumerate(dataset.outputs)}
+    return {channel.name: _floor(channel, i, runs, groups, window) for i, channel in enumerate(dataset.outputs)}
 
 
-def _floor(channel: Channel, column: int, runs: Sequence[Experiment], groups: list[list[Experiment]]) -> Noise:
+def _floor(
+    channel: Channel, column: int, runs: Sequence[Experiment], groups: list[list[Experiment]], window: Window | None
+) -> Noise:
     parts = [(run, at) for run in runs for at in _evenly(run.read[:, column])]
     series = [run.y[at, column] for run, at in parts]
     found: dict[str, tuple[float, str]] = {}
@@ -56,11 +63,13 @@ def _floor(channel: Channel, column: int, runs: Sequence[Experiment], groups: li
         scatter = [run.noise(np.zeros(1), [column])[at, 0] for run, at in parts]
         std = _beside(series, scatter) if any(s.any() for s in scatter) else sensor_noise(series)
         found["sensor"] = (std, "estimated from differences of neighbouring samples")
-    between = [_scatter(together(group)[..., column]) for group in groups]
+    known = 1 if si_unit(channel.unit) in ("rad/s", "m/s") else 2  # a start's speed alone, or its position, too
+    between = [_scatter(together(g)[..., column], [] if window is None else edges(g[0], window(g[0])), known) for g in groups]
     if between:
+        within = "" if window is None else f", within windows of {window(groups[0][0]):.3g} s"
         found["repeatability"] = (
             float(np.sqrt(np.mean(np.square(between)))),
-            f"scatter between {sum(map(len, groups))} runs with identical inputs",
+            f"scatter between {sum(map(len, groups))} runs with identical inputs{within}",
         )
     if not found:
         return Noise(0.0, "sensor", channel.unit, f"{channel.name}: no run to estimate the noise from")
@@ -199,5 +208,22 @@ def together(group: Sequence[Experiment]) -> np.ndarray:
     return np.stack([e.motion()[:count] for e in group])
 
 
-def _scatter(repeated: np.ndarray) -> float:
-    return sqrt(float(np.mean(np.var(repeated, axis=0, ddof=1))))
+def edges(e: Experiment, length: float) -> np.ndarray:
+    """Where windows of `length` s begin: indices of samples; the last one goes on to the end of the run."""
+    return np.searchsorted(e.t, np.arange(e.t[0], e.t[-1] - 0.5 * length, length))
+
+
+def _scatter(repeated: np.ndarray, begins: Sequence[int] | np.ndarray, known: int) -> float:
+    """Standard deviation between repeats [runs time]; within windows that begin there, what the start of each tells (a line, for
+    a position; its value, for a speed: `known` numbers) taken off."""
+    variances = np.var(repeated, axis=0, ddof=1)
+    if not len(begins):
+        return sqrt(float(np.mean(variances)))
+    apart = repeated - repeated.mean(0)
+    squares, freedom = 0.0, 0
+    for part in np.split(apart, [i for i in begins[1:] if i < apart.shape[1]], axis=1):
+        if (n := part.shape[1]) > known:
+            start = np.vander(np.linspace(-1, 1, n), known)
+            rest = part.T - start @ np.linalg.lstsq(start, part.T, rcond=None)[0]
+            squares, freedom = squares + float(np.sum(rest**2)), freedom + (n - known) * (len(part) - 1)
+    return sqrt(squares / freedom) if freedom else sqrt(float(np.mean(variances)))

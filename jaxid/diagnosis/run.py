@@ -186,6 +186,7 @@ def _run(
 def _diagnosed(question: Question, scatter: timing.Scatter | None = None) -> tuple[Diagnosis, float]:
     """The answer; and how much a difference at the start of a run grows within it. `scatter`: what the time stamps do."""
     began = time.perf_counter()
+    question = dataclasses.replace(question, binding=question.binding.by_windows(question.residual.window))
     binding, residual, seed, progress = question.binding, question.residual, question.seed, question.progress
     if progress:
         progress("nominal fit", 0, 1, binding.chain.mechanism.name)

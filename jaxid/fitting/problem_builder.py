@@ -68,7 +68,7 @@ class Bench:
                 b.dataset,
                 experiments,
                 b.layout,
-                b.readings if residual.torques else b.sigma,
+                b.readings if residual.torques else b.by_windows(residual.window).sigma,
                 b.motions_of(experiments),
                 self.step,
                 self._shape_of(residual),

@@ -15,7 +15,7 @@ from jaxid import catalogue, wording
 from jaxid.data.capacity import Need, need
 from jaxid.data.dataset import Dataset, Experiment, ParameterPrior
 from jaxid.data.joint_names import in_chain_order, joint_names
-from jaxid.data.noise import Noise, noise_floor
+from jaxid.data.noise import Noise, noise_floor, Window
 from jaxid.data.time_stamps import scattered_stamps, Stamps, with_scatter
 from jaxid.data.units import si_unit
 from jaxid.dynamics.chain import Chain
@@ -87,6 +87,14 @@ class Binding:
         """Motions of these runs, or None where the model does not measure its joints."""
         names = [e.name for e in experiments]
         return [self.motions[n] for n in names] if self.motions and set(names) <= set(self.motions) else None
+
+    def by_windows(self, window: Window | None) -> Binding:
+        """With the noise of runs that begin anew in each window: what repeats differ by has not added up since they began. `self`
+        without windows or repeats."""
+        if window is None or all(n.source != "repeatability" for n in self.noise.values()):
+            return self
+        noise = noise_floor(self.dataset, window=window)
+        return replace(self, noise=noise, sigma=np.array([noise[n].std for n, _ in self.chain.signature.outputs]))
 
     def with_stamps(self, stamps: Mapping[str, Stamps]) -> Binding:
         """The spreads of time stamps as numbers of the model that no fit determines; output channel -> its stamps."""

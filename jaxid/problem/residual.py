@@ -18,6 +18,7 @@ from typing import ClassVar, Literal
 import numpy as np
 
 from jaxid.data.dataset import Dataset, Experiment
+from jaxid.data.noise import edges, Window
 from jaxid.dynamics.chain import Chain
 from jaxid.dynamics.joint_readings import joint_readings, position_matters, start_of, stated_start
 from jaxid.dynamics.parameter_vector import Layout
@@ -104,6 +105,11 @@ class Residual(abc.ABC):
         """Whether forces or momenta along the measured motion are compared: nothing is simulated, no start is unknown."""
         return self.simulation in ("inverse_dynamics", "momentum")
 
+    @property
+    def window(self) -> Window | None:
+        """Length, s, of the windows of an experiment, where there are any."""
+        return None
+
     def select(self, dataset: Dataset, split: str) -> tuple[Experiment, ...]:
         """The runs of a split, or of several ("fit+validation"), that it looks at."""
         return tuple(e for name in split.split("+") for e in dataset.split(name))
@@ -170,6 +176,10 @@ class MultipleShooting(Residual):
     simulation: ClassVar[Simulation] = "windows"
     window_s: float | None = None
 
+    @property
+    def window(self) -> Window:
+        return lambda e: self.window_s or default_window(e)
+
     def runs(self, dataset, experiments, layout, noise, motions, step=recorded.STEP, shape=(0, 0)):
         states = layout.chain.has_states()
         memory = WINDOW_PAST if states else 0
@@ -184,9 +194,9 @@ class MultipleShooting(Residual):
         samples, positions = recorded.build(dataset, experiments, layout.chain, noise, step, measured, shape[0])
         records, length = [], 0.0
         for number, e in enumerate(experiments):
-            length = self.window_s or default_window(e)
-            edges = np.searchsorted(e.t, np.arange(e.t[0], e.t[-1] - 0.5 * length, length))
-            for a, b in zip(edges, [*edges[1:], len(e.t)], strict=True):
+            length = self.window(e)
+            begins = edges(e, length)
+            for a, b in zip(begins, [*begins[1:], len(e.t)], strict=True):
                 records.append(record_of(number, e, positions[number], int(a), int(b), dataset, layout.chain, memory))
         engine = Engine(layout, samples, records, overrides(layout, experiments, records), lane_of(layout))
         every = tuple(range(len(records)))

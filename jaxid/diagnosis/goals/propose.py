@@ -95,17 +95,17 @@ def goes_the_other_way(stated: LedStudy, other: LedStudy) -> bool:
     if not stated.of("validation"):
         return False
     held: list[np.ndarray] = []
-    owner = np.zeros(0)
-    white = None
+    white, g = None, None
     for study in (stated, other):
         rows = study.made(study.theta, [])
         white = white or study.weights(rows)
         both = [gram(*study.some(rows, which), white, BLOCKS) for which in (study.of("fit"), study.of("validation"))]
         at, numbers = study.solved(rows, white)  # without clocks, which would stand in for half of a sample
-        held += [g.losses(at, numbers) for g in both]
-        owner = both[1].owner
+        held += [part.losses(at, numbers) for part in both]
+        g = both[1]
     fitted, kept = (held[0], held[2]), (held[1], held[3])
-    total, worst = better(*kept, owner)
+    assert g is not None
+    total, worst = better(*kept, g)
     return bool(total > LIMITS.sure and worst > 0 and fitted[1].sum() < fitted[0].sum())
 
 

@@ -14,6 +14,7 @@ from functools import cached_property
 import numpy as np
 
 from jaxid.diagnosis.thresholds import LIMITS
+from jaxid.diagnosis.torque.repeats import shrunk
 from jaxid.diagnosis.torque.rows import Run
 from jaxid.numerics.boxed import scaled, WEAK, within_box
 
@@ -26,10 +27,12 @@ BLOCKS = 24
 
 @dataclass(frozen=True)
 class Weights:
-    """What is left of each joint's torque [n], N m, and how many rows share one piece of it [n]."""
+    """What is left of each joint's torque [n], N m, how many rows share one piece of it [n], and a root of the covariance of the
+    first columns' numbers from run to run [k r]."""
 
     size: np.ndarray
     memory: np.ndarray
+    spread: np.ndarray = field(default_factory=lambda: np.zeros((0, 0)))
 
     def share(self, unsure: np.ndarray) -> np.ndarray:
         """What a row counts for [samples n] whose torque is known to within `unsure` only, N m."""
@@ -76,11 +79,12 @@ def _memory(series: Sequence[np.ndarray]) -> float:
 @dataclass(frozen=True)
 class Gram:
     """Sums of products of weighted columns and, last, the target: of blocks [blocks p + 1 p + 1], their runs; rows that are
-    independent."""
+    independent; whether repeats tell the noise, so that sums of squares are chi-square."""
 
     blocks: np.ndarray
     owner: np.ndarray
     rows: float
+    repeated: bool
     total: np.ndarray = field(init=False)
 
     def __post_init__(self):
@@ -108,9 +112,10 @@ def gram(
     for k, x in enumerate(made):
         for piece in np.array_split(x, max(1, round(len(x) / length))):
             flat = piece.reshape(-1, piece.shape[2])
-            parts.append(flat.T @ flat)
+            parts.append(shrunk(flat.T @ flat, weights.spread))
             owner.append(k)
-    return Gram(np.array(parts), np.array(owner), sum(weights.count(r.moves, u) for r, u in zip(runs, unsure, strict=True)))
+    count = sum(weights.count(r.moves, u) for r, u in zip(runs, unsure, strict=True))
+    return Gram(np.array(parts), np.array(owner), count, weights.spread.size > 0)
 
 
 @dataclass(frozen=True)
@@ -163,18 +168,21 @@ def _spread(H: np.ndarray, free: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     return out, determined
 
 
-def better(before: np.ndarray, after: np.ndarray, owner: np.ndarray) -> tuple[float, float]:
-    """By how many standard errors the sums of squares of blocks fall, in all and in the run where that is least.
+def better(before: np.ndarray, after: np.ndarray, g: Gram) -> tuple[float, float]:
+    """By how many standard errors the sums of squares of the blocks of g fall, in all and in the run where that is least.
 
-    Logarithms are compared: an effect that acts in few blocks is seen in these, and no single block decides. What falls so but
-    not in sum does not count."""
+    Where repeats tell the noise that is the root of the chi-square. Else blocks tell, by their logarithms: an effect that acts in
+    few blocks is seen in these, and no single block decides. What falls so but not in sum does not count."""
     gain = np.log(np.maximum(before, 1e-300) / np.maximum(after, 1e-300))
 
     def errors(inside: np.ndarray) -> float:
+        less = float((before - after)[inside].sum())
+        if g.repeated:
+            return float(np.sign(less) * np.sqrt(abs(less)))
         found = _errors(gain[inside])
-        return found if before[inside].sum() > after[inside].sum() else min(found, 0.0)
+        return found if less > 0 else min(found, 0.0)
 
-    return errors(owner >= 0), min((errors(owner == k) for k in np.unique(owner)), default=0.0)
+    return errors(g.owner >= 0), min((errors(g.owner == k) for k in np.unique(g.owner)), default=0.0)
 
 
 def _errors(gain: np.ndarray) -> float:

@@ -105,18 +105,18 @@ class Chooser:
 
     def accepted(self, small: Model, large: Model) -> bool:
         """Whether the larger set stands."""
-        total, worst = better(small.held, large.held, self.held.owner)
+        total, worst = better(small.held, large.held, self.held)
         more = self.price(large.units) - self.price(small.units)
         return total > LIMITS.sure and worst > -LIMITS.missed and small.cost - large.cost > max(more, 0.0)
 
     def missed(self, small: Model, large: Model) -> bool:
         """Whether what the larger set has more of would be missed."""
         more = self.price(large.units) - self.price(small.units)
-        return better(small.held, large.held, self.held.owner)[0] > LIMITS.missed and small.cost - large.cost > max(more, 0.0)
+        return better(small.held, large.held, self.held)[0] > LIMITS.missed and small.cost - large.cost > max(more, 0.0)
 
     def alike(self, a: Model, b: Model) -> bool:
         """Whether held-out and fit runs leave open which of two sets of one size it is."""
-        return abs(better(a.held, b.held, self.held.owner)[0]) < LIMITS.missed and b.cost - a.cost < self.price(b.units) + 6
+        return abs(better(a.held, b.held, self.held)[0]) < LIMITS.missed and b.cost - a.cost < self.price(b.units) + 6
 
     # ---- search
 

@@ -236,7 +236,8 @@ def _answered(study: Study, found: Found, most: int, seed: int, began: float) ->
     return Diagnosis(
         b.chain.mechanism.name, b.dataset.name, b.dataset.sha256, seed, "inverse_dynamics", findings,
         Which(verdict, named, tuple(EffectEstimate(u.effect, u.location) for u in mates), ranked, judged.text),
-        far, advice(verdict, [e.effect for e in named], [u.effect for u in mates]), time.perf_counter() - began,
+        far, advice(verdict, [e.effect for e in named], [u.effect for u in mates], repeated=found.weights.spread.size > 0),
+        time.perf_counter() - began,
         nominal_fit, final_fit, traces(study, found.nominal, final, label), pictures, regimes,
         (*b.dataset.notes, *_notes(study, found)),
     )  # fmt: skip

@@ -13,6 +13,7 @@ from jaxid.diagnosis.torque.choose import Chooser, Enough
 from jaxid.diagnosis.torque.forces import force, Load, with_numbers
 from jaxid.diagnosis.torque.library import DRIVES, Unit, units
 from jaxid.diagnosis.torque.plant import Beside, Plant, plant_of
+from jaxid.diagnosis.torque.repeats import spread_between, without
 from jaxid.diagnosis.torque.rows import read_runs, Run, turning_speeds
 from jaxid.dynamics.effect import Effect, JointEffect, neutral
 from jaxid.dynamics.joint_readings import joint_motion, stated_positions
@@ -66,6 +67,7 @@ class Study:
         self._plain: tuple[Rows, Weights, Solution] | None = None
         self.noise = np.ones(binding.chain.nq)
         self.unsure = [np.zeros((len(r.t), binding.chain.nq)) for r in self.runs]
+        self.apart = [np.zeros(u.shape) for u in self.unsure]  # what repeats differ by
         self.beside = [Beside(0 * r.q, np.zeros(binding.chain.nq)) for r in self.runs]
         self.theta = self._nominal()
         self.measured = self._noise()
@@ -207,6 +209,7 @@ class Study:
         if self._plain is None or not self.plant.exact():
             self._plain = self._without_torque(theta)
         rows, weights, s = self._plain
+        self.apart = [np.linalg.norm(x[:, :, : len(weights.spread)] @ weights.spread, axis=2) for x in rows.rows]
         if loaded := [k for k in self.kinds if k.name in BY_TORQUE]:
             at = theta if chosen else self._moved(theta, s.at, s.theta)
             more = self.asked(loaded, at)
@@ -225,7 +228,8 @@ class Study:
         for _ in range(2):
             s = self._solution(rows, weights, rich, self.of("fit"))
             weights = self._weights(rows, s.at, s.theta)
-        return rows, weights, self._solution(rows, weights, rich, self.of("fit"))
+        s = self._solution(rows, weights, rich, self.of("fit"))
+        return rows, replace(weights, spread=spread_between(self, rows, weights, s)), s
 
     def _rich(self, rows: Rows) -> np.ndarray:
         """Columns of the nominal model and of every law at every joint at one of its shapes."""
@@ -253,11 +257,16 @@ class Study:
     def by_joint(self, rows: Rows, weights: Weights, which: Sequence[int]) -> Callable[[Solution], np.ndarray]:
         """What a solution leaves of each block and joint of some runs, [blocks n]."""
         share = {k: weights(np.ones((*self.unsure[k].shape, 1)), self.runs[k].moves, self.unsure[k])[:, :, 0] for k in which}
-        length = max(1, sum(len(x) for x in share.values()) // BLOCKS)
+        length, p = max(1, sum(len(x) for x in share.values()) // BLOCKS), self.plant.size
 
         def left(s: Solution) -> np.ndarray:
-            own = [(rows.residual(k, s.at, s.theta) * x) ** 2 for k, x in share.items()]
-            return np.array([b.sum(0) for x in own for b in np.array_split(x, max(1, round(len(x) / length)))])
+            out = []
+            for k, x in share.items():
+                columns, r = rows.rows[k][:, :, :p] * x[:, :, None], rows.residual(k, s.at, s.theta) * x
+                for part in np.array_split(np.arange(len(r)), max(1, round(len(r) / length))):
+                    rest = without(r[part].ravel(), columns[part].reshape(-1, p), weights.spread)
+                    out.append((rest.reshape(len(part), -1) ** 2).sum(0))
+            return np.array(out)
 
         return left
 
@@ -295,7 +304,7 @@ class Study:
 
     def noise_of(self, run: int) -> np.ndarray:
         """Standard deviation of each row of a run that a perfect model would leave, N m [samples n]."""
-        return np.hypot(self.measured, self.unsure[run])
+        return np.hypot(np.hypot(self.measured, self.unsure[run]), self.apart[run])
 
     def typical(self, which: Sequence[int], joint: int) -> float:
         """The noise of a joint's rows in some runs as one number, N m: mean of 1 / variance, so that where a joint turns about,
