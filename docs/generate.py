@@ -182,8 +182,8 @@ def thresholds() -> str:
     from jaxid.diagnosis.thresholds import LIMITS
 
     out = ["# Thresholds of the diagnosis", "", "What a diagnosis decides by (`jaxid.diagnosis.thresholds`), and why.", ""]
-    rows = [[f"`{name}`", f"{value:g}", unit, plain(reason)] for name, value, unit, reason in LIMITS.table()]
-    return "\n".join([*out, table(["name", "value", "unit", "reason"], rows), ""])
+    rows = [[f"`{name}`", f"{value:g}", unit, plain(reason), plain(case)] for name, value, unit, reason, case in LIMITS.table()]
+    return "\n".join([*out, table(["name", "value", "unit", "reason", "the case it came from"], rows), ""])
 
 
 def notebooks(names: list[str]) -> str:

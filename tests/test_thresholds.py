@@ -1,4 +1,4 @@
-"""The numbers that the diagnosis decides by stand in one place, each with its unit and its reason."""
+"""The numbers that the diagnosis decides by stand in one place, each with its unit, its reason and its case."""
 
 from __future__ import annotations
 
@@ -14,10 +14,10 @@ from jaxid.diagnosis.thresholds import LIMITS, Thresholds
 SOURCES = Path(__file__).parents[1] / "jaxid" / "diagnosis"
 
 
-def test_each_has_a_unit_and_a_reason_and_none_can_be_moved():
-    for name, value, unit, reason in LIMITS.table():
-        assert isinstance(value, float) and unit and len(reason) > 20, name
-    reasons = [reason for *_, reason in LIMITS.table()]
+def test_each_has_a_unit_a_reason_and_a_case_and_none_can_be_moved():
+    for name, value, unit, reason, case in LIMITS.table():
+        assert isinstance(value, float) and unit and len(reason) > 20 and case, name
+    reasons = [reason for *_, reason, _ in LIMITS.table()]
     assert len(set(reasons)) == len(reasons)
     with pytest.raises(FrozenInstanceError):
         LIMITS.named = 0.5  # pyright: ignore[reportAttributeAccessIssue]

@@ -13,13 +13,11 @@ import numpy as np
 
 from jaxid.diagnosis.goals.plant import Drive
 from jaxid.diagnosis.goals.probes import at_levels, is_level, LEVELS, scaled
+from jaxid.diagnosis.thresholds import LIMITS
 from jaxid.diagnosis.torque.library import Unit
 from jaxid.dynamics.effect import Effect
 
 
-#: Share of the force that the file lacks at a joint which a limit leaves, at most, in what is fitted and in what is held out: it
-#: is simulated then, which decides. A filter of the motion smears where a drive meets its limit.
-LEFT = 0.7
 #: Levels that are looked at between two of those that the torque stays below for a share of the time.
 BETWEEN = 9
 
@@ -74,7 +72,7 @@ def _shown(study: Any, kind: type[Effect]) -> list[tuple[float, Unit]]:
     for j, place in enumerate(places):
         level = levels[at[j], j]
         beyond = all(s * w[j] < rms(which)[j] for s, w, which in zip(share[at[j], :, j], whole, splits, strict=True))
-        if share[at[j], :, j].max() < LEFT and beyond and level > 0:
+        if share[at[j], :, j].max() < LIMITS.limit_leaves and beyond and level > 0:
             made = [(c[:, j, None] * np.eye(n)[j])[:, :, None] for c in changed(levels[at[j]])]
             out.append((float(share[at[j], 0, j]), scaled(kind, place, at_levels(kind, np.array([level]))[0], j, made)))
     return out
