@@ -67,7 +67,7 @@ class Study:
         self._plain: tuple[Rows, Weights, Solution] | None = None
         self.noise = np.ones(binding.chain.nq)
         self.unsure = [np.zeros((len(r.t), binding.chain.nq)) for r in self.runs]
-        self.apart = [np.zeros(u.shape) for u in self.unsure]  # what repeats differ by
+        self.between: list[np.ndarray] = []  # what repeats differ by at the rows of each run, where effects are asked for
         self.beside = [Beside(0 * r.q, np.zeros(binding.chain.nq)) for r in self.runs]
         self.theta = self._nominal()
         self.measured = self._noise()
@@ -209,7 +209,7 @@ class Study:
         if self._plain is None or not self.plant.exact():
             self._plain = self._without_torque(theta)
         rows, weights, s = self._plain
-        self.apart = [np.linalg.norm(x[:, :, : len(weights.spread)] @ weights.spread, axis=2) for x in rows.rows]
+        self.between = [np.linalg.norm(x[:, :, : len(weights.spread)] @ weights.spread, axis=2) for x in rows.rows]
         if loaded := [k for k in self.kinds if k.name in BY_TORQUE]:
             at = theta if chosen else self._moved(theta, s.at, s.theta)
             more = self.asked(loaded, at)
@@ -304,7 +304,7 @@ class Study:
 
     def noise_of(self, run: int) -> np.ndarray:
         """Standard deviation of each row of a run that a perfect model would leave, N m [samples n]."""
-        return np.hypot(np.hypot(self.measured, self.unsure[run]), self.apart[run])
+        return np.hypot(np.hypot(self.measured, self.unsure[run]), self.between[run] if self.between else 0.0)
 
     def typical(self, which: Sequence[int], joint: int) -> float:
         """The noise of a joint's rows in some runs as one number, N m: mean of 1 / variance, so that where a joint turns about,
