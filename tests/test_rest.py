@@ -9,7 +9,9 @@ import pytest
 
 import jaxid
 from jaxid.dynamics.dry_friction import solve_dry
+from jaxid.fitting.problem_builder import Bench, estimate_starts
 from jaxid.numerics.precision import float64
+from jaxid.problem.binding import bind
 
 
 FORCES = (0.0, 1e-300, 1e-164, 1e-30, 1e-9, 0.3, 5.0)
@@ -87,3 +89,17 @@ def test_a_coast_to_rest_without_any_force_is_recovered():
         assert fit.state == "converged" and fit.loss < 1.3
         off += deviations(fit).values()
     assert np.mean(np.abs(off) < 1.96) > 0.85 and max(map(abs, off)) < 4.5
+
+
+def test_where_a_joint_stands_within_a_step_of_its_encoder_is_told_by_the_steps_that_follow():
+    step, stands = 2e-3, 60
+    clean = coast_down(0, noise=1e-12).experiments[0]
+    tau, q = (np.concatenate([np.zeros(stands), x[:, 0]]) for x in (clean.u, clean.y))
+    data = jaxid.Dataset.from_arrays(
+        0.01 * np.arange(len(q)), {"tau": tau}, {"q": step * np.round(q / step + 0.45)}, resolution={"q": step}, at_rest=True,
+    )  # fmt: skip
+    with float64():
+        b = bind("joint", data, without=("constant_torque",))
+        theta = np.array([TRUE[name] for name in b.layout.names])
+        start = estimate_starts(Bench(b), "fit", [theta])
+    assert abs(start[0, 0, 0] - 0.45 * step) < 0.1 * step

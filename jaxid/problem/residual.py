@@ -156,7 +156,10 @@ class OutputError(Residual):
                 record_of(number, e, p, a, b, dataset, chain, len(e) if remembers else 0), samples=p[c:b]
             )
             records.append(until(len(e), cut))
-            heads.append([until(settled + k, settled) for k in dict.fromkeys(max(6, n // k) for k in (1, 2, 4, 8, 16))])
+            lengths = tuple(dict.fromkeys(max(6, n // k) for k in (1, 2, 4, 8, 16)))
+            steps = 0 if cut else standing(e)  # what stands still counts as one sample, unless the model moves otherwise
+            moving = [until(steps + k, steps - 1) for k in lengths] if steps else []
+            heads.append([*moving, *(until(settled + k, settled) for k in lengths)])
         lanes = [*records, *(h for nested in heads for h in nested)]
         engine = Engine(layout, samples, lanes, overrides(layout, every, lanes), lane_of(layout), shape[1], burn=remembers)
         n = len(records)
@@ -272,6 +275,17 @@ def head_samples(e: Experiment) -> int:
     if e.initial_window_s is not None:
         return max(4, int(np.searchsorted(e.t, e.t[0] + e.initial_window_s, side="right")))
     return min(max(4, len(e.t) // 3), max(20, int(np.searchsorted(e.t, e.t[0] + 0.1 - 1e-9, side="left"))))
+
+
+def standing(e: Experiment) -> int:
+    """The sample at which the last of the readings that stand on one value over the first moments of a run takes its first step,
+    0 where none does. A joint at rest anywhere within an encoder's step reads the same, however often: only the steps that follow
+    say where it stands."""
+    n = head_samples(e)
+    moved = e.y != e.y[0]
+    still = moved.any(0) & ~moved[:n].any(0)
+    first = int(np.argmax(moved[:, still], axis=0).max()) if e.initial_window_s is None and still.any() else 0
+    return first if first + n <= len(e.t) // 3 else 0
 
 
 def overrides(layout: Layout, experiments: Sequence[Experiment], records: Sequence[Record]) -> np.ndarray:
