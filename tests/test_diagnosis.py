@@ -540,6 +540,23 @@ def test_several_effects_must_come_down_to_the_noise(several, left, verdict):
 
 
 @pytest.mark.parametrize(
+    ("zeros", "wave", "verdict"),
+    [((0.5, -0.4), 0.0, "none"), ((0.5, -0.4), 0.6, "unknown"), ((1.2, -0.4), 0.0, "unknown"), ((0.0, 0.0), 0.0, "none")],
+)
+def test_where_an_encoder_counts_from_within_a_step_is_no_gap(zeros, wave, verdict):
+    """Each run reads its own zero, in steps; more than half a step, or anything that moves, is a gap."""
+    rng = np.random.default_rng(0)
+    error = [rng.uniform(-0.5, 0.5, (2000, 1)) + z + wave * np.sin(np.arange(2000) / 50)[:, None] for z in zeros]
+    residual = [np.sqrt(12) * e for e in error]
+    loss = float(np.mean(np.square(residual)))
+    path = SimpleNamespace(count=4000, z=None, problem=SimpleNamespace(residuals=lambda z: residual))
+    held = SimpleNamespace(loss=loss, count=4000, settled=residual)
+    model: Any = SimpleNamespace(effects=(), size=0, fit_loss=loss, path=path, validation=held)
+    assert judge(Search(model, model), np.array([True])).name == verdict
+    assert judge(Search(model, model)).name == ("none" if loss < 1.2 else "unknown")  # of a channel with noise it is one
+
+
+@pytest.mark.parametrize(
     "left, without, stands_in",
     [
         (1.05, 1.06, True),  # it explains 80 chi-square units, 270 beyond chance stay unexplained

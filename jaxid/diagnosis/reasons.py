@@ -56,6 +56,20 @@ class AtTheNoise(Reason):
 
 
 @dataclass(frozen=True)
+class WithinAStep(Reason):
+    gap: float
+    where: ClassVar[str] = "where its counts begin within a step"
+    form = (
+        "What is left ({gap:times} times the noise) is one offset of an encoder for each run, of at most half a step: {where}. "
+        "Less that, the model is at the noise: there is no gap."
+    )
+
+    @property
+    def sentence(self) -> str:
+        return self.said(where=self.where)
+
+
+@dataclass(frozen=True)
 class NothingExplains(Reason):
     gap: float
     form = "There is a gap ({gap:times} times the noise), and no effect of the library explains it."

@@ -31,6 +31,7 @@ from jaxid.diagnosis.reasons import (
     NotMost,
     PartOnReport,
     Reason,
+    WithinAStep,
 )
 from jaxid.diagnosis.thresholds import LIMITS
 from jaxid.errors import UsageError
@@ -80,14 +81,23 @@ class Gaps(NamedTuple):
     after: float
 
 
-def judge(search: Search) -> Verdict:
-    """By fit and validation data."""
+#: Half a step of an encoder, in standard deviations of what rounding to its steps does.
+HALF_A_STEP = np.sqrt(3.0)
+#: Mean square that such zeros leave at most beside the noise.
+MOST_OF_ZEROS = 1 + HALF_A_STEP**2
+
+
+def judge(search: Search, counted: np.ndarray | None = None) -> Verdict:
+    """By fit and validation data. `counted [ny]` says which outputs are read in steps and have no noise beside them."""
     nominal, chosen = search.nominal.validation, search.chosen.validation
     floor = level(nominal.count)
+    gap = float(np.sqrt(max(nominal.loss, search.nominal.fit_loss)))
+    if counted is not None and counted.any() and floor < gap**2 <= MOST_OF_ZEROS and _within_a_step(search.nominal, counted):
+        return Verdict("none", (WithinAStep(gap),))
     if not search.chosen.effects:
         if nominal.loss <= floor and search.nominal.fit_loss <= level(search.nominal.path.count):
             return Verdict("none", (AtTheNoise(),))
-        return Verdict("unknown", (NothingExplains(float(np.sqrt(max(nominal.loss, search.nominal.fit_loss)))), *_nearer(search)))
+        return Verdict("unknown", (NothingExplains(gap), *_nearer(search)))
     closed = shrinking.closed(nominal.loss, chosen.loss)
     names = " and ".join(str(c) for c in search.chosen.effects)
     left = float(np.sqrt(max(chosen.loss, 1.0)))
@@ -103,6 +113,17 @@ def judge(search: Search) -> Verdict:
     if search.chosen.fit_loss <= 1.1 < search.nominal.fit_loss:
         return Verdict("partly", (FollowsFitRuns(names, closed, left),))
     return Verdict("unknown", (NotMost(names, closed, left), *_nearer(search)))
+
+
+def _within_a_step(model: Hypothesis, counted: np.ndarray) -> bool:
+    """Whether a model is at the noise on fit and validation runs, where each counted output [ny] of a run has a zero of its own
+    within half a step."""
+    for residual in (model.path.problem.residuals(model.path.z), model.validation.settled):
+        zeros = [np.where(counted, np.clip(r.mean(0), -HALF_A_STEP, HALF_A_STEP), 0.0) for r in residual]
+        left = np.concatenate([((r - zero) ** 2).ravel() for r, zero in zip(residual, zeros, strict=True)])
+        if left.mean() > level(left.size):
+            return False
+    return True
 
 
 def level(count: int) -> float:

@@ -8,6 +8,7 @@ from typing import Any, TYPE_CHECKING
 
 from jaxid.conventions.finding import data_lines
 from jaxid.diagnosis.cause import words
+from jaxid.diagnosis.reasons import WithinAStep
 from jaxid.wording import (
     CLOSE,
     listed,
@@ -115,6 +116,8 @@ def which_sentence(which: Which, how_far: HowFar | None = None) -> str:
     if which.verdict == "partly":
         return f"The model lacks {names}, and something more that no known effect explains."
     if which.verdict == "none":
+        if WithinAStep.where in which.text:
+            return f"Nothing is missing. {which.text}"
         return "Nothing is missing: the model already reaches the noise."
     return which.text or "There is a gap, and no known effect explains most of it."
 
