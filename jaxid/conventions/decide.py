@@ -53,20 +53,24 @@ def judged(binding: Binding, fit: ForceFit, motion: Motion, many: bool = False) 
     """Findings that need the model, one after another: each is looked for in what the decisive ones before it leave. `many`: the
     model has so many numbers that readings are gone through on few samples first, and times are asked for where one row more or
     less tells."""
-    names, m = Names(binding), motion
+    names, m, asked = Names(binding), motion, None
     for _ in range(MOST):
         shown, changed = _next(binding, fit, m, names, many)
+        if changed is None:
+            asked = shown
+            break
         if shown is not None:
             yield shown
-        if changed is None:
-            break
         m = changed
     few = m.thinned(FEW) if many else m
-    if fit.driven and (not many or whole_rows_tell(fit, few)):
-        m = few
-        yield from timed(binding, fit, m, names)
-        if (found := unsigned(binding, fit, m, names)) is not None:
-            yield found
+    timing = fit.driven and (not many or whole_rows_tell(fit, few))
+    size_alone = unsigned(binding, fit, few, names) if timing else None
+    if asked is not None and size_alone is None:  # without its sign an input looks like many a thing
+        yield asked
+    if timing:
+        yield from timed(binding, fit, few, names)
+    if size_alone is not None:
+        yield size_alone
 
 
 def _next(binding: Binding, fit: ForceFit, m: Motion, names: Names, many: bool = False) -> tuple[Shown | None, Motion | None]:

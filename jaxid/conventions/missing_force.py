@@ -36,6 +36,8 @@ COARSE, FINE = 1e-2, 1e-3
 REACH = 3.0
 #: A step whose cost is within that share of what the slopes promise was one of a linear model.
 AS_SAID = 1e-3
+#: Units of inputs that are goals of a law and not what drives.
+GOALS = "rad", "m", "rad/s", "m/s"
 PER_ROW = "since", "weight", "held", "block"
 #: Laws of each joint's own motion that a model may lack, as the effects of these names.
 LAWS = "constant_torque", "spring_torque", "viscous_friction", "coulomb_friction", "quadratic_drag"
@@ -156,7 +158,7 @@ def _part(binding: Binding, e: Any, count: int, number: int, each: int) -> Motio
     ends = filter_ends(t, cutoff) + EDGE + every * (each // 2)
     if len(t) - 2 * ends < 30:
         return None
-    rows = np.arange(ends, len(t) - ends, max(1, (len(t) - 2 * ends) // count))[:count]
+    rows = np.unique(np.linspace(ends, len(t) - ends - 1, min(count, len(t) - 2 * ends)).astype(int))
     count, at = len(rows), (rows[:, None] + aside).ravel()
     return Motion(
         q[at], qd[at], qdd[at], t[rows] - t[0], np.ones((count, chain.nq)), np.full(count, e.split != "fit"),
@@ -215,14 +217,25 @@ class ForceFit:
         return m.mean(np.moveaxis((found[1:] - found[0]) / h[:, None, None], 0, -1))
 
     def norm(self, m: Motion, theta: np.ndarray | None = None) -> np.ndarray:
-        """What the force is measured by, [nq]: the drive where it is measured, else what the motion takes at these numbers (those
-        of the start). Under another scale of a channel a motion takes more, and as much as it takes remains more."""
-        if self.binding.chain.direct and self.driven:
-            u = m.mean(m.u)
-            size = np.sqrt(np.mean((u - (u.mean(0) if len(u) else 0)) ** 2, axis=0))
-        else:
-            size = self._taken(m, self.binding.theta if theta is None else theta)
+        """What the force is measured by, [nq]: the drive where the inputs tell it, else what the motion takes at these numbers
+        (those of the start). Under another scale of a channel a motion takes more, and as much as it takes remains more."""
+        theta = self.binding.theta if theta is None else theta
+        size = self._driven(m, theta)
+        if not self.binding.chain.direct and not np.all(size > 1e-9 * np.max(size)):
+            size = np.where(size > 1e-9 * np.max(size), size, self._taken(m, theta))
         return np.where(size > 1e-9 * np.max(size), size, np.max(size) + 1e-300)
+
+    def _driven(self, m: Motion, theta: np.ndarray) -> np.ndarray:
+        """How much the inputs drive each joint [nq], as rms about its mean; 0 where they are goals, which say no force."""
+        chain = self.binding.chain
+        if not self.driven or any(unit in GOALS for _, unit in chain.signature.commands):
+            return np.zeros(self.nq)
+        u = m.mean(m.u) if chain.direct else self.pushed(m, theta)
+        return np.sqrt(np.mean((u - (u.mean(0) if len(u) else 0)) ** 2, axis=0))
+
+    def pushed(self, m: Motion, theta: np.ndarray) -> np.ndarray:
+        """Force of the inputs [rows nq] at these numbers, beside what the drive makes of the motion alone."""
+        return self.missing(theta, m) - self.missing(theta, replace(m, mix=0 * m.mix))
 
     def _taken(self, m: Motion, theta: np.ndarray) -> np.ndarray:
         """What a motion takes [nq], accelerations and the rest apart: at a joint without a drive they add up to nothing."""

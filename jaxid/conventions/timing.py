@@ -35,8 +35,9 @@ class Late:
     drift_std: float
 
 
-def lateness(fit: ForceFit, m: Motion) -> tuple[list[Late], Motion]:
-    """Of each input, beside any law of the joint's own motion (what a model lacks there is no delay); and the motion without."""
+def lateness(fit: ForceFit, m: Motion, as_one: bool = False) -> tuple[list[Late], Motion]:
+    """Of each input, or of all of them `as_one`, beside any law of the joint's own motion (what a model lacks there is no delay);
+    and the motion without."""
     nu, nq, size = len(m.mix), fit.nq, len(fit.free)
     late: list[Late] = []
     for _ in range(4):
@@ -54,13 +55,17 @@ def lateness(fit: ForceFit, m: Motion) -> tuple[list[Late], Motion]:
         for k in range(nu):
             pushed = replace(m, rows=m.rows + 0.05 * (np.arange(nu) == k))
             columns.append((fit.missing(theta, pushed) - base) * weight / 0.05)
+        if as_one:
+            columns = [np.sum(columns, axis=0)]
         growing = [c * ((m.since - m.since.mean()) / m.step)[:, None] for c in columns]
         whole = replace(fitted, slopes=np.concatenate([*parts, np.stack([*columns, *growing], -1)], -1))
-        first = whole.slopes.shape[-1] - 2 * nu
-        steps = [fit.spread(whole, m, first + k) for k in range(2 * nu)]
+        first = whole.slopes.shape[-1] - 2 * len(columns)
+        steps = [fit.spread(whole, m, first + k) for k in range(2 * len(columns))]
+        told = 1 if as_one else nu  # as often as there is something told
+        steps = [*steps[:1] * nu, *steps[1:] * nu] if as_one else steps
         good = lambda pair, most: float(np.clip(pair[0], -most, most)) if np.isfinite(pair[1]) else 0.0
         drift = np.array([good(p, MOST_DRIFT) for p in steps[nu:]])
-        sure = together(m.drift + drift, np.array([s for _, s in steps[nu:]])) is not None
+        sure = together((m.drift + drift)[:told], np.array([s for _, s in steps[nu:]])[:told]) is not None
         change = drift if sure else -m.drift
         rows = np.array([good(p, 2.0) for p in steps[:nu]]) - change * m.since.mean() / m.step
         late = [Late(float(m.rows[k] + rows[k]), steps[k][1], float(m.drift[k] + change[k]), steps[nu + k][1]) for k in range(nu)]
@@ -102,20 +107,35 @@ def timed(binding: Binding, fit: ForceFit, m: Motion, names: Names) -> Iterator[
         if (drifting := _far_drift(fit, m, plain)) is None:
             return
         m = drifting
-    late, _ = lateness(fit, m)
-    column = lambda name: np.array([getattr(x, name) for x in late])
-    drifting = together(column("drift"), column("drift_std"))
+    late, common, drifting = _told(fit, m)
+    if m is recorded and drifting is None and common is not None and abs(common[0] - round(common[0])) > CLOSE:
+        # No delay has part of a row: does it grow?
+        if (moved := _far_drift(fit, m, plain)) is not None:
+            _, _, drifting = _told(fit, moved)
     if drifting is not None and DRIFT * m.step < abs(drifting[0]) * float(m.since.max()) and abs(drifting[0]) < 0.015:
-        if closes(replace(m, drift=m.drift + drifting[0])):
+        if closes(replace(m, drift=drifting[0] * np.ones(len(late)))):
             yield _clock(binding, m, names, *drifting)
             return
-    common = together(column("rows"), column("std"))
     for k, x in enumerate(late):
         rows, std = common if common is not None else (x.rows, x.std)
         whole = round(rows)
         if whole and abs(whole) <= 3 and std <= KNOWN and abs(rows - whole) <= CLOSE and abs(rows) > SURE * std:
             if whole < 0 or closes(replace(m, rows=m.rows + whole)):  # a cause that comes early is a question at most
                 yield _shifted(binding, names, k, whole, rows, std)
+
+
+Told = tuple[float, float] | None
+
+
+def _told(fit: ForceFit, m: Motion) -> tuple[list[Late], Told, Told]:
+    """Lateness of each input; by how many rows all are late, and how fast that grows, with standard deviations, where sure."""
+    late, _ = lateness(fit, m)
+    told = late
+    if len(late) > 1 and not any(x.std <= KNOWN for x in late):  # chambers of one cylinder, motors of one belt
+        late, _ = lateness(fit, m, as_one=True)
+        told = late[:1]
+    column = lambda name: np.array([getattr(x, name) for x in told])
+    return late, together(column("rows"), column("std")), together(column("drift"), column("drift_std"))
 
 
 def whole_rows_tell(fit: ForceFit, m: Motion) -> bool:

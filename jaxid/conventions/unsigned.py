@@ -16,15 +16,21 @@ from jaxid.problem.binding import Binding
 from jaxid.wording import listed
 
 
+#: Units of what drives one way or the other: a pressure or a goal that is never negative says nothing.
+TWO_WAY = "N m", "N", "V", "A", "1"
+
+
 def unsigned(binding: Binding, fit: ForceFit, m: Motion, names: Names) -> Shown | None:
     """An input that never changes its sign where the motion asks for both."""
-    if not binding.chain.direct:
-        return None
     plain = fit.fit(m)
     if plain.worst < 0.3:
         return None
     inputs = [c.name for c in binding.dataset.inputs]
-    raw = {n: np.concatenate([e.u[:, inputs.index(n)] for e in binding.dataset.experiments]) for n in names.inputs}
+    raw = {
+        n: np.concatenate([e.u[:, inputs.index(n)] for e in binding.dataset.experiments])
+        for n, unit in zip(names.inputs, names.input_units, strict=True)
+        if unit in TWO_WAY
+    }
     one_way = [n for n, u in raw.items() if min(abs(u.min()), abs(u.max())) <= 0.02 * np.percentile(np.abs(u), 99) and u.any()]
     signed = _signed(fit, m, [names.inputs.index(n) for n in one_way]) if one_way else None
     if signed is not None:
@@ -41,8 +47,17 @@ def unsigned(binding: Binding, fit: ForceFit, m: Motion, names: Names) -> Shown 
 
 def _signed(fit: ForceFit, m: Motion, which: list[int]) -> Motion | None:
     """The motion with these inputs given the signs that the model itself asks for, starting from those of the acceleration."""
-    sources, first = [], 0
-    sign = np.sign(m.qdd[:, which])
+    sources, theta, norm = [], fit.binding.theta.copy(), fit.norm(m)
+    alone = lambda j: replace(m, mix=m.mix * (np.arange(len(m.mix)) == j))
+    without = replace(m, mix=0 * m.mix)
+
+    def signs(wanted: np.ndarray) -> np.ndarray:
+        """Those with which each input [samples which] drives as is wanted of the joints [samples nq]."""
+        still = fit.forces.missing(theta, without)
+        push = np.stack([fit.forces.missing(theta, alone(j)) - still for j in which], 1)
+        return np.where(np.sum(push * wanted[:, None] / norm**2, axis=2) >= 0, 1.0, -1.0)
+
+    sign = signs(m.qdd)
     for _ in range(6):
         sources, first = [], 0
         for s in m.sources:
@@ -52,12 +67,9 @@ def _signed(fit: ForceFit, m: Motion, which: list[int]) -> Motion | None:
             at = np.clip(np.searchsorted(s.at, s.t), 0, len(s.at) - 1)
             u[:, which] = u[:, which] * own[at]
             sources.append(replace(s, u=u))
-        now = replace(m, sources=tuple(sources))
-        fitted = fit.fit(now, laws=False)
-        theta = fit.binding.theta.copy()
+        fitted = fit.fit(replace(m, sources=tuple(sources)), laws=False)
         theta[fit.free] = fitted.x[: len(fit.free)]
-        asked = -fit.forces.missing(theta, replace(now, mix=0 * now.mix))[:, which]
-        new = np.where(asked >= 0, 1.0, -1.0)
+        new = signs(-fit.forces.missing(theta, without))
         if np.array_equal(new, sign):
             break
         sign = new

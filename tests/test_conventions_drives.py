@@ -1,0 +1,111 @@
+"""What a recording says about itself where a model has a drive of its own: volts, pressures."""
+
+from __future__ import annotations
+
+from math import pi
+from typing import ClassVar
+
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from jaxtyping import Array
+
+import jaxid
+from jaxid.conventions import checking
+from jaxid.conventions.missing_force import measured
+from jaxid.dynamics.mechanism import Rigid, Signature
+from jaxid.dynamics.parameter import constant, param
+from jaxid.models.effects import CoulombFriction, ViscousFriction
+from jaxid.problem.binding import bind
+
+
+FRICTION = ((ViscousFriction, {"coefficient": "viscous"}), (CoulombFriction, {"level": "coulomb"}))
+T = np.arange(800) / 100
+SPLITS = ["fit", "fit", "validation"]
+
+
+class Winch(Rigid):
+    """A drum on a motor whose winding and back EMF are known."""
+
+    name: ClassVar[str] = "winch"
+    signatures: ClassVar[tuple[Signature, ...]] = (Signature((("u", "V"),), (("q", "rad"),), ("q",)),)
+    builtin: ClassVar[tuple[tuple[type, dict[str, str]], ...]] = FRICTION
+    equations: ClassVar[str] = "inertia qdd = k (u - k qd) / R - friction"
+    source: ClassVar[str] = "textbook"
+    inertia: Array = param(0.01, 1e-5, 10.0, unit="kg m^2", log=True)
+    k: Array = constant(0.1, unit="N m/A")
+    R: Array = constant(2.0, unit="ohm")
+
+    def drive(self, signature, u, q, qd):
+        return self.k / self.R * (u - self.k * qd)
+
+    def matrices(self, q, qd):
+        return self.inertia[None, None], jnp.zeros_like(q)
+
+
+class Piston(Rigid):
+    """Two pressures on one piston."""
+
+    name: ClassVar[str] = "piston"
+    signatures: ClassVar[tuple[Signature, ...]] = (
+        Signature((("p_a", "Pa"), ("p_b", "Pa")), (("position", "m"),), ("position",)),
+    )
+    builtin: ClassVar[tuple[tuple[type, dict[str, str]], ...]] = FRICTION
+    equations: ClassVar[str] = "mass qdd = area (p_a - p_b) - friction"
+    source: ClassVar[str] = "textbook"
+    mass: Array = param(1.0, 0.01, 100.0, unit="kg", log=True)
+    area: Array = constant(5e-4, unit="m^2")
+
+    def drive(self, signature, u, q, qd):
+        return self.area * (u[:1] - u[1:])
+
+    def matrices(self, q, qd):
+        return self.mass[None, None], jnp.zeros_like(q)
+
+
+def moved(seed: int, size: float, force) -> tuple[list[np.ndarray], list[np.ndarray]]:
+    """Positions of three runs at T, and the force that each takes, as means over the steps that follow the samples."""
+    rng, h = np.random.default_rng(seed), T[1]
+    q, f = [], []
+    for _ in SPLITS:
+        w, phase, a = 2 * pi * rng.uniform(0.2, 1.6, 6), rng.uniform(0, 2 * pi, 6), size * rng.uniform(0.3, 1.0, 6)
+        wave = lambda t, k, w=w, p=phase, a=a: (a * w**k * np.sin(w * t[:, None] + p + k * pi / 2)).sum(1)
+        q.append(wave(T, 0) + 1e-4 * size * rng.standard_normal(len(T)))
+        f.append(force(wave(T + h / 2, 1), wave(T + h / 2, 2)))
+    return q, f
+
+
+def found(model: type, u: dict[str, list[np.ndarray]], y: dict[str, list[np.ndarray]]):
+    units = dict((*model.signatures[0].inputs, *model.signatures[0].outputs))
+    data = jaxid.Dataset.from_arrays(
+        [T[: len(x)] for x in next(iter(y.values()))], u, y, units=units, split=SPLITS, check_model=False
+    )
+    return data, checking.run_check(model(), data).findings
+
+
+def volts(seed: int):
+    q, tau = moved(seed, 0.3, lambda v, a: 0.02 * a + 0.02 * v + 0.03 * np.sign(v) + 0.005 * v)
+    return q, [20.0 * x for x in tau]  # 0.005 is back EMF
+
+
+@pytest.mark.parametrize(("broken", "kinds"), [(lambda u: u, []), (np.abs, ["unsigned"]), (lambda u: -u, ["sign"])])
+def test_volts_without_their_sign_are_told(broken, kinds):
+    q, u = volts(1)
+    _, findings = found(Winch, {"u": [broken(x) for x in u]}, {"q": q})
+    assert [f.kind for f in findings] == kinds
+
+
+def test_a_run_is_looked_at_from_end_to_end():
+    q, u = volts(1)
+    data, _ = found(Winch, {"u": u}, {"q": q})
+    motion = measured(bind(Winch(), data))
+    assert motion is not None and motion.since.max() > 0.9 * T[-1]
+
+
+def test_pressures_that_move_as_one_are_late_together():
+    q, force = moved(2, 0.05, lambda v, a: 2.0 * a + 10.0 * v + 0.5 * np.sign(v))
+    p_a, p_b = ([3e5 + way * x[:-1] / 1e-3 for x in force] for way in (1, -1))
+    _, findings = found(Piston, {"p_a": p_a, "p_b": p_b}, {"position": [x[1:] for x in q]})
+    assert [(f.kind, f.channel, f.value, f.decisive) for f in findings] == [
+        ("row_shift", "p_a", 1.0, True), ("row_shift", "p_b", 1.0, True),
+    ]  # fmt: skip
