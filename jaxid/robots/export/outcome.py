@@ -171,7 +171,8 @@ def robot_entry(robot: Mapping[str, Any]) -> dict[str, Any]:
         "sha256": str(robot.get("sha256") or "")[:64],
         "joints": [_name(j, "robot.joints") for j in robot.get("joints") or []],
         "held": {_name(k, "robot.held"): number(k, v) for k, v in held.items()},
-        "base": {k: number(k, base.get(k, 0.0)) for k in ("roll", "pitch", "yaw")},
+        "base": {k: number(k, base.get(k, 0.0)) for k in ("roll", "pitch", "yaw")}
+        | ({"kind": "free"} if base.get("kind") == "free" else {}),
         "without": [_name(n, "robot.without") for n in robot.get("without") or []],
         "drive": own,
     }

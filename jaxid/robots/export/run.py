@@ -14,6 +14,7 @@ from jaxid.robots.export.ranges import ranges_of
 from jaxid.robots.export.sheet import of_tree, Sheet
 from jaxid.robots.export.target import Row
 from jaxid.robots.export.targets import TARGETS
+from jaxid.robots.floating import based
 from jaxid.robots.mjcf import read_mjcf
 from jaxid.robots.origin import digest
 from jaxid.robots.tree import Tree
@@ -59,7 +60,7 @@ def export(content: Any, to: str, robot: str | Path | None = None, ranges: bool 
     found = outcome(content)
     path = _file(found, robot, beside)
     target = TARGETS[to]
-    tree = None if path is None else read_tree(path)
+    tree = None if path is None else based(read_tree(path), (found.robot.get("base") or {}).get("kind") == "free")
     sheet = _sheet(found, tree, path)
     patches = path is not None and path.suffix.lower() in target.FILES
     if target.FILES and path is not None and not patches and to in ("mjcf", "urdf"):

@@ -121,7 +121,7 @@ def of_tree(tree: Tree | None, joints: Iterable[str], robot: Mapping[str, Any]) 
     drive = robot.get("drive")
     law: Mapping[str, Any] = drive["joints"] if drive else {}
     numbers: dict[str, JointNumbers] = {}
-    for joint in tree.leading if tree is not None else joints:
+    for joint in tree.driven if tree is not None else joints:
         own: dict[str, float] = {}
         if tree is not None:
             own = _of_file(tree, joint)
