@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -92,3 +92,72 @@ def recording(
         parameters={k: ParameterPrior(*v) if isinstance(v, tuple) else ParameterPrior(v) for k, v in (numbers or {}).items()},
     )  # fmt: skip
     return replace(data, model=spec)
+
+
+#: The last body's inertial in the file, and what it is with a target in its hand.
+HAND = '<inertial pos="0.15 0 0.03" mass="{mass}" fullinertia="0.01 0.015 0.012 0 0 0"/>'
+
+
+@dataclass(frozen=True)
+class Target:
+    """A body that the last link takes hold of: mass, kg, centre of mass in the link's frame, m, inertia about it, kg m^2, and what
+    its centre's velocity, m/s, and its spin, rad/s, are beside the hand's, in the world."""
+
+    mass: float = 0.8
+    com: tuple[float, float, float] = (0.38, 0.04, 0.0)
+    inertia: tuple[float, float, float] = (0.02, 0.03, 0.025)
+    drifts: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    spins: tuple[float, float, float] = (0.0, 0.0, 0.0)
+
+
+def holding(target: Target, mass: float = 1.1, **file: Any) -> str:
+    """The file with the target fixed to the last link."""
+    own, com = np.array([0.15, 0.0, 0.03]), np.array(target.com)
+    m = mass + target.mass
+    c = (mass * own + target.mass * com) / m
+    I = np.diag([0.01, 0.015, 0.012]) + np.diag(target.inertia)
+    for k, d in ((mass, own - c), (target.mass, com - c)):
+        I = I + k * (d @ d * np.eye(3) - np.outer(d, d))
+    full = " ".join(repr(float(v)) for v in (I[0, 0], I[1, 1], I[2, 2], I[0, 1], I[0, 2], I[1, 2]))
+    there = f'<inertial pos="{c[0]!r} {c[1]!r} {c[2]!r}" mass="{m!r}" fullinertia="{full}"/>'.replace("np.float64", "")
+    return text(mass=mass, **file).replace(HAND.format(mass=mass), there.replace("(", "").replace(")", ""))
+
+
+def capture(
+    t: np.ndarray, torque: np.ndarray, start: tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray], at: int, target: Target,
+    inside: int = 4, mass: float = 1.1, **file: Any,
+) -> np.ndarray:  # fmt: skip
+    """As `motion`, the target caught at sample `at`: momentum of both together goes on, the speeds of the joints jump."""
+    step = float(t[1] - t[0]) / inside
+    before = mujoco.MjModel.from_xml_string(text(step=step, mass=mass, **file))
+    after = mujoco.MjModel.from_xml_string(holding(target, step=step, mass=mass, **file))
+    model, data = before, mujoco.MjData(before)
+    placed(data, *start)
+    out = []
+    for k, u in enumerate(torque):
+        if k == at:
+            speeds = caught(before, after, data, target)
+            q, model, data = data.qpos.copy(), after, mujoco.MjData(after)
+            data.qpos[:], data.qvel[:] = q, speeds
+        out.append([*data.qpos[7:], *angles_of(data.qpos[3:7])])
+        data.qfrc_applied[6:] = u
+        for _ in range(inside):
+            mujoco.mj_step(model, data)
+    return np.unwrap(np.array(out), axis=0)
+
+
+def caught(before: Any, after: Any, data: Any, target: Target) -> np.ndarray:
+    """Speeds after the catch: M_after v' = M_before v + J' (momentum of the target)."""
+    mujoco.mj_forward(before, data)
+    body, n = before.body("a2").id, before.nv
+    R = data.xmat[body].reshape(3, 3)
+    place, turns = np.zeros((3, n)), np.zeros((3, n))
+    mujoco.mj_jac(before, data, place, turns, data.xpos[body] + R @ np.array(target.com), body)
+    v, w = place @ data.qvel + np.array(target.drifts), turns @ data.qvel + np.array(target.spins)
+    brought = place.T @ (target.mass * v) + turns.T @ (R @ np.diag(target.inertia) @ R.T @ w)
+    later, M = mujoco.MjData(after), np.zeros((2, n, n))
+    later.qpos[:] = data.qpos
+    mujoco.mj_forward(after, later)
+    for k, (m, d) in enumerate(((before, data), (after, later))):
+        mujoco.mj_fullM(m, d, M[k])
+    return np.linalg.solve(M[1], M[0] @ data.qvel + brought)

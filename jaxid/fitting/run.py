@@ -11,6 +11,7 @@ import jax
 import numpy as np
 
 from jaxid.fitting.assemble import assemble
+from jaxid.fitting.change import fit_change, noticed
 from jaxid.fitting.effect_starts import probe_starts
 from jaxid.fitting.ending import looked_again
 from jaxid.fitting.fitter import AbstractFitter, Minimum, Progress
@@ -44,6 +45,8 @@ def fit_binding(
     progress: Progress | None,
 ) -> Fit:
     """The whole of `jaxid.fit` once model and data are bound."""
+    if isinstance(residual, Momentum) and binding.chain.timed:
+        return fit_change(binding, fitter, residual, loss, seed, budget, progress)
     known, benches = Interim(after=WORTH_SAVING_S), Benches(binding)
 
     def fitted(residual: Residual | None, begin: np.ndarray | None, spent: int) -> Fit:
@@ -52,6 +55,8 @@ def fit_binding(
 
     try:
         fit = fitted(residual, None, 0)
+        if isinstance(residual, Momentum):
+            return noticed(binding, residual, fit)
         free = residual is None and default_residual(binding).free_run and loss == "sum_of_squares"
         if not free or (budget is not None and fit.evaluations >= budget):
             return fit

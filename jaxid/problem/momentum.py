@@ -4,6 +4,9 @@ About the centre of mass of all and in the world's axes the angular momentum L(q
 (p_roll, p_pitch, p_yaw) the rows of the base's angles in M_R qd (`robots.floating`) and a_i the axes of these angles in the
 world, p_i = a_i . L. The residual is L at the measured motion less its mean over the run, N m s, so that the momentum itself
 need not be known. It is homogeneous in all inertias: what is known of the base gives the scale.
+
+Where numbers change at a moment (`step_change`: a target is caught) each side of it is a run of its own, with its own filter and
+mean: what is caught brings momentum, and its speed jumps. Which moment that is, `jaxid.fitting.change` finds.
 """
 
 from __future__ import annotations
@@ -17,8 +20,10 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
+from jaxid.data.dataset import Dataset, Experiment
 from jaxid.data.signals import filter_ends
 from jaxid.dynamics.chain import Chain
+from jaxid.dynamics.effect import NumberEffect
 from jaxid.dynamics.joint_readings import cutoffs, joint_motion
 from jaxid.dynamics.parameter_vector import Layout
 from jaxid.errors import UsageError
@@ -35,6 +40,10 @@ from jaxid.simulation.rollout import over_time
 CHANNELS = tuple((f"momentum_{k}", "N m s") for k in "xyz")
 #: Rows come at so many times the cutoff of the motion.
 ROWS_PER_CUTOFF = 2.5
+#: A change takes no longer than this, s.
+INSTANT = 1e-6
+#: A side of a moment is looked at where it lasts for so many periods of the cutoff.
+SHORTEST = 4.0
 #: Samples of a run at which the noise of its momentum is worked out.
 LOOKS = 50
 
@@ -47,10 +56,16 @@ def momentum(robot: Any, q: Float[Array, " nq"], qd: Float[Array, " nq"]) -> Flo
     return jnp.stack([cy * along - sy * pitch, sy * along + cy * pitch, yaw])
 
 
+def body_at(chain: Chain, t: Array) -> Any:
+    """The mechanism as it is at a time."""
+    now = chain.present(t, jnp.asarray(INSTANT)) if chain.timed else chain
+    return now.body().prepare(None)
+
+
 def momentum_lane(chain: Chain, samples: Any, where: Any, start: Any, steps: Any, length: int, reach: int, burn: bool) -> Array:
     """L at every sample of one run less its mean over those that count, [length 3]."""
     nq, (begin, _, last, _) = chain.nq, where
-    body = chain.body().prepare(None)
+    body = body_at(chain, samples.t[begin])  # of all of the run: it lies on one side of a change
 
     def step(carry: tuple, k: Array) -> tuple[tuple, Array]:
         i = jnp.minimum(begin + k, last)
@@ -62,30 +77,51 @@ def momentum_lane(chain: Chain, samples: Any, where: Any, start: Any, steps: Any
     return L - jnp.sum(jnp.where(counts, L, 0.0), 0) / jnp.maximum(jnp.sum(counts), 1)
 
 
+def filtered(dataset: Dataset, e: Experiment, chain: Chain, cutoff: float) -> tuple[np.ndarray, int, str]:
+    """Positions, speeds and accelerations of a run [time 3 nq], how many samples its ends spoil, and a sentence."""
+    _, iy = recorded.columns(dataset, chain)
+    q, qd, qdd, said = joint_motion(chain, e.t, e.motion()[:, iy], [cutoff] * chain.nq)
+    return np.concatenate([q, qd, qdd], 1), filter_ends(e.t, cutoff), said
+
+
+def sides(e: Experiment, moment: float | None, cutoff: float | None) -> list[Experiment]:
+    """The run before and after a moment; the longer one alone where the other is too short to be filtered."""
+    if moment is None:
+        return [e]
+    k, least = int(np.searchsorted(e.t, moment)), SHORTEST / (cutoff or np.inf)
+    parts = [e.piece(a, b, name=e.name, split=e.split) for a, b in ((0, k), (k, len(e))) if b > a]
+    long = [p for p in parts if len(p) > LOOKS and p.duration > least]
+    return long or [max(parts, key=len)]
+
+
 @dataclass(frozen=True)
 class Momentum(InverseDynamics):
     """Angular momentum of a robot on a free base: positions filtered without phase at `cutoff_hz` (by default where their content
-    ends), differentiated once."""
+    ends), differentiated once. At a `moment`, s, its numbers change: each side is taken by itself."""
 
     name: ClassVar[str] = "momentum"
     simulation: ClassVar[Simulation] = "momentum"
+    moment: float | None = None
+
+    def rates(self, dataset: Dataset, chain: Chain, noise: np.ndarray) -> tuple[float, float, int]:
+        """Samples a second, cutoff in Hz, and each how many-th sample is a row."""
+        _, iy = recorded.columns(dataset, chain)
+        first = evenly((dataset.split("fit") or dataset.experiments)[0])
+        rate = (len(first.t) - 1) / first.duration
+        cutoff = self.cutoff_hz or min(rate / 5, max(max(cutoffs(chain, first.t, first.motion()[:, iy], noise)), 0.5))
+        return rate, cutoff, self.decimate or max(1, round(rate / (ROWS_PER_CUTOFF * cutoff)))
 
     def runs(self, dataset, experiments, layout, noise, motions, step=recorded.STEP, shape=(0, 0)):
         chain = layout.chain
         refuse_others(chain)
-        experiments = [evenly(e) for e in experiments]
-        _, iy = recorded.columns(dataset, chain)
-        first = (dataset.split("fit") or experiments)[0]
-        rate = (len(first.t) - 1) / first.duration
-        cutoff = self.cutoff_hz or min(rate / 5, max(max(cutoffs(chain, first.t, first.motion()[:, iy], noise)), 0.5))
-        every = self.decimate or max(1, round(rate / (ROWS_PER_CUTOFF * cutoff)))
-        measured, ends, said = [], [], ""
-        for e in experiments:
-            q, qd, qdd, said = joint_motion(chain, e.t, e.motion()[:, iy], [cutoff] * chain.nq)
-            measured.append(np.concatenate([q, qd, qdd], 1))
-            ends.append(filter_ends(e.t, cutoff))
+        if chain.timed and self.moment is None:
+            raise UsageError("when a number changes is not known to the residual momentum: jaxid fit finds it, state it nowhere else")
+        experiments = [part for e in experiments for part in sides(evenly(e), self.moment, self.cutoff_hz)]
+        rate, cutoff, every = self.rates(dataset, chain, noise)
+        measured, ends, texts = zip(*(filtered(dataset, e, chain, cutoff) for e in experiments), strict=True)
+        said = texts[-1]
         level = noise_of(layout, measured, noise[: chain.nq], rate, cutoff)
-        samples, positions = recorded.build(dataset, experiments, chain, np.ones(chain.nq), 1e9, measured, shape[0])
+        samples, positions = recorded.build(dataset, experiments, chain, np.ones(chain.nq), 1e9, [*measured], shape[0])
         w = np.zeros((len(samples.w), 3))
         records = []
         for number, e in enumerate(experiments):
@@ -114,13 +150,21 @@ def refuse_others(chain: Chain) -> None:
 def told_by(layout: Layout, free: Sequence[int]) -> list[int]:
     """Those numbers that momentum shows: of bodies. Raises `UsageError` where none is fitted."""
     refuse_others(layout.chain)
-    own = [i for i in free if layout.entries[i].name.split("@")[0] in BODY]
+    own = [i for i in free if of_a_body(layout, i)]
     if not own:
         raise UsageError(
             "momentum tells of bodies, and no number of one is fitted: name those of the unknown body under [model.parameters], "
             'as in "mass@LINK" = {}, "com_x@LINK" = {}'
         )
     return own
+
+
+def of_a_body(layout: Layout, i: int) -> bool:
+    """Whether a number of the layout is one of a body, or by how much one changes."""
+    e = layout.entries[i]
+    if e.owner >= 0 and isinstance(layout.chain.effects[e.owner], NumberEffect):
+        return e.field == "size" and e.location.split("@")[0] in BODY
+    return e.name.split("@")[0] in BODY
 
 
 def noise_of(layout: Layout, measured: Sequence[np.ndarray], sigma: np.ndarray, rate: float, cutoff: float) -> np.ndarray:
@@ -139,12 +183,17 @@ def of_the_joints(problem: Any, theta: np.ndarray) -> np.ndarray:
     """Momentum that the motion of the joints alone carries at the rows of a problem [rows 3]: what theirs and the base's turning
     have to balance, for the size of an error."""
     runs, nq = problem.runs, problem.runs.layout.chain.nq
-    at = np.concatenate([runs.record(r).samples for r in problem.records])
-    x = np.asarray(runs.engine.samples.x)[at]
+    records = [runs.record(r) for r in problem.records]
+    most, out = max(len(r.samples) for r in records), []
     with float64():
-        body = runs.layout.model(theta).body().prepare(None)
-        still = np.concatenate([x[:, nq : 2 * nq - 3], np.zeros((len(x), 3))], 1)
-        return np.asarray(jax.jit(jax.vmap(lambda q, v: momentum(body, q, v)))(jnp.asarray(x[:, :nq]), jnp.asarray(still)))
+        chain = runs.layout.model(theta)
+        own = jax.jit(lambda t, q, v: jax.vmap(lambda q, v, body: momentum(body, q, v), (0, 0, None))(q, v, body_at(chain, t)))
+        for r in records:  # all of one on one side of a change
+            x = np.asarray(runs.engine.samples.x)[np.resize(r.samples, most)]
+            still = np.concatenate([x[:, nq : 2 * nq - 3], np.zeros((most, 3))], 1)
+            L = own(jnp.asarray(runs.engine.samples.t[r.offset]), jnp.asarray(x[:, :nq]), jnp.asarray(still))
+            out.append(np.asarray(L)[: len(r.samples)])
+    return np.concatenate(out)
 
 
 RESIDUALS[Momentum.name] = Momentum
