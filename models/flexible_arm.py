@@ -125,10 +125,10 @@ class FlexibleArm(Mechanism):
             (self.L1, self.E1, self.b1, self.h1, self.rho1, self.m_h, self.J_h),
             (self.L2, self.E2, self.b2, self.h2, self.rho2, self.m_p, self.J_p),
         )
-        first, second = (
-            Link.of(Beam(L, E * b * h**3 / 12, rho * b * h, m, J), self.n_elements, count) for L, E, b, h, rho, m, J in sizes
-        )
-        return first, second
+        each = (jnp.stack([jnp.asarray(v) for v in pair]) for pair in zip(*sizes, strict=True))
+        own = lambda L, E, b, h, rho, m, J: Link.of(Beam(L, E * b * h**3 / 12, rho * b * h, m, J), self.n_elements, count)
+        both = jax.vmap(own)(*each)  # side by side: half the program
+        return Link(*(v[0] for v in both)), Link(*(v[1] for v in both))
 
     def prepare(self, h):
         return eqx.tree_at(lambda s: s.prepared, self, (self.links(), self._elastic()), is_leaf=lambda x: x is None)

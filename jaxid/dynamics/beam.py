@@ -98,9 +98,16 @@ def foreshortening_energy(beam: Beam, phid: Any, psi: Float[Array, " n"]) -> Arr
     return phid**2 * jnp.sum(tension * (_elements(psi) @ dN) ** 2 * _WEIGHTS) * le / 4
 
 
+def _places(n_elements: int) -> np.ndarray:
+    """Which coordinate of all nodes each coordinate of an element is, [elements 4 coordinates], ones and zeros."""
+    return np.eye(2 * n_elements + 2)[2 * np.arange(n_elements)[:, None] + np.arange(4)]
+
+
 def matrices(beam: Beam, n_elements: int) -> Matrices:
     """The beam's matrices by assembly of closed-form elements (standard Hermite element)."""
-    le, n = beam.length / n_elements, 2 * n_elements + 2
+    le, at = beam.length / n_elements, _places(n_elements)
+    first = np.arange(n_elements)[:, None]
+    whole = lambda parts: jnp.einsum("eai,eab,ebj->ij", at, parts, at)  # one product, however many elements
     unit = np.array([1, 0, 1, 0]) + np.array([0, 1, 0, 1]) * le  # a slope coordinate counts le times
     scale = unit[:, None] * unit
     mass = np.array([[156, 22, 54, -13], [22, 4, 13, -3], [54, 13, 156, -22], [-13, -3, -22, 4]]) * scale / 420 * le
@@ -108,16 +115,12 @@ def matrices(beam: Beam, n_elements: int) -> Matrices:
     # Tension under rotation: int T(x) N'N' with T = m_p L + rhoA (L^2 - x^2) / 2, by quadrature (a polynomial).
     xi = (_NODES + 1) / 2
     _, dN, _ = _shapes(xi, le)
-    M, K, G, c = jnp.zeros((n, n)), jnp.zeros((n, n)), jnp.zeros((n, n)), jnp.zeros(n)
-    for e in range(n_elements):
-        part = slice(2 * e, 2 * e + 4)
-        x = (e + xi) * le
-        tension = (beam.payload * beam.length + beam.density * (beam.length**2 - x**2) / 2) * _WEIGHTS * le / 2
-        M = M.at[part, part].add(beam.density * mass)
-        K = K.at[part, part].add(beam.stiffness * bend)
-        G = G.at[part, part].add((dN * tension) @ dN.T)
-        steady = np.array([0.5, 1 / 12, 0.5, -1 / 12]) * (e * le) + np.array([3 / 20, 1 / 30, 7 / 20, -1 / 20]) * le
-        c = c.at[part].add(beam.density * le * steady * unit)
+    tension = beam.payload * beam.length + beam.density * (beam.length**2 - ((first + xi) * le) ** 2) / 2
+    steady = np.array([0.5, 1 / 12, 0.5, -1 / 12]) * (first * le) + np.array([3 / 20, 1 / 30, 7 / 20, -1 / 20]) * le
+    each = np.ones((n_elements, 1, 1))
+    M, K = whole(each * (beam.density * mass)), whole(each * (beam.stiffness * bend))
+    G = whole(jnp.einsum("ap,ep,bp->eab", dN, tension * _WEIGHTS * le / 2, dN))
+    c = jnp.einsum("ea,eai->i", beam.density * le * steady * unit, at)
     M = M.at[-2, -2].add(beam.payload).at[-1, -1].add(beam.payload_inertia)
     c = c.at[-2].add(beam.payload * beam.length).at[-1].add(beam.payload_inertia)
     J = beam.density * beam.length**3 / 3 + beam.payload * beam.length**2 + beam.payload_inertia
@@ -127,10 +130,8 @@ def matrices(beam: Beam, n_elements: int) -> Matrices:
 def steady_load(beam: Beam, n_elements: int) -> Float[Array, " n"]:
     """Density times the integral of each nodal coordinate's shape over the length, kg and kg m."""
     le = beam.length / n_elements
-    nodes = jnp.zeros(2 * n_elements + 2)
-    for e in range(n_elements):
-        nodes = nodes.at[2 * e : 2 * e + 4].add(beam.density * le * jnp.stack([0.5, le / 12, 0.5, -le / 12]))
-    return nodes[2:]
+    load = beam.density * le * (np.array([0.5, 0.0, 0.5, 0.0]) + np.array([0.0, 1 / 12, 0.0, -1 / 12]) * le)
+    return (load @ _places(n_elements).sum(0))[2:]
 
 
 def modes(m: Matrices, count: int) -> Modes:
