@@ -161,3 +161,32 @@ def caught(before: Any, after: Any, data: Any, target: Target) -> np.ndarray:
     for k, (m, d) in enumerate(((before, data), (after, later))):
         mujoco.mj_fullM(m, d, M[k])
     return np.linalg.solve(M[1], M[0] @ data.qvel + brought)
+
+
+@dataclass(frozen=True)
+class Catch:
+    """A run in which a target is caught at a sample, and the same file before and after it."""
+
+    t: np.ndarray
+    torque: np.ndarray
+    y: np.ndarray
+    at: int
+    target: Target
+
+
+def catch(seed: int, seconds: float = 20.0, caught: bool = True) -> Catch:
+    """A target of random mass, place, inertia, speed and spin, caught at a random moment on a random motion whose base does not
+    pitch too far; without the catch where `caught` is not set."""
+    rng, t = np.random.default_rng([seed, 37]), np.arange(round(100 * seconds) + 1) * 0.01
+    for k in range(20):
+        target = Target(
+            rng.uniform(0.4, 1.2), (rng.uniform(0.3, 0.45), *rng.uniform(-0.05, 0.05, 2)), tuple(rng.uniform(0.01, 0.03, 3)),
+            tuple(rng.normal(size=3) * 0.05), tuple(rng.normal(size=3) * 0.15),
+        )  # fmt: skip
+        at = int(rng.integers(500, 801))
+        start = (np.array([0.2, -0.3, 0.5]), np.array([0.1, 0.4, 0.0, 0.05]), rng.normal(size=3) * 0.02, np.zeros(4))
+        torque = torques(t, 100 * seed + k, 0.3)
+        y = capture(t, torque, start, at if caught else len(t), target, damping=0.2)
+        if np.abs(y[:, 5]).max() < 1.3:
+            return Catch(t, torque, y, at, target)
+    raise AssertionError("no motion of these keeps the base from pitching")

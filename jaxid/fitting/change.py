@@ -218,7 +218,13 @@ class Change:
 
 
 def fit_change(
-    binding: Binding, fitter: AbstractFitter, residual: Momentum, loss: str, seed: int, budget: int | None, progress: Progress | None
+    binding: Binding,
+    fitter: AbstractFitter,
+    residual: Momentum,
+    loss: str,
+    seed: int,
+    budget: int | None,
+    progress: Progress | None,
 ) -> Fit:
     """A fit of bodies that change at a moment, which is looked for."""
     began = time.perf_counter()
@@ -294,31 +300,34 @@ def said(
     ]
 
 
-def noticed(binding: Binding, residual: Momentum, fit: Fit) -> Fit:
-    """The fit, no longer called converged where its momentum is that of other bodies, or another one, from some moment on."""
-    own = [i for i in binding.free if of_a_body(binding.layout, i)]
-    if fit.failed or fit.theta is None or not own:
-        return fit
-    series = Series.of(binding, residual)
+def suspected(series: Series, own: list[int], theta: np.ndarray) -> tuple[float, float] | None:
+    """(moment, share of what is left that a change then explains), where the momentum of numbers `own` at `theta` is that of
+    other bodies, or another one, from some moment on; None where nothing speaks for it."""
     moments = series.moments(2 * len(own))
     if not len(moments):
-        return fit
-    L, J = series.carried(fit.theta, own)
+        return None
+    L, J = series.carried(theta, own)
     sides = Sides(L, L, J, J, J)
-    without = float(series.squares(sides, np.array([np.inf]))[0])
-    each = series.squares(sides, moments)
-    s, least, k = float(moments[np.argmin(each)]), float(each.min()), 3 + len(own)
-    count = 3 * len(series.rows) - 2 * len(own) - 6 * len(np.unique(series.run))
-    before, after = without / max(1, count + k), least / max(1, count)
-    chance = chi2.isf(CHANCE / len(moments), k)
+    without, each = float(series.squares(sides, np.array([np.inf]))[0]), series.squares(sides, moments)
+    least, more = float(each.min()), 3 + len(own)
+    count = max(1, 3 * len(series.rows) - 2 * len(own) - 6 * len(np.unique(series.run)))
+    before, after = without / (count + more), least / count
+    chance = chi2.isf(CHANCE / len(moments), more)
     if (without - least) / max(1.0, after) < chance or before - after < SHARE * (before - 1):
+        return None
+    return float(moments[np.argmin(each)]), 1 - least / without
+
+
+def noticed(binding: Binding, residual: Momentum, fit: Fit) -> Fit:
+    """The fit, no longer called converged where something changed at a moment."""
+    own = [i for i in binding.free if of_a_body(binding.layout, i)]
+    found = None if fit.failed else suspected(Series.of(binding, residual), own, fit.theta)
+    if found is None:
         return fit
     places = " ".join(f"--effect step_change@{binding.layout.names[i]}" for i in own)
     text = (
-        f"at about {s:.2f} s something changed: before and after it, each with momentum and bodies of its own, {100 * (1 - least / without):.0f} % "
-        "of what is left is explained. Something was caught, was let go or touched the robot, and numbers of the whole are those of "
-        f"neither side: find both with {places}, or cut the run there (window_s)"
+        f"at about {found[0]:.2f} s something changed: with bodies and momentum of their own, the parts before and after explain "
+        f"{100 * found[1]:.3g} % of what is left. Something was caught, let go or touched, and these numbers are those of neither "
+        f"part: {places} finds both, or cut the run there (window_s)"
     )
     return replace(fit, converged=False, stalled=True, stopped_because=text, notes=(text, *fit.notes))
-
-

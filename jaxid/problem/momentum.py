@@ -115,7 +115,9 @@ class Momentum(InverseDynamics):
         chain = layout.chain
         refuse_others(chain)
         if chain.timed and self.moment is None:
-            raise UsageError("when a number changes is not known to the residual momentum: jaxid fit finds it, state it nowhere else")
+            raise UsageError(
+                "when a number changes is not known to the residual momentum: jaxid fit finds it, state it nowhere else"
+            )
         experiments = [part for e in experiments for part in sides(evenly(e), self.moment, self.cutoff_hz)]
         rate, cutoff, every = self.rates(dataset, chain, noise)
         measured, ends, texts = zip(*(filtered(dataset, e, chain, cutoff) for e in experiments), strict=True)
