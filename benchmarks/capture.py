@@ -60,8 +60,8 @@ def one(seed: int) -> dict[str, Any]:
         off[name] = None if size.std is None else (before[name] + size.value - after[name]) / size.std
     when = fit.effects[0].parameters["time"]
     return {
-        "state": fit.state, "loss": fit.loss, "truth": run.at * 0.01, "time": when.value, "time_std": when.std, "mass": after["mass"],
-        "found": before["mass"] + fit.effects[0].parameters["size"].value, "std": std["mass"], "off": off,
+        "state": fit.state, "loss": fit.loss, "truth": run.at * 0.01, "time": when.value, "time_std": when.std,
+        "mass": after["mass"], "found": before["mass"] + fit.effects[0].parameters["size"].value, "std": std["mass"], "off": off,
         "wall": time.perf_counter() - began,
     }  # fmt: skip
 
@@ -95,11 +95,13 @@ def main(count: int = 20) -> dict[str, Any]:
             "loss": round(r["loss"], 2), "state": r["state"],
         })  # fmt: skip
         print(rows[-1], round(r["wall"], 1), flush=True)
+    about = (__doc__ or "").split("\n", 2)[2].strip()
+    noticed, false = (sum(t[k] for t in told) for k in (0, 1))
+    near = sum(d <= 0.2 for d in late)
     text = (
-        f"{(__doc__ or '').split(chr(10), 2)[2].strip()}\n\nThe catch is found within 0.2 s in {sum(d <= 0.2 for d in late)} of {count} "
-        f"(at most {max(late):.2f} s off; its own interval of 95 % holds it in {sum(own)}), the mass lies within its interval in "
-        f"{sum(mass)}, of all ten numbers {sum(every)} of {len(every)} do. Not asked for, it is noticed in {sum(a for a, _ in told)} "
-        f"of {count}, and where nothing is caught in {sum(b for _, b in told)}."
+        f"{about}\n\nThe catch is found within 0.2 s in {near} of {count} (at most {max(late):.2f} s off; its own interval of "
+        f"95 % holds it in {sum(own)}), the mass lies within its interval in {sum(mass)}, of all ten numbers {sum(every)} of "
+        f"{len(every)} do. Not asked for, it is noticed in {noticed} of {count}, and where nothing is caught in {false}."
     )
     return {"title": "A target caught on a free base", "text": text, "rows": rows}
 

@@ -100,8 +100,8 @@ HAND = '<inertial pos="0.15 0 0.03" mass="{mass}" fullinertia="0.01 0.015 0.012 
 
 @dataclass(frozen=True)
 class Target:
-    """A body that the last link takes hold of: mass, kg, centre of mass in the link's frame, m, inertia about it, kg m^2, and what
-    its centre's velocity, m/s, and its spin, rad/s, are beside the hand's, in the world."""
+    """A body that the last link takes hold of: mass, kg, centre of mass in the link's frame, m, inertia about it, kg m^2, and
+    what its centre's velocity, m/s, and its spin, rad/s, are beside the hand's, in the world."""
 
     mass: float = 0.8
     com: tuple[float, float, float] = (0.38, 0.04, 0.0)

@@ -5,8 +5,8 @@ after it, at values of their own. For each s both sides together are least squar
 
     SS(s) = min over d theta_0, d theta_1, c_0, c_1 of  sum_{t < s} |L(theta_0) - c_0|^2 + sum_{t >= s} |L(theta_1) - c_1|^2
 
-Its smallest value gives s, a fit with each side filtered by itself the numbers, and so in turn until s stays. What is caught jumps
-in speed, which a low-pass smears over about a period of its cutoff: finer than a quarter of that no moment is claimed.
+Its smallest value gives s, a fit with each side filtered by itself the numbers, and so in turn until s stays. What is caught
+jumps in speed, which a low-pass smears over about a period of its cutoff: finer than a quarter of that no moment is claimed.
 """
 
 from __future__ import annotations
@@ -25,6 +25,7 @@ from jaxid.dynamics.effect import NumberEffect
 from jaxid.errors import UsageError
 from jaxid.fitting.assemble import assemble
 from jaxid.fitting.fitter import AbstractFitter, Progress
+from jaxid.fitting.lost_runs import AT_NOISE
 from jaxid.fitting.problem_builder import Bench
 from jaxid.fitting.result import Fit
 from jaxid.fitting.scale_free import refuse_scale_free
@@ -34,6 +35,7 @@ from jaxid.problem.binding import Binding
 from jaxid.problem.momentum import filtered, Momentum, momentum, noise_of, of_a_body
 from jaxid.problem.problem import Problem
 from jaxid.problem.torque_filter import evenly
+from jaxid.robots.bodies import BODY
 
 
 #: Rounds of finding the moment and fitting both sides of it.
@@ -77,9 +79,9 @@ class Series:
             x.append(whole[at, : 2 * b.chain.nq])
             run.append(np.full(len(e.t[at]), number))
             measured.append(whole)
-        level = noise_of(b.layout, measured, b.readings[: b.chain.nq], rate, cutoff)
-        parts = (np.concatenate(part) for part in (t, run, x, rows))
-        return cls(b, replace(residual, cutoff_hz=cutoff, decimate=every), *parts, every, level)
+        level = noise_of(b.chain, measured, b.readings[: b.chain.nq], rate, cutoff)
+        own = replace(residual, cutoff_hz=cutoff, decimate=every)
+        return cls(b, own, np.concatenate(t), np.concatenate(run), np.concatenate(x), np.concatenate(rows), every, level)
 
     @property
     def resolution(self) -> float:
@@ -107,6 +109,11 @@ class Series:
             self._program = jax.jit(own)
         with float64():
             return np.asarray(self._program(jnp.asarray(theta), jnp.asarray(self.x))) / self.level
+
+    def later(self, theta: np.ndarray, cutoff: float) -> tuple[float, ...]:
+        """Noise of the momentum of a body with other numbers, at a cutoff, N m s."""
+        chain, rate = self.binding.layout.model(theta), 1 / float(np.median(np.diff(self.t[self.run == 0])))
+        return tuple(noise_of(chain, [self.x], self.binding.readings[: chain.nq], rate, cutoff))
 
     def moments(self, unknown: int) -> np.ndarray:
         """Times of rows between which a change may be looked for: what is unknown is told on both sides of it in one run."""
@@ -239,21 +246,25 @@ def fit_change(
     s = float(moments[np.argmin(series.squares(sides, moments))])
     ahead = theta.copy()
     ahead[free] = np.clip(theta[free] + series.step(sides, s), binding.lower[free], binding.upper[free])
-    begins, spent = [theta, ahead], 0
-    for _ in range(ROUNDS):
-        cut = replace(series.residual, moment=s)
+    begins, spent, fine, std = [theta, ahead], 0, s, 0.0
+    number = 0
+    while True:  # noise of what is held now is known from the second round on
+        cut = replace(residual, moment=s)
+        _, cutoff, every = cut.rates(binding.dataset, binding.chain, binding.readings)
+        cut = replace(cut, cutoff_hz=cutoff, decimate=every, later=series.later(change.after(begins[0]), cutoff))
         problem = bench.problem(cut, "fit", free, change.at(begins[0], s), loss=loss)
         refuse_scale_free(problem, problem.z(begins[-1]))
         left = None if budget is None else max(1, budget - spent)
         result = fitter.minimise(problem, [problem.z(b) for b in begins], jax.random.key(seed), left, progress)
         spent += result.evaluations
         theta = problem.theta(result.z)
+        number += 1
         if result.failed:
             break
         sides = change.sides(series, theta)
         new = float(moments[np.argmin(series.squares(sides, moments))])
         fine, std = series.finely(sides.L0, sides.L1, new, mean_square(problem, result.z))
-        if abs(fine - s) <= series.resolution:
+        if number == ROUNDS or (number > 1 and abs(fine - s) <= series.resolution):
             break
         s, begins = fine, [theta]
     found = {} if result.failed else dict.fromkeys(change.times, std)
@@ -261,10 +272,27 @@ def fit_change(
     bench.binding = replace(binding, read=binding.read | found)
     problem = bench.problem(cut, "fit", free, change.at(theta, s), loss=loss)
     notes = [] if result.failed else said(binding, change, series, sides, theta, s, std)
-    return assemble(
+    fit = assemble(
         bench, problem, replace(result, evaluations=spent), cut, label_of(fitter), seed, bench.compile_time(),
         time.perf_counter() - began, notes,
     )  # fmt: skip
+    left = 0.0 if result.failed else mean_square(problem, result.z)
+    if left <= AT_NOISE:
+        return fit
+    text = unexplained(binding, change, left)
+    return replace(fit, converged=False, stalled=True, stopped_because=text, notes=(text, *fit.notes))
+
+
+def unexplained(binding: Binding, change: Change, left: float) -> str:
+    """The sentence about a change that leaves more than noise."""
+    named = {binding.layout.names[i] for i in change.own}
+    bodies = dict.fromkeys(name.partition("@")[2] for name in named)
+    others = [f"{k}@{body}" for body in bodies for k in BODY if f"{k}@{body}" not in named]
+    more = f"; what was not named is taken as unchanged: {', '.join(f'step_change@{n}' for n in others)}" if others else ""
+    return (
+        f"the change leaves {left:.3g} times the noise (mean square): these numbers are not the whole of it, their intervals and "
+        f"that of the moment do not hold{more}"
+    )
 
 
 def within(binding: Binding, change: Change) -> Binding:
@@ -327,7 +355,7 @@ def noticed(binding: Binding, residual: Momentum, fit: Fit) -> Fit:
     places = " ".join(f"--effect step_change@{binding.layout.names[i]}" for i in own)
     text = (
         f"at about {found[0]:.2f} s something changed: with bodies and momentum of their own, the parts before and after explain "
-        f"{100 * found[1]:.3g} % of what is left. Something was caught, let go or touched, and these numbers are those of neither "
-        f"part: {places} finds both, or cut the run there (window_s)"
+        f"{100 * found[1]:.3g} % of what is left. Something was caught, let go or touched, and these numbers are those of "
+        f"neither part: {places} finds both, or cut the run there (window_s)"
     )
     return replace(fit, converged=False, stalled=True, stopped_because=text, notes=(text, *fit.notes))

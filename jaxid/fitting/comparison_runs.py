@@ -67,7 +67,7 @@ def run_comparison(
         if wanted not in (None, residual.name):
             raise UsageError(f"{label} solves {wanted}, not {residual.name}: leave it out or give that residual")
     bench = Bench(binding)
-    thetas = start_values(bench, binding.free, seed)
+    thetas = start_values(bench, binding.free, seed, residual=residual)
     problem = bench.problem(residual, "fit", binding.free, thetas[0], loss=loss)
     guess = problem.z(thetas[0])
     runs: list[tuple[Run, Minimum]] = []

@@ -151,10 +151,14 @@ def default_residual(binding: Binding) -> Residual:
     return OutputError() if binding.dataset.experiments else FrequencyResponseError()
 
 
-def start_values(bench: Bench, free: Sequence[int], seed: int, runs: Sequence[int] | None = None) -> list[np.ndarray]:
+def start_values(
+    bench: Bench, free: Sequence[int], seed: int, runs: Sequence[int] | None = None, residual: Residual | None = None
+) -> list[np.ndarray]:
     """Guesses of every number of the model, best first: what inverse dynamics finds (of some of the fit runs alone, where `runs`
-    are given), what was stated or is the default."""
+    are given), what was stated or is the default. Torques tell a `residual` of momentum nothing: none may have been recorded."""
     b = bench.binding
+    if isinstance(residual, Momentum):
+        return [b.theta]
     guesses = [b.theta]
     told = [i for i in free if i not in b.gains]
     linear = [i for i in told if i not in b.stated] or told

@@ -179,10 +179,9 @@ class Benches:
         """Start values, best first, and those of added effects; no guess depends on the seed."""
         key = repr(residual), loss
         if key not in self._starts:
-            if isinstance(residual, Momentum):  # torques tell it nothing
-                self._starts[key] = [self.binding.theta]
-                return self._starts[key]
-            guesses = start_values(bench, self.binding.free, seed)
+            guesses = start_values(bench, self.binding.free, seed, residual=residual)
+            if isinstance(residual, Momentum):
+                return self._starts.setdefault(key, guesses)
             problem = bench.problem(residual, "fit", self.binding.free, guesses[0], loss=loss)
             self._starts[key] = [*guesses, *probe_starts(bench, problem, guesses[0])]
             bench.forget_long(residual)

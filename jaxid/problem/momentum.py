@@ -97,18 +97,22 @@ def sides(e: Experiment, moment: float | None, cutoff: float | None) -> list[Exp
 @dataclass(frozen=True)
 class Momentum(InverseDynamics):
     """Angular momentum of a robot on a free base: positions filtered without phase at `cutoff_hz` (by default where their content
-    ends), differentiated once. At a `moment`, s, its numbers change: each side is taken by itself."""
+    ends), differentiated once. At a `moment`, s, its numbers change: each side is taken by itself, the later one with noise
+    `later` [3], N m s, where that is another one."""
 
     name: ClassVar[str] = "momentum"
     simulation: ClassVar[Simulation] = "momentum"
     moment: float | None = None
+    later: tuple[float, ...] = ()
 
     def rates(self, dataset: Dataset, chain: Chain, noise: np.ndarray) -> tuple[float, float, int]:
         """Samples a second, cutoff in Hz, and each how many-th sample is a row."""
         _, iy = recorded.columns(dataset, chain)
         first = evenly((dataset.split("fit") or dataset.experiments)[0])
         rate = (len(first.t) - 1) / first.duration
-        cutoff = self.cutoff_hz or min(rate / 5, max(max(cutoffs(chain, first.t, first.motion()[:, iy], noise)), 0.5))
+        parts = sides(first, self.moment, None)  # a jump of speed is not what a side holds
+        content = max(c for p in parts for c in cutoffs(chain, p.t, p.motion()[:, iy], noise))
+        cutoff = self.cutoff_hz or min(rate / 5, max(content, 0.5))
         return rate, cutoff, self.decimate or max(1, round(rate / (ROWS_PER_CUTOFF * cutoff)))
 
     def runs(self, dataset, experiments, layout, noise, motions, step=recorded.STEP, shape=(0, 0)):
@@ -122,13 +126,14 @@ class Momentum(InverseDynamics):
         rate, cutoff, every = self.rates(dataset, chain, noise)
         measured, ends, texts = zip(*(filtered(dataset, e, chain, cutoff) for e in experiments), strict=True)
         said = texts[-1]
-        level = noise_of(layout, measured, noise[: chain.nq], rate, cutoff)
+        level = noise_of(chain, measured, noise[: chain.nq], rate, cutoff)
         samples, positions = recorded.build(dataset, experiments, chain, np.ones(chain.nq), 1e9, [*measured], shape[0])
         w = np.zeros((len(samples.w), 3))
         records = []
         for number, e in enumerate(experiments):
             kept = positions[number][ends[number] : len(e.t) - ends[number] : every]
-            w[kept] = 1 / level
+            late = self.moment is not None and self.later and e.t[0] >= self.moment
+            w[kept] = 1 / np.array(self.later) if late else 1 / level
             record = record_of(number, e, positions[number], 0, len(e.t), dataset, chain, 0)
             records.append(recorded.Record(**{**record.__dict__, "samples": kept, "free": np.zeros_like(record.free)}))
         samples = samples._replace(y=np.zeros_like(w), w=w)
@@ -169,12 +174,12 @@ def of_a_body(layout: Layout, i: int) -> bool:
     return e.name.split("@")[0] in BODY
 
 
-def noise_of(layout: Layout, measured: Sequence[np.ndarray], sigma: np.ndarray, rate: float, cutoff: float) -> np.ndarray:
+def noise_of(chain: Chain, measured: Sequence[np.ndarray], sigma: np.ndarray, rate: float, cutoff: float) -> np.ndarray:
     """Standard deviation of each component [3] for readings with noise `sigma` [nq], white, low-passed and differentiated."""
-    nq = layout.chain.nq
+    nq = chain.nq
     speeds = sigma * 2 * np.pi * np.sqrt(2 * cutoff**3 / (3 * rate))
     with float64():
-        body = layout.chain.body().prepare(None)
+        body = chain.body().prepare(None)
         slope = jax.jit(jax.vmap(lambda x: jax.jacfwd(lambda v: momentum(body, x[:nq], v))(x[nq : 2 * nq])))
         x = np.concatenate(list(measured))
         J = np.asarray(slope(jnp.asarray(x[np.linspace(0, len(x) - 1, LOOKS).astype(int)])))
