@@ -4,14 +4,16 @@ from __future__ import annotations
 
 from typing import Any
 
+import numpy as np
 import pytest
 
 import jaxid
 from benchmarks import capture
 from floating_twin import catch
-from jaxid.fitting.change import Change, Series, suspected
-from jaxid.problem.binding import bind
-from jaxid.problem.momentum import Momentum, of_a_body
+from jaxid.fitting.change import Change, Series, suspected, unexplained
+from jaxid.fitting.problem_builder import Bench, start_values
+from jaxid.problem.binding import bind, resolve_model
+from jaxid.problem.momentum import Momentum, of_a_body, sides
 
 
 KNOWN: dict[str, Any] = {"mass@a2": (1.1,), "com_x@a2": (0.15,)}
@@ -36,6 +38,22 @@ def test_what_momentum_cannot_tell_of_a_change():
     changed = bind(None, data, effects=["step_change@mass@a2"], splits=False)
     with pytest.raises(jaxid.UsageError, match="jaxid fit finds it"):
         Momentum().runs(data, data.experiments, changed.layout, changed.readings, None)
+    change = Change.of(changed)
+    told = unexplained(changed, change, 46.7)
+    assert "46.7 times the noise" in told and "step_change@com_x@a2" in told and "step_change@mass@a2" not in told
+    assert start_values(Bench(changed), changed.free, 0, residual=Momentum())[0] is changed.theta
+
+
+def test_a_jump_of_speed_is_in_neither_side():
+    """Each side is filtered where its own content ends: that of the jump would bring in noise of several times the frequency."""
+    run = catch(5)
+    data = capture.recorded(run, 5)
+    chain = resolve_model(None, data)
+    sigma = np.full(7, capture.NOISE)
+    whole, cut = (Momentum(moment=s).rates(data, chain, sigma)[1] for s in (None, 0.01 * run.at))
+    assert cut < 0.6 * whole
+    assert [len(p) for p in sides(data.experiments[0], 0.01 * run.at, cut)] == [run.at, len(run.t) - run.at]
+    assert [len(p) for p in sides(data.experiments[0], 0.3, cut)] == [len(run.t) - 30]
 
 
 @pytest.mark.slow

@@ -40,12 +40,14 @@ def test_the_base_and_its_arm_are_patched(tmp_path: Path, kind: str):
     read = Robot.from_mjcf if kind == "mjcf" else Robot.from_urdf
     robot = read(file, free=True)
     content = {
-        "schema": 1, "kind": "fit", "model": "robot", "effects": [],
+        "schema": 1, "kind": "fit", "model": "robot",
+        "effects": [{"effect": "step_change", "location": f"mass@{last}", "parameters": {"size": 0.4, "time": 3.0}}],
         "parameters": {k: {"value": v, "std": 0.01, "unit": "kg"} for k, v in numbers.items()},
         "robot": origin(robot, Geometry(file=file.name, robot=file.read_text(), path=str(file))),
     }  # fmt: skip
     out = export(content, kind)
-    assert {r.effect: r.how for r in out.rows} == dict.fromkeys([k.partition("@")[0] for k in numbers], "exact")
+    assert {r.effect: r.how for r in out.rows[:-1]} == dict.fromkeys([k.partition("@")[0] for k in numbers], "exact")
+    assert out.rows[-1].how == "none" and "holds that of before" in out.rows[-1].note
     spec = mujoco.MjSpec.from_string(out.files[file.name])
     spec.option.gravity = (0, 0, 0)
     if kind == "urdf":

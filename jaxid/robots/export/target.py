@@ -127,6 +127,7 @@ REASONS = {
     "flexible_mode": "needs a second body: its inertia on a hinge with a spring of inertia (2 pi frequency)^2",
     "geometric_stiffening": "a property of a flexible link, which this format does not have",
     "base_motion": "needs a base that floats: a free joint with the base's mass and inertia",
+    "step_change": "a file has one value for all of a run, and holds that of before: for the robot as it is since then add size",
     "input_hold": "hold or interpolate the commands between their samples as the effect says; no model file says it",
 }
 
