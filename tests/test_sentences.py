@@ -218,6 +218,16 @@ def test_stated_numbers_of_one_name_are_told_apart_by_their_joints():
     assert all(f"armature of {joint} 0.0280 → " in words for joint in ("elbow", "wrist", "gripper"))
 
 
+def test_one_law_at_many_joints_is_said_once():
+    value = Estimate(0.2, 0.01, "N m s^2/rad^2", 0.0, 1e6)
+    drag = lambda *at: tuple(EffectEstimate("quadratic_drag", q, {"drag": value}) for q in at)
+    lag = (EffectEstimate("actuator_lag", "tau1"),)
+    assert text.at_places(drag("q1", "q2") + lag) == "quadratic drag at q1 and q2 and actuator lag at tau1"
+    assert text.at_places(drag("q1", "q2", "q3", "q4")) == "quadratic drag at 4 places"
+    said = text.meaning(Which("partly", drag("q1", "q2"), (), (), ""))
+    assert len(said) == 1 and said[0].startswith("q1 and q2: ")
+
+
 @many
 @given(st.lists(st.tuples(st.sampled_from(["run_1", "run_2"]), gaps), max_size=4), gaps)
 def test_what_is_left_on_report_data_is_said_with_its_figures(places, gap):

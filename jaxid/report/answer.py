@@ -47,7 +47,7 @@ def words(effect: EffectEstimate) -> str:
 
 def headline(diagnosis: Diagnosis) -> str:
     which = diagnosis.which
-    names = wording.listed(words(e) for e in which.effects)
+    names = text.at_places(which.effects)
     if which.verdict == "none":
         return "Nothing is missing: the model reaches the noise."
     if not text.measured(diagnosis.how_far):
@@ -100,7 +100,7 @@ def which_card(diagnosis: Diagnosis) -> tuple[str, list[str]]:
         sentences.append("A clear remainder is left that no known effect explains.")
     own = which.verdict == "named" and len(which.effects) == 1  # said above
     sentences += [*text.to_check(which), text.confusable_sentence(which), "" if own else which.text]
-    return wording.listed(words(e) for e in which.effects), [s for s in sentences if s]
+    return text.at_places(which.effects), [s for s in sentences if s]
 
 
 def far_card(diagnosis: Diagnosis) -> tuple[str, list[str]]:

@@ -46,6 +46,19 @@ def effect_name(effect: EffectEstimate) -> str:
     return one_line(f"{effect.effect} at {effect.location}")
 
 
+#: So many places of one effect are named in a headline.
+PLACES = 3
+
+
+def at_places(effects: Sequence[EffectEstimate]) -> str:
+    """`dead zone at tau1 and tau2 and backlash at q1`: every effect once, with its places, or how many they are."""
+    places: dict[str, list[str]] = {}
+    for e in effects:
+        places.setdefault(e.effect, []).append(one_line(e.location))
+    named = lambda at: listed(at) if len(at) <= PLACES else f"{len(at)} places"
+    return listed(f"{one_line(effect).replace('_', ' ')} at {named(at)}" for effect, at in places.items())
+
+
 def effect_with_parameters(effect: EffectEstimate) -> str:
     """`dead_zone at tau (width 0.312 ± 0.004 N m)`."""
     inside = ", ".join(f"{one_line(name)} {value_with_std(p)}" for name, p in effect.parameters.items())
@@ -96,8 +109,11 @@ def meaning(which: Which) -> list[str]:
     """What the named effects are, in plain words; with the place of each where they are several."""
     if which.verdict not in ("named", "partly"):
         return []
-    place = (lambda e: f"{one_line(e.location)}: ") if len(which.effects) > 1 else (lambda e: "")
-    return [place(e) + s for e in which.effects if (s := words(e, "plain"))]
+    said: dict[str, list[str]] = {}
+    for e in which.effects:
+        if told := words(e, "plain"):
+            said.setdefault(told, []).append(one_line(e.location))
+    return [(f"{listed(at)}: " if len(which.effects) > 1 else "") + told for told, at in said.items()]
 
 
 def to_check(which: Which) -> list[str]:
