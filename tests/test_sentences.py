@@ -220,7 +220,7 @@ def test_stated_numbers_of_one_name_are_told_apart_by_their_joints():
 
 def test_one_law_at_many_joints_is_said_once():
     value = Estimate(0.2, 0.01, "N m s^2/rad^2", 0.0, 1e6)
-    drag = lambda *at: tuple(EffectEstimate("quadratic_drag", q, {"drag": value}) for q in at)
+    drag = lambda *at: tuple(EffectEstimate("quadratic_drag", q, {"coefficient": value}) for q in at)
     lag = (EffectEstimate("actuator_lag", "tau1"),)
     assert text.at_places(drag("q1", "q2") + lag) == "quadratic drag at q1 and q2 and actuator lag at tau1"
     assert text.at_places(drag("q1", "q2", "q3", "q4")) == "quadratic drag at 4 places"
