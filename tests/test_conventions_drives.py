@@ -109,3 +109,31 @@ def test_pressures_that_move_as_one_are_late_together():
     assert [(f.kind, f.channel, f.value, f.decisive) for f in findings] == [
         ("row_shift", "p_a", 1.0, True), ("row_shift", "p_b", 1.0, True),
     ]  # fmt: skip
+
+
+def spun(fault: str) -> jaxid.Dataset:
+    """A wheel with dry and viscous friction and drag of which a tachometer alone is read."""
+    t, runs = np.arange(0, 8, 0.005), []
+    for seed in range(3):
+        rng = np.random.default_rng(seed)
+        f, phase = rng.uniform(0.15, 2.0, 7), rng.uniform(0, 6.28, 7)
+        wave = lambda t, f=f, p=phase: 8 / np.sqrt(7) * np.sin(2 * np.pi * np.multiply.outer(t, f) + p).sum(-1)
+        v = wave(t + 0.0025)  # a held input acts by its mean over the step
+        a = (wave(t + 0.003) - wave(t + 0.002)) / 1e-3
+        tau = 0.02 * a + 0.06 * v + 0.25 * np.tanh(v / 0.02) + 0.01 * v * np.abs(v)
+        runs.append((tau, wave(t) + 0.02 * rng.standard_normal(len(t))))
+    late = lambda x: np.concatenate([x[:1], x[:1], x[:-2]])
+    change = {"sign": np.negative, "row_shift": late, "unsigned": np.abs}.get(fault, lambda x: x)
+    return jaxid.Dataset.from_arrays(
+        [t] * 3, {"tau": [change(u) for u, _ in runs]}, {"qd": [y for _, y in runs]}, units={"tau": "N m", "qd": "rad/s"},
+        split=["fit", "validation", "report"], model="joint",
+    )  # fmt: skip
+
+
+@pytest.mark.parametrize(
+    ("fault", "value", "line"),
+    [("", None, ""), ("sign", -1.0, "scale = -1"), ("row_shift", 2.0, "shift = 2"), ("unsigned", None, "")],
+)
+def test_a_tachometer_alone_tells_what_is_wrong_with_the_torque(fault, value, line):
+    found = jaxid.check(None, spun(fault)).findings
+    assert [(f.kind, f.channel, f.value, f.line) for f in found] == ([(fault, "tau", value, line)] if fault else [])

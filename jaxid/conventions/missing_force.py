@@ -16,7 +16,8 @@ from typing import Any
 import numpy as np
 
 from jaxid.conventions.force_columns import FEW, Forces, ROWS
-from jaxid.data.signals import content_cutoff, differentiate, filter_ends, zero_phase
+from jaxid.data.signals import filter_ends, zero_phase
+from jaxid.dynamics.joint_readings import cutoffs, joint_motion, stated_positions
 from jaxid.numerics.boxed import within_box
 from jaxid.problem.binding import Binding
 from jaxid.simulation.sample_buffers import columns
@@ -139,12 +140,8 @@ def _part(binding: Binding, e: Any, count: int, number: int, each: int) -> Motio
     t, y = e.t[part], e.motion()[part]
     if len(t) < 60:
         return None
-    joints = [iy[k] for k in chain.joint_outputs]
-    if not joints:  # speeds alone: the samples speak for themselves
-        return None
-    sigma = e.noise_rms(binding.readings, iy)
-    cutoff = max(content_cutoff(t, y[:, i], sigma[k]) for i, k in zip(joints, chain.joint_outputs, strict=True))
-    q, qd, qdd, _ = differentiate(t, y[:, joints], cutoff)
+    cutoff = max(cutoffs(chain, t, y[:, iy], e.noise_rms(binding.readings, iy)))
+    q, qd, qdd, _ = joint_motion(chain, t, y[:, iy], [cutoff] * chain.nq, stated_positions(e, chain.signature))
     nu = len(iu)
     u = e.u[part][:, iu] if nu else np.zeros((len(t), 0))
     linear = np.array([binding.dataset.inputs[i].hold == "linear" for i in iu], bool)
@@ -375,10 +372,8 @@ def _noise_motion(binding: Binding, runs: Sequence[Any], rng: Any, m: Motion) ->
     _, iy = columns(binding.dataset, chain)
     e = max(runs, key=len)
     t = e.t[: max(200, min(len(e), 4 * len(m.held)))]
-    joints = [iy[k] for k in chain.joint_outputs]
-    sigma = np.array([binding.readings[k] for k in chain.joint_outputs])
-    y = e.motion()[: len(t)]
-    cutoff = max(content_cutoff(t, y[:, i], s) for i, s in zip(joints, sigma, strict=True))
-    white = differentiate(t, sigma * rng.standard_normal((len(t), len(joints))), cutoff)[:3]
+    sigma = np.asarray(binding.readings)
+    cutoff = max(cutoffs(chain, t, e.motion()[: len(t), iy], sigma))
+    white = joint_motion(chain, t, sigma * rng.standard_normal((len(t), len(iy))), [cutoff] * chain.nq)[:3]
     pick = np.repeat(np.linspace(0, len(t) - 1, len(m.held)).astype(int), m.each)
     return [a[pick] for a in white]

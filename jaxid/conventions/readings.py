@@ -13,6 +13,7 @@ import numpy as np
 from jaxid.conventions.limits import APART
 from jaxid.conventions.mending import Mending
 from jaxid.conventions.missing_force import Motion
+from jaxid.dynamics.joint_readings import read_by
 from jaxid.problem.binding import Binding
 from jaxid.simulation.sample_buffers import columns
 
@@ -89,16 +90,15 @@ def _each(changes: list[Change]) -> Change:
 
 
 class Names:
-    """Names and units of the inputs and joints of a motion, in its order."""
+    """Names and units of the inputs of a motion, and of what reads its joints, in its order."""
 
     def __init__(self, binding: Binding):
         iu, _ = columns(binding.dataset, binding.chain)
         inputs = [binding.dataset.inputs[i] for i in iu[: len(binding.chain.signature.commands)]]
         self.inputs = [c.name for c in inputs]
         self.input_units = [c.unit for c in inputs]
-        outputs = dict(binding.chain.signature.outputs)
-        self.joints = list(binding.chain.signature.joints)
-        self.joint_units = [outputs.get(j, binding.chain.signature.unit("{X}", k)) for k, j in enumerate(self.joints)]
+        outputs = [binding.chain.signature.outputs[k] for k in read_by(binding.chain)]
+        self.joints, self.joint_units = [name for name, _ in outputs], [unit for _, unit in outputs]
 
     def unit(self, channel: str) -> str:
         """Of an input or a joint."""

@@ -86,6 +86,11 @@ def joint_readings(chain: Chain) -> list[Reading]:
     return [Reading(names.index(n) if n in names else None, speeds.get(j)) for j, n in enumerate(s.joints)]
 
 
+def read_by(chain: Chain) -> list[int]:
+    """The output that tells each joint's motion: its position, or its speed where that alone is read. Every joint is read."""
+    return [k for r in joint_readings(chain) if (k := r.q if r.q is not None else r.qd) is not None]
+
+
 def all_read(chain: Chain) -> bool:
     """Whether every joint's position or speed is read."""
     return all(r != (None, None) for r in joint_readings(chain))
@@ -112,8 +117,7 @@ def cutoffs(chain: Chain, t: np.ndarray, y: np.ndarray, noise: np.ndarray) -> li
     """Frequency up to which the reading of each joint rises above its noise, Hz; y [time ny], noise [ny]."""
     from jaxid.data.signals import content_cutoff
 
-    used = [r.q if r.q is not None else r.qd for r in joint_readings(chain)]
-    return [content_cutoff(t, y[:, k], float(noise[k])) for k in used if k is not None]
+    return [content_cutoff(t, y[:, k], float(noise[k])) for k in read_by(chain)]
 
 
 def joint_motion(
