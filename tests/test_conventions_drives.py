@@ -9,6 +9,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 from jaxtyping import Array
+from scipy.integrate import cumulative_trapezoid
 
 import jaxid
 from jaxid.conventions import checking
@@ -111,8 +112,8 @@ def test_pressures_that_move_as_one_are_late_together():
     ]  # fmt: skip
 
 
-def spun(fault: str) -> jaxid.Dataset:
-    """A wheel with dry and viscous friction and drag of which a tachometer alone is read."""
+def spun(fault: str, angle: bool = False) -> jaxid.Dataset:
+    """A wheel with dry and viscous friction and drag of which a tachometer is read, and an encoder."""
     t, runs = np.arange(0, 8, 0.005), []
     for seed in range(3):
         rng = np.random.default_rng(seed)
@@ -124,10 +125,14 @@ def spun(fault: str) -> jaxid.Dataset:
         runs.append((tau, wave(t) + 0.02 * rng.standard_normal(len(t))))
     late = lambda x: np.concatenate([x[:1], x[:1], x[:-2]])
     change = {"sign": np.negative, "row_shift": late, "unsigned": np.abs}.get(fault, lambda x: x)
+    rates = [y for _, y in runs]
+    turned = [cumulative_trapezoid(y, t, initial=0.0) + 1e-4 * np.sin(40 * t) for y in rates] if angle else []
+    scale, turn = {"qd": (-1, 1), "q": (1, -1), "rpm": (30 / pi, 1), "deg": (1, 180 / pi)}.get(fault, (1, 1))
+    units = {"tau": "N m", "qd": "rad/s"} | ({"q": "rad"} if angle else {})
+    read = {"qd": [scale * y for y in rates]} | ({"q": [turn * x for x in turned]} if angle else {})
     return jaxid.Dataset.from_arrays(
-        [t] * 3, {"tau": [change(u) for u, _ in runs]}, {"qd": [y for _, y in runs]}, units={"tau": "N m", "qd": "rad/s"},
-        split=["fit", "validation", "report"], model="joint",
-    )  # fmt: skip
+        [t] * 3, {"tau": [change(u) for u, _ in runs]}, read, units=units, split=["fit", "validation", "report"], model="joint"
+    )
 
 
 @pytest.mark.parametrize(
@@ -137,3 +142,15 @@ def spun(fault: str) -> jaxid.Dataset:
 def test_a_tachometer_alone_tells_what_is_wrong_with_the_torque(fault, value, line):
     found = jaxid.check(None, spun(fault)).findings
     assert [(f.kind, f.channel, f.value, f.line) for f in found] == ([(fault, "tau", value, line)] if fault else [])
+
+
+@pytest.mark.parametrize(
+    ("fault", "kind", "channel", "line"),
+    [("", "", "", ""), ("qd", "sign", "qd", "scale = -1"), ("q", "sign", "q", "scale = -1"),
+     ("rpm", "scale", "qd", 'unit = "rpm"'), ("deg", "scale", "q", 'unit = "deg"')],
+)  # fmt: skip
+def test_a_speed_that_is_not_the_rate_of_its_position(fault, kind, channel, line):
+    """Which of the two is wrong the torque tells, or the unit; a torque of opposite sign is neither."""
+    found = jaxid.check(None, spun(fault, angle=True)).findings
+    told = [(f.kind, f.channel, f.line, f.same_as, f.applied) for f in found]
+    assert told == ([(kind, channel, line, (), True)] if kind else [])

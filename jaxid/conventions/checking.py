@@ -22,6 +22,7 @@ from jaxid.conventions.law import is_open, law_reading, OTHER, read_as
 from jaxid.conventions.limits import GONE
 from jaxid.conventions.mending import mended, Mending
 from jaxid.conventions.missing_force import ForceFit, LAWS, LONGEST, measured, NEIGHBOURS
+from jaxid.conventions.rates import contradictions
 from jaxid.conventions.samples import Shown
 from jaxid.data.capacity import give_back
 from jaxid.data.dataset import Dataset
@@ -186,20 +187,23 @@ def _by_model(binding: Binding, data: Dataset, as_recorded: bool, gap: Gap | Non
     driven = bool(binding.dataset.inputs)  # along a free motion every reading fits with another scale
     many = len(binding.free) > MOST_NUMBERS
     motion = measured(binding, NEIGHBOURS) if driven and binding.free else None
-    if motion is None:
-        return [], data
-    shown = list(judged(binding, ForceFit(binding, motion), motion, many))
+    fit = None if motion is None else ForceFit(binding, motion)
+    plain, motion = contradictions(binding, data, fit, motion)  # which no simulation has to bear out
+    shown = [] if fit is None or motion is None else list(judged(binding, fit, motion, many))
+    first, total = _together(plain), _together(shown)
+    if total and gap is not None and not many:  # the free run of an arm that was held by its controller says nothing
+        shown = _confirmed(binding, mended(data, first), total, shown, gap)
+    every = [*plain, *shown]
+    applied = [bool(s.mending) and s.finding.decisive and not as_recorded for s in every]
+    change = _together([s for s, taken in zip(every, applied, strict=True) if taken])
+    return [replace(s.finding, applied=taken) for s, taken in zip(every, applied, strict=True)], mended(data, change)
+
+
+def _together(shown: Iterable[Shown]) -> Mending:
     total = Mending()
     for s in shown:
         total = total.then(s.mending)
-    if total and gap is not None and not many:  # the free run of an arm that was held by its controller says nothing
-        shown = _confirmed(binding, data, total, shown, gap)
-    out, change = [], Mending()
-    for s in shown:
-        applied = bool(s.mending) and s.finding.decisive and not as_recorded
-        change = change.then(s.mending) if applied else change
-        out.append(replace(s.finding, applied=applied))
-    return out, mended(data, change)
+    return total
 
 
 def _confirmed(binding: Binding, data: Dataset, total: Mending, shown: list[Shown], gap: Gap) -> list[Shown]:

@@ -115,7 +115,7 @@ def lines(dataset: Dataset, channel: str, forms: Mapping[str, Any]) -> str:
 
 def _unit(channel: Channel, s: Stated, factor: float) -> str:
     """The unit that the values are in if they are to be multiplied by `factor`, where it has a name."""
-    for name in ("deg", "rad", "rev", "mrad", "mm", "m", "mA", "A", "mV", "V", "mN m", "N m", "mN", "N"):
+    for name in ("deg", "rpm", "deg/s", "rad", "rev", "mrad", "mm", "m", "mA", "A", "mV", "V", "mN m", "N m", "mN", "N"):
         try:
             other = conversion(name, channel.unit)
         except UnitError:
