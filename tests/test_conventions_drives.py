@@ -12,6 +12,7 @@ from jaxtyping import Array
 from scipy.integrate import cumulative_trapezoid
 
 import jaxid
+from benchmarks.conventions import recording
 from jaxid.conventions import checking
 from jaxid.conventions.missing_force import measured
 from jaxid.dynamics.mechanism import Rigid, Signature
@@ -154,3 +155,21 @@ def test_a_speed_that_is_not_the_rate_of_its_position(fault, kind, channel, line
     found = jaxid.check(None, spun(fault, angle=True)).findings
     told = [(f.kind, f.channel, f.line, f.same_as, f.applied) for f in found]
     assert told == ([(kind, channel, line, (), True)] if kind else [])
+
+
+@pytest.mark.parametrize("wrong", ["qd1", "q1"])
+def test_speeds_of_two_joints_in_the_order_of_the_other(wrong):
+    r = recording("planar_arm", 3)
+    names = [n for n, _ in r.plant.outputs]
+    read = dict(zip(names, np.moveaxis(r.y, 2, 0), strict=True))
+    speeds = {f"qd{k + 1}": np.gradient(read[n], r.t, axis=1) for k, n in enumerate(names)}
+    series = read | speeds
+    pair = ("qd1", "qd2") if wrong == "qd1" else names
+    series |= {pair[0]: series[pair[1]], pair[1]: series[pair[0]]}
+    units = dict((*r.plant.inputs, *r.plant.outputs)) | dict.fromkeys(speeds, "rad/s")
+    data = jaxid.Dataset.from_arrays(
+        [r.t] * len(r.u), {n: list(r.u[:, :, i]) for i, (n, _) in enumerate(r.plant.inputs)},
+        {n: list(y) for n, y in series.items()}, units=units, split=SPLITS, model=r.plant.model,
+    )  # fmt: skip
+    told = [(f.kind, f.channel, f.same_as, f.applied) for f in jaxid.check(None, data).findings]
+    assert told == [("swapped_channels", pair[0], (), True)]

@@ -3,13 +3,15 @@ it; which of the two is wrong a model tells, or the factor."""
 
 from __future__ import annotations
 
+from itertools import combinations
+
 import numpy as np
 
 from jaxid.conventions.finding import DataFinding
 from jaxid.conventions.limits import GONE
-from jaxid.conventions.mending import lines, Mending
+from jaxid.conventions.mending import exchange_lines, lines, Mending
 from jaxid.conventions.missing_force import ForceFit, Motion
-from jaxid.conventions.readings import ANGLES, scaled_joint
+from jaxid.conventions.readings import ANGLES, exchanged, scaled_joint
 from jaxid.conventions.samples import LONGEST, Shown
 from jaxid.data.dataset import Dataset
 from jaxid.data.signals import content_cutoff, differentiate, filter_ends, zero_phase
@@ -28,7 +30,7 @@ def contradictions(
     binding: Binding, dataset: Dataset, fit: ForceFit | None, m: Motion | None
 ) -> tuple[list[Shown], Motion | None]:
     """What the speeds of joints say of their positions; and the motion as it then is (it is made of positions)."""
-    found: list[Shown] = []
+    found, m = _crosswise(binding, dataset, fit, m)
     outputs = binding.chain.signature.outputs
     for j, r in enumerate(joint_readings(binding.chain)):
         ratio = None if r.q is None or r.qd is None else _ratio(binding, r.q, r.qd)
@@ -47,6 +49,32 @@ def contradictions(
             channel, mate = (position[0], speed[0]) if by_position else (speed[0], position[0])
             found.append(_shown(dataset, "scale", channel, mate, size, what, ratio, True))
             m = scaled_joint(m, j, 1 / size) if by_position and m is not None else m
+    return found, m
+
+
+def _crosswise(binding: Binding, dataset: Dataset, fit: ForceFit | None, m: Motion | None) -> tuple[list[Shown], Motion | None]:
+    """Two joints of which each one's speed is the rate of the other one's position."""
+    found: list[Shown] = []
+    outputs = binding.chain.signature.outputs
+    both = [(j, r.q, r.qd) for j, r in enumerate(joint_readings(binding.chain)) if r.q is not None and r.qd is not None]
+    for (j, q, qd), (k, other, other_qd) in combinations(both, 2):
+        if outputs[q][1] != outputs[other][1] or any(_ratio(binding, *pair) for pair in ((q, qd), (other, other_qd))):
+            continue
+        if not all(_ratio(binding, *pair) for pair in ((q, other_qd), (other, qd))):
+            continue
+        turned = None if fit is None or m is None or not fit.driven else exchanged(m, j, k, inputs=False)
+        told = None if turned is None or fit is None or m is None else _told(fit, turned, m)
+        a, b = (outputs[x][0] for x in ((q, other) if told else (qd, other_qd)))
+        c, d = (outputs[x][0] for x in ((qd, other_qd) if told else (q, other)))
+        doubt = "" if told is not None else f" It could be {c} and {d} as well."
+        finding = DataFinding(
+            "swapped_channels", a, 1.0,
+            f"Each of {a} and {b} goes with the other one of {c} and {d}: {a} and {b} are exchanged.{doubt}",
+            exchange_lines(dataset, a, b), decisive=True, same_as=() if told is not None else (("swapped_channels", c),),
+            headline=f"{a} and {b} are exchanged; everything below takes each for the other",
+        )  # fmt: skip
+        found.append(Shown(finding, Mending(exchanged=((a, b),))))
+        m = turned if told else m
     return found, m
 
 

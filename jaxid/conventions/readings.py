@@ -72,7 +72,8 @@ def offset_joint(m: Motion, j: int, offset: float) -> Motion:
     return replace(m, q=m.q + offset * (np.arange(m.q.shape[1]) == j))
 
 
-def _exchanged(m: Motion, a: int, b: int, inputs: bool) -> Motion:
+def exchanged(m: Motion, a: int, b: int, inputs: bool) -> Motion:
+    """The motion with two inputs, or two joints, taken for each other."""
     order = np.arange(m.u.shape[1] if inputs else m.q.shape[1])
     order[[a, b]] = b, a
     if inputs:
@@ -121,7 +122,7 @@ def exchanges(names: Names) -> Iterator[Reading]:
     for group, units, inputs in ((names.inputs, names.input_units, True), (names.joints, names.joint_units, False)):
         for a, b in combinations(range(len(group)), 2):
             if units[a] == units[b] and units[a] != "1":
-                yield Reading("swapped_channels", (group[a], group[b]), 1.0, lambda m, a=a, b=b, i=inputs: _exchanged(m, a, b, i))
+                yield Reading("swapped_channels", (group[a], group[b]), 1.0, lambda m, a=a, b=b, i=inputs: exchanged(m, a, b, i))
 
 
 def zeros(names: Names) -> Iterator[Reading]:
