@@ -19,7 +19,7 @@ from typing import Any
 import jax
 import jax.numpy as jnp
 import numpy as np
-from scipy.stats import chi2
+from scipy.special import chdtri
 
 from jaxid.dynamics.effect import NumberEffect
 from jaxid.errors import UsageError
@@ -340,7 +340,7 @@ def suspected(series: Series, own: list[int], theta: np.ndarray) -> tuple[float,
     least, more = float(each.min()), 3 + len(own)
     count = max(1, 3 * len(series.rows) - 2 * len(own) - 6 * len(np.unique(series.run)))
     before, after = without / (count + more), least / count
-    chance = chi2.isf(CHANCE / len(moments), more)
+    chance = chdtri(more, CHANCE / len(moments))
     if (without - least) / max(1.0, after) < chance or before - after < SHARE * (before - 1):
         return None
     return float(moments[np.argmin(each)]), 1 - least / without
