@@ -19,7 +19,6 @@ from typing import Any
 import jax
 import jax.numpy as jnp
 import numpy as np
-from scipy.special import chdtri
 
 from jaxid.dynamics.effect import NumberEffect
 from jaxid.errors import UsageError
@@ -340,6 +339,8 @@ def suspected(series: Series, own: list[int], theta: np.ndarray) -> tuple[float,
     least, more = float(each.min()), 3 + len(own)
     count = max(1, 3 * len(series.rows) - 2 * len(own) - 6 * len(np.unique(series.run)))
     before, after = without / (count + more), least / count
+    from scipy.special import chdtri  # its import changes the warnings' filters, which is no business of `import jaxid`
+
     chance = chdtri(more, CHANCE / len(moments))
     if (without - least) / max(1.0, after) < chance or before - after < SHARE * (before - 1):
         return None
