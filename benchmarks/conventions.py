@@ -202,10 +202,10 @@ def stand_ins(r: Recording, kind: str, effect: str, effects: Sequence[str] | Non
 
 
 #: The seed of the kept result: taken once, for it alone.
-FRESH = 37
+FRESH = 88118
 
 
-def main(seed: int = FRESH, simulate: bool = False, diagnose: Sequence[str] = ()) -> dict[str, Any]:
+def main(seed: int = FRESH, simulate: bool = False, diagnose: Sequence[str] = ("pendulum",)) -> dict[str, Any]:
     """Of each model how many were found, where they were not or something else was claimed, and what diagnoses named instead."""
     rows = []
     for model in MODELS:

@@ -3,6 +3,7 @@ it; which of the two is wrong a model tells, or the factor."""
 
 from __future__ import annotations
 
+from dataclasses import replace
 from itertools import combinations
 
 import numpy as np
@@ -11,7 +12,7 @@ from jaxid.conventions.finding import DataFinding
 from jaxid.conventions.limits import GONE
 from jaxid.conventions.mending import exchange_lines, lines, Mending
 from jaxid.conventions.missing_force import ForceFit, Motion
-from jaxid.conventions.readings import ANGLES, exchanged, scaled_joint
+from jaxid.conventions.readings import ANGLES, EFFECT_RANGE, exchanged, FREE, scaled_joint
 from jaxid.conventions.samples import LONGEST, Shown
 from jaxid.data.dataset import Dataset
 from jaxid.data.signals import content_cutoff, differentiate, filter_ends, zero_phase
@@ -47,7 +48,8 @@ def contradictions(
         if factor is not None:
             by_position, size, what = factor
             channel, mate = (position[0], speed[0]) if by_position else (speed[0], position[0])
-            found.append(_shown(dataset, "scale", channel, mate, size, what, ratio, True))
+            shown = _shown(dataset, "scale", channel, mate, size, what, ratio, what != FREE)
+            found.append(shown if what != FREE else Shown(replace(shown.finding, decisive=False), Mending()))
             m = scaled_joint(m, j, 1 / size) if by_position and m is not None else m
     return found, m
 
@@ -101,15 +103,15 @@ def _ratio(binding: Binding, q: int, qd: int) -> float | None:
 
 
 def _factor(ratio: float) -> tuple[bool, float, str] | None:
-    """Whether the position is off, by which factor, and what that is called; None where the two agree or nothing known explains
-    it. A unit that was forgotten makes a number larger where it is finer: that of the position a ratio above 1, that of the speed
-    one below."""
+    """Whether the position is off, by which factor, and what that is called; None where the two agree, or differ by no more than
+    a sensor's scale may. A unit that was forgotten makes a number larger where it is finer: that of the position a ratio above 1,
+    that of the speed one below."""
     if abs(np.log(ratio)) <= NEAR:
         return None
     off = ratio if ratio > 1 else 1 / ratio
     named = [(name, size) for name, size in ANGLES.items() if abs(np.log(off / size)) <= NEAR]
     if not named:
-        return None
+        return None if EFFECT_RANGE[0] < ratio < EFFECT_RANGE[1] else (False, 1 / ratio, FREE)
     # rpm are a unit of speeds alone; a position in counts or degrees is the commoner slip.
     name, size = named[0]
     return ratio > 1 and "rpm" not in name, size, name
@@ -124,7 +126,8 @@ def _told(fit: ForceFit, turned: Motion, as_it_is: Motion) -> bool | None:
 
 def _shown(dataset: Dataset, kind: str, channel: str, mate: str, value: float, what: str, ratio: float, sure: bool) -> Shown:
     forms = {"scale": 1 / value}
-    has = f"has {what}" if kind == "sign" else f"seems to be in another unit ({what})"
+    unit = "off by a factor" if what == FREE else "in another unit"
+    has = f"has {what}" if kind == "sign" else f"seems to be {unit} ({what})"
     doubt = "" if sure else f" It could be {mate} as well."
     text = f"The rate of the position is {ratio:.4g} times the speed that was recorded, for {channel} {has}.{doubt}"
     taken = "negated" if kind == "sign" else f"times {1 / value:.6g}"
