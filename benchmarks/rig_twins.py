@@ -21,16 +21,16 @@ from jaxid.models.effects import CoulombFriction, StribeckFriction, ViscousFrict
 
 # ---- the models that users would write
 
+OF_ONE_AXIS = ((ViscousFriction, {"coefficient": "viscous"}), (CoulombFriction, {"level": "coulomb"}))
+OF_EACH_JOINT = ((ViscousFriction, {"coefficient": "viscous_{joint}"}), (CoulombFriction, {"level": "coulomb_{joint}"}))
+
 
 class CartPole(Lagrangian):
     """A cart on a rail, driven by a motor's volts through a pinion; a pole hangs from it (theta = 0 hangs down)."""
 
     name: ClassVar[str] = "cart_pole"
     signatures: ClassVar[tuple[Signature, ...]] = (Signature((("u", "V"),), (("x", "m"), ("theta", "rad")), ("x", "theta")),)
-    builtin: ClassVar[tuple[tuple[type, dict[str, str]], ...]] = (
-        (ViscousFriction, {"coefficient": "viscous_{joint}"}),
-        (CoulombFriction, {"level": "coulomb_{joint}"}),
-    )
+    builtin: ClassVar[tuple[tuple[type, dict[str, str]], ...]] = OF_EACH_JOINT
     equations: ClassVar[str] = "Lagrange's, with force = gear k / (R r) (u - gear k v / r)"
     source: ClassVar[str] = "textbook"
     cart: Array = param(1.5, 0.05, 20.0, unit="kg", log=True)
@@ -61,10 +61,7 @@ class Furuta(Rigid):
     signatures: ClassVar[tuple[Signature, ...]] = (
         Signature((("u", "V"),), (("theta", "rad"), ("alpha", "rad")), ("theta", "alpha")),
     )
-    builtin: ClassVar[tuple[tuple[type, dict[str, str]], ...]] = (
-        (ViscousFriction, {"coefficient": "viscous_{joint}"}),
-        (CoulombFriction, {"level": "coulomb_{joint}"}),
-    )
+    builtin: ClassVar[tuple[tuple[type, dict[str, str]], ...]] = OF_EACH_JOINT
     equations: ClassVar[str] = "M(alpha) qdd + c(q, qd) = (k (u - k qd1) / R, 0)"
     source: ClassVar[str] = "textbook"
     J_arm: Array = param(5e-4, 1e-5, 1e-2, unit="kg m^2", log=True)
@@ -95,10 +92,7 @@ class Cylinder(Rigid):
     signatures: ClassVar[tuple[Signature, ...]] = (
         Signature((("p_a", "Pa"), ("p_b", "Pa")), (("position", "m"),), ("position",)),
     )
-    builtin: ClassVar[tuple[tuple[type, dict[str, str]], ...]] = (
-        (ViscousFriction, {"coefficient": "viscous"}),
-        (CoulombFriction, {"level": "coulomb"}),
-    )
+    builtin: ClassVar[tuple[tuple[type, dict[str, str]], ...]] = OF_ONE_AXIS
     equations: ClassVar[str] = "mass qdd = bore p_a - ring p_b - friction"
     source: ClassVar[str] = "textbook"
     mass: Array = param(1.0, 0.01, 100.0, unit="kg", log=True)
@@ -117,11 +111,7 @@ class Rack(Rigid):
 
     name: ClassVar[str] = "rack"
     signatures: ClassVar[tuple[Signature, ...]] = (Signature((("i", "A"),), (("position", "m"),), ("position",)),)
-    builtin: ClassVar[tuple[tuple[type, dict[str, str]], ...]] = (
-        (ViscousFriction, {"coefficient": "viscous"}),
-        (CoulombFriction, {"level": "coulomb"}),
-        (StribeckFriction, {}),
-    )
+    builtin: ClassVar[tuple[tuple[type, dict[str, str]], ...]] = (*OF_ONE_AXIS, (StribeckFriction, {}))
     equations: ClassVar[str] = "mass qdd = k / r i - friction"
     source: ClassVar[str] = "textbook"
     mass: Array = param(3.0, 0.01, 100.0, unit="kg", log=True)
@@ -140,10 +130,7 @@ class Wheel(Rigid):
 
     name: ClassVar[str] = "wheel"
     signatures: ClassVar[tuple[Signature, ...]] = (Signature((), (("qd", "rad/s"),), ("q",), speeds=(0,)),)
-    builtin: ClassVar[tuple[tuple[type, dict[str, str]], ...]] = (
-        (ViscousFriction, {"coefficient": "viscous"}),
-        (CoulombFriction, {"level": "coulomb"}),
-    )
+    builtin: ClassVar[tuple[tuple[type, dict[str, str]], ...]] = OF_ONE_AXIS
     equations: ClassVar[str] = "inertia qdd = -friction"
     source: ClassVar[str] = "textbook"
     inertia: Array = constant(0.012, unit="kg m^2")

@@ -12,7 +12,7 @@ from jaxid.conventions.finding import DataFinding
 from jaxid.conventions.limits import GONE
 from jaxid.conventions.mending import exchange_lines, lines, Mending
 from jaxid.conventions.missing_force import ForceFit, Motion
-from jaxid.conventions.readings import ANGLES, EFFECT_RANGE, exchanged, FREE, scaled_joint
+from jaxid.conventions.readings import ANGLES, Change, EFFECT_RANGE, exchanged, FREE, scaled_joint
 from jaxid.conventions.samples import LONGEST, Shown
 from jaxid.data.dataset import Dataset
 from jaxid.data.signals import content_cutoff, differentiate, filter_ends, zero_phase
@@ -31,43 +31,42 @@ def contradictions(
     binding: Binding, dataset: Dataset, fit: ForceFit | None, m: Motion | None
 ) -> tuple[list[Shown], Motion | None]:
     """What the speeds of joints say of their positions; and the motion as it then is (it is made of positions)."""
-    found, m = _crosswise(binding, dataset, fit, m)
     outputs = binding.chain.signature.outputs
-    for j, r in enumerate(joint_readings(binding.chain)):
-        ratio = None if r.q is None or r.qd is None else _ratio(binding, r.q, r.qd)
-        if ratio is None or r.q is None or r.qd is None:
+    both = {j: (r.q, r.qd) for j, r in enumerate(joint_readings(binding.chain)) if r.q is not None and r.qd is not None}
+    ratios = {j: _ratio(binding, q, qd) for j, (q, qd) in both.items()}
+    found, m = _crosswise(binding, dataset, fit, m, {j: both[j] for j, ratio in ratios.items() if ratio is None})
+    for j, ratio in ratios.items():
+        if ratio is None:
             continue
-        position, speed = outputs[r.q], outputs[r.qd]
-        factor = _factor(abs(ratio))
+        position, speed = (outputs[k][0] for k in both[j])
         if ratio < 0:
-            turned = None if fit is None or m is None or not fit.driven else scaled_joint(m, j, -1.0)
-            told = None if turned is None or fit is None or m is None else _told(fit, turned, m)
-            channel, mate = (position[0], speed[0]) if told else (speed[0], position[0])
+            told, turned = _told(fit, m, lambda m, j=j: scaled_joint(m, j, -1.0))
+            channel, mate = (position, speed) if told else (speed, position)
             found.append(_shown(dataset, "sign", channel, mate, -1.0, "the opposite sign", ratio, told is not None))
             m = turned if told else m
-        if factor is not None:
+        if (factor := _factor(abs(ratio))) is not None:
             by_position, size, what = factor
-            channel, mate = (position[0], speed[0]) if by_position else (speed[0], position[0])
+            channel, mate = (position, speed) if by_position else (speed, position)
             shown = _shown(dataset, "scale", channel, mate, size, what, ratio, what != FREE)
             found.append(shown if what != FREE else Shown(replace(shown.finding, decisive=False), Mending()))
             m = scaled_joint(m, j, 1 / size) if by_position and m is not None else m
     return found, m
 
 
-def _crosswise(binding: Binding, dataset: Dataset, fit: ForceFit | None, m: Motion | None) -> tuple[list[Shown], Motion | None]:
-    """Two joints of which each one's speed is the rate of the other one's position."""
+def _crosswise(
+    binding: Binding, dataset: Dataset, fit: ForceFit | None, m: Motion | None, lost: dict[int, tuple[int, int]]
+) -> tuple[list[Shown], Motion | None]:
+    """Two joints of which each one's speed is the rate of the other one's position; `lost` (position, speed) of those whose own
+    is not."""
     found: list[Shown] = []
     outputs = binding.chain.signature.outputs
-    both = [(j, r.q, r.qd) for j, r in enumerate(joint_readings(binding.chain)) if r.q is not None and r.qd is not None]
-    for (j, q, qd), (k, other, other_qd) in combinations(both, 2):
-        if outputs[q][1] != outputs[other][1] or any(_ratio(binding, *pair) for pair in ((q, qd), (other, other_qd))):
+    for j, k in combinations(lost, 2):
+        (q, qd), (other, other_qd) = lost[j], lost[k]
+        if outputs[q][1] != outputs[other][1] or not all(_ratio(binding, *p) for p in ((q, other_qd), (other, qd))):
             continue
-        if not all(_ratio(binding, *pair) for pair in ((q, other_qd), (other, qd))):
-            continue
-        turned = None if fit is None or m is None or not fit.driven else exchanged(m, j, k, inputs=False)
-        told = None if turned is None or fit is None or m is None else _told(fit, turned, m)
-        a, b = (outputs[x][0] for x in ((q, other) if told else (qd, other_qd)))
-        c, d = (outputs[x][0] for x in ((qd, other_qd) if told else (q, other)))
+        told, turned = _told(fit, m, lambda m, j=j, k=k: exchanged(m, j, k, inputs=False))
+        positions, speeds = ((outputs[x][0], outputs[y][0]) for x, y in ((q, other), (qd, other_qd)))
+        (a, b), (c, d) = (positions, speeds) if told else (speeds, positions)
         doubt = "" if told is not None else f" It could be {c} and {d} as well."
         finding = DataFinding(
             "swapped_channels", a, 1.0,
@@ -117,11 +116,14 @@ def _factor(ratio: float) -> tuple[bool, float, str] | None:
     return ratio > 1 and "rpm" not in name, size, name
 
 
-def _told(fit: ForceFit, turned: Motion, as_it_is: Motion) -> bool | None:
-    """Whether the model follows the motion so much better with its position negated, inputs as they are; None where that makes no
-    such difference."""
-    one, other = fit.fit(turned).worst, fit.fit(as_it_is).worst
-    return one < other if min(one, other) <= GONE * max(one, other) else None
+def _told(fit: ForceFit | None, m: Motion | None, change: Change) -> tuple[bool | None, Motion | None]:
+    """Whether the model follows a motion so much better, or so much worse, with its positions changed, inputs as they are, None
+    where that makes no such difference; and the motion then."""
+    if fit is None or m is None or not fit.driven:
+        return None, m
+    turned = change(m)
+    one, other = fit.fit(turned).worst, fit.fit(m).worst
+    return (one < other if min(one, other) <= GONE * max(one, other) else None), turned
 
 
 def _shown(dataset: Dataset, kind: str, channel: str, mate: str, value: float, what: str, ratio: float, sure: bool) -> Shown:

@@ -30,7 +30,7 @@ class Thresholds:
         "A hypothesis that leaves less than this share of what the best one on validation data leaves of the fit "
         "runs, and less over both (mean logarithm), is preferred to it: validation runs may go where the fit runs "
         "tell little of any hypothesis.",
-        "blind pairs of the joint and pendulum whose validation runs went where fit runs did not",
+        "blind cases whose validation runs went where fit runs did not",
     )
     alike: float = _of(
         1.02,
@@ -48,7 +48,7 @@ class Thresholds:
         1.5,
         "mean square, noise 1",
         "Residuals of fit runs at the noise, and white: their sums of squares count as they are.",
-        "four blind cases whose fit runs were at the noise",
+        "blind cases of four models whose fit runs were at the noise",
     )
     explained: float = _of(
         1.1,
@@ -105,7 +105,7 @@ class Thresholds:
         0.97,
         "share of the gap",
         "What is `named` closes at least this share of the gap (mean square above the floor) on validation data.",
-        "no single case; kept after a tracker on other motors, benchmarks/paper_gaps.py",
+        "not recorded",
     )
     partly: float = _of(
         0.5,
@@ -153,7 +153,7 @@ class Thresholds:
         "times the noise",
         "Free runs that forget how they began are not trusted where they find no answer, or one that leaves so "
         "many times the noise.",
-        "planar arms that swing over the top, seeds 24 to 26",
+        "planar arms that swing over the top",
     )
     # search
     standing_out: float = _of(
@@ -191,7 +191,7 @@ class Thresholds:
         "mean square, noise 1",
         "Validation runs that are so much further away than they need be with what the fit runs leave open (mean "
         "squares) settle it.",
-        "servo cases of seed 26, whose fit runs left a scale open",
+        "not recorded",
     )
     # prior pull
     pull_cost: float = _of(
@@ -199,7 +199,7 @@ class Thresholds:
         "half of a chi-square unit",
         "A direction is left open where going all the way back costs less than this (half of the sum of squares, "
         "in noise variances).",
-        "convention: two units of log-likelihood",
+        "servo cases of seed 26, whose fit runs left a delay and a scale of the sensor open",
     )
     pull_short: float = _of(
         1.0,
@@ -256,19 +256,19 @@ class Thresholds:
         0.3,
         "share of its energy",
         "What named effects supply is what was missing if taking it away leaves less by so many times its own energy.",
-        "a symmetric dead zone that was said to lie in forward motion",
+        "not recorded",
     )
     own_share: float = _of(
         0.5,
         "share of what is missing",
         "Taking away what named effects supply has to leave less by that share of what is missing above the noise, too.",
-        "as `own_energy`",
+        "not recorded",
     )
     own_regime: float = _of(
         0.9,
         "share of its energy",
         "What a named effect supplies lies in a regime if that share of it does; else it lies wherever the effect acts.",
-        "as `own_energy`",
+        "not recorded",
     )
     # equivalence
     absorbed: float = _of(
@@ -277,7 +277,7 @@ class Thresholds:
         "An effect is absorbed where re-tuning leaves less than this share of what a weak one (WEAK of a probe) "
         "changes: as much as a first-order re-tuning leaves of one that is absorbed exactly goes with its "
         "strength, what it cannot absorb does not.",
-        "back EMF beside viscous friction (exact) against a payload beside inertia (nearly)",
+        "not recorded",
     )
     parallel: float = _of(
         0.999,

@@ -28,8 +28,8 @@ from jaxid.wording import listed, percent, times
 DRAWS = 12
 
 
-#: What the noise of a torque is.
-NOISE = "noise of torque and motion"
+#: What the noise of a torque is, without repeats and with them.
+NOISE, REPEATED = "noise of torque and motion", "noise of torque and motion, and what repeats differ by"
 
 
 @dataclass(frozen=True, eq=False)
@@ -183,11 +183,12 @@ def how_far(
     models = (before, retuned, after)
     gaps = [m.gap(which) for m in models]
     channels: dict[str, ChannelGap] = {}
+    source = REPEATED if any(x.any() for x in study.between) else NOISE
     for j, (name, unit) in enumerate(study.binding.chain.torque_channels):
         moving = [k for k in which if study.runs[k].moves[j]]
         if moving:
             stated, again, final = (m.rms(moving, j) for m in models)
-            channels[name] = ChannelGap(unit, stated, again, final, study.typical(moving, j), NOISE)
+            channels[name] = ChannelGap(unit, stated, again, final, study.typical(moving, j), source)
     runs = tuple(
         Share(study.runs[k].experiment.name, "", len(m0), before.gap([k]), retuned.gap([k]), after.gap([k]))
         for k in which
