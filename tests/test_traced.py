@@ -50,6 +50,19 @@ def test_other_shapes_and_keys_are_other_programs(folder):
     assert len(list(folder.iterdir())) == 3
 
 
+def test_another_device_is_another_program(folder, monkeypatch):
+    """A program is exported for one platform: one of a GPU refuses to run where `jax.default_device` names the CPU."""
+    x, y = np.ones(3), {"scale": np.float64(2.0)}
+    cpu = jax.devices("cpu")[0]
+    with float64():
+        Traced(bent, "key")(x, y)
+        monkeypatch.setattr(jax, "default_backend", lambda: "gpu")
+        assert not Traced(bent, "key").kept(x, y)
+        assert Traced(bent, "key").kept(*jax.device_put((x, y), cpu))
+        with jax.default_device(cpu):
+            assert Traced(bent, "key").kept(x, y)
+
+
 @pytest.mark.parametrize("content", [b"", b"no program", b"\0" * 5000])
 def test_a_broken_file_is_no_harm(folder, content):
     x, y = np.ones(3), {"scale": np.float64(2.0)}

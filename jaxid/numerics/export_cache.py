@@ -19,7 +19,9 @@ from typing import Any
 import equinox as eqx
 import jax
 import numpy as np
+from jax.core import Tracer
 
+from jaxid.numerics.pool import default_platform
 from jaxid.numerics.program_cache import CacheFolder, TRACED
 
 
@@ -32,7 +34,7 @@ class Traced:
 
     def __call__(self, *args: Any) -> Any:
         leaves, tree = jax.tree.flatten(args)
-        call = self._calls.get(kind := (tree, _shapes(leaves)))
+        call = self._calls.get(kind := _kind(leaves, tree))
         if call is None:
             name = self._name(kind)
             if name is None:
@@ -43,7 +45,7 @@ class Traced:
     def kept(self, *args: Any) -> bool:
         """Whether the trace for such arguments lies on disk."""
         leaves, tree = jax.tree.flatten(args)
-        name = self._name((tree, _shapes(leaves)))
+        name = self._name(_kind(leaves, tree))
         return name is not None and _folder().has(name)
 
     def _name(self, kind: Any) -> str | None:
@@ -51,7 +53,7 @@ class Traced:
         place = jax.config.values["jax_compilation_cache_dir"]
         if not self._key or not place or "://" in place:
             return None
-        return hashlib.sha256(f"{self._key}{kind[0]}{kind[1]}{jax.default_backend()}".encode()).hexdigest() + ".stablehlo"
+        return hashlib.sha256(f"{self._key}{kind}".encode()).hexdigest() + ".stablehlo"
 
     def _read_or_trace(self, name: str, leaves: list[Any], tree: Any, kind: Any) -> Callable[..., Any]:
         plain = lambda *leaves: self._plain(*jax.tree.unflatten(tree, leaves))
@@ -61,7 +63,8 @@ class Traced:
 
             kept = folder.read(name)
             if kept is None:
-                kept = bytes(export.export(jax.jit(plain))(*leaves).serialize())
+                on = None if (platform := kind[-1]) == jax.default_backend() else [platform]
+                kept = bytes(export.export(jax.jit(plain), platforms=on)(*leaves).serialize())
                 folder.write(name, kept)
             read = jax.jit(export.deserialize(bytearray(kept)).call)
         except Exception:  # no flatbuffers, an operation or a file that cannot be read back: nothing is lost
@@ -85,8 +88,15 @@ def _folder() -> CacheFolder:
     return CacheFolder(Path(jax.config.values["jax_compilation_cache_dir"]) / TRACED)
 
 
-def _shapes(leaves: Sequence[Any]) -> tuple:
-    return tuple((np.shape(a), getattr(a, "dtype", type(a))) for a in leaves)
+def _kind(leaves: Sequence[Any], tree: Any) -> tuple:
+    """What a trace is kept by: structure and shapes of its arguments, and what it is to run on, which an export is bound to."""
+    return tree, tuple((np.shape(a), getattr(a, "dtype", type(a))) for a in leaves), _platform(leaves)
+
+
+def _platform(leaves: Sequence[Any]) -> str:
+    """Where JAX runs a program with such arguments: where they were put on purpose, or on the default device."""
+    placed = (a for a in leaves if isinstance(a, jax.Array) and not isinstance(a, Tracer) and a.committed)
+    return ", ".join(sorted({d.platform for a in placed for d in a.devices()} or {default_platform()}))
 
 
 def key_of(function: Callable[..., Any], pytree: Any, *more: Any) -> str | None:

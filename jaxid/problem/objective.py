@@ -6,11 +6,9 @@ from __future__ import annotations
 
 import abc
 import copy
-import os
 import threading
 import time
 from collections.abc import Callable, Iterator, Sequence
-from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from typing import Any, NamedTuple
 
@@ -20,6 +18,7 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from jaxid.errors import UsageError
+from jaxid.numerics.pool import default_platform, Pool
 from jaxid.numerics.precision import float64
 
 
@@ -27,7 +26,7 @@ from jaxid.numerics.precision import float64
 PENALTY = 1e30
 
 #: Blocks of candidates run side by side, one per core; which thread runs a block changes nothing in its result.
-_POOL = ThreadPoolExecutor(max_workers=os.cpu_count() or 1, thread_name_prefix="jaxid-losses")
+_POOL = Pool("losses")
 _COMPILING = threading.Lock()
 #: Programs that depend on no problem.
 _PROGRAMS: dict[Any, Any] = {}
@@ -195,7 +194,7 @@ class AbstractProblem(abc.ABC):
     def _kind(self, name: Any, *args: Any) -> Any:
         """What a compiled program is found by."""
         leaves, tree = jax.tree.flatten(args)
-        return name, self.loss_name, tree, tuple((np.shape(a), getattr(a, "dtype", type(a))) for a in leaves)
+        return name, self.loss_name, default_platform(), tree, tuple((np.shape(a), getattr(a, "dtype", type(a))) for a in leaves)
 
     def losses(self, z: np.ndarray) -> np.ndarray:
         """Loss of each row of z [pop size], on all cores; the same program and numbers for every fitter."""

@@ -12,7 +12,7 @@ import os
 import time
 from collections import deque
 from collections.abc import Callable, Iterator, Sequence
-from concurrent.futures import Future, ThreadPoolExecutor
+from concurrent.futures import Future
 from functools import partial
 from typing import Any, NamedTuple
 
@@ -26,6 +26,7 @@ from jaxid.dynamics.parameter_vector import Form, Layout
 from jaxid.numerics.batch_loop import over_lanes
 from jaxid.numerics.export_cache import key_of, Traced
 from jaxid.numerics.kept import shared
+from jaxid.numerics.pool import Pool
 from jaxid.numerics.precision import float64
 from jaxid.simulation.rollout import Lane, reach_of, WINDOWED
 from jaxid.simulation.sample_buffers import BLOCK, bucket, LONG, Record, Samples
@@ -38,10 +39,10 @@ LANES, FEW = 48, 16
 SMALL = 4
 
 #: Blocks of lanes run side by side, one per core; which thread runs a block changes nothing in its result.
-_POOL = ThreadPoolExecutor(max_workers=os.cpu_count() or 1, thread_name_prefix="jaxid-lanes")
+_POOL = Pool("lanes")
 
 #: Programs that several groups of lanes need for the first time are compiled side by side.
-_COMPILERS = ThreadPoolExecutor(max_workers=os.cpu_count() or 1, thread_name_prefix="jaxid-compile")
+_COMPILERS = Pool("compile")
 
 
 def in_float64(program: Callable, *args: Any) -> Any:
@@ -321,7 +322,7 @@ class Engine:
         args = *point, *along, np.repeat(self.where[:1], width, 0), self.samples, np.int32(0)
         program = getattr(programs, name)
         if also_compile or program.kept(*args):
-            programs.ready[name, width] = _COMPILERS.submit(in_float64, program, *args)
+            programs.ready[name, width] = _COMPILERS.submit(program, *args)
 
     def _call(self, name: str, numbers, states, record: np.ndarray, share: float) -> list[np.ndarray]:
         results: list[np.ndarray] = []

@@ -6,10 +6,8 @@ The arithmetic is that of the whole record, step by step.
 
 from __future__ import annotations
 
-import os
 import time
 from collections.abc import Callable, Iterator, Sequence
-from concurrent.futures import ThreadPoolExecutor
 from typing import Any, NamedTuple, TYPE_CHECKING
 
 import jax
@@ -17,6 +15,7 @@ import numpy as np
 
 from jaxid.dynamics.parameter_vector import Form
 from jaxid.numerics.batch_loop import over_lanes
+from jaxid.numerics.pool import Pool
 from jaxid.numerics.precision import float64
 from jaxid.simulation.rollout import Lane, WINDOWED
 
@@ -29,7 +28,7 @@ WINDOW = 1 << 15
 #: Lanes of one program; at most so many lanes go side by side.
 WIDTH, TOGETHER = 16, 64
 
-_POOL = ThreadPoolExecutor(max_workers=os.cpu_count() or 1, thread_name_prefix="jaxid-windows")
+_POOL = Pool("windows")
 
 
 class WindowPrograms(NamedTuple):

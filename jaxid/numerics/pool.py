@@ -1,0 +1,46 @@
+"""Threads that compute as their caller would: JAX's settings belong to a thread, and a pool's threads begin without them."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Callable, Iterable, Iterator
+from concurrent.futures import Future, ThreadPoolExecutor
+from typing import Any, TypeVar
+
+import jax
+
+from jaxid.numerics.precision import float64
+
+
+T = TypeVar("T")
+
+
+def default_device() -> Any:
+    """The device that the caller chose with `jax.default_device` or JAX's own setting; None: JAX chooses."""
+    return jax.config.values["jax_default_device"]
+
+
+def default_platform() -> str:
+    """What programs without placed arguments run on here: cpu, gpu, ..."""
+    chosen = default_device()
+    return jax.default_backend() if chosen is None else getattr(chosen, "platform", str(chosen))
+
+
+class Pool:
+    """One thread per core; jobs run in float64 on the device that is the default where they are handed in."""
+
+    def __init__(self, name: str):
+        self._threads = ThreadPoolExecutor(max_workers=os.cpu_count() or 1, thread_name_prefix=f"jaxid-{name}")
+
+    def submit(self, job: Callable[..., T], *args: Any) -> Future[T]:
+        return self._threads.submit(_on, default_device(), job, *args)
+
+    def map(self, job: Callable[..., T], items: Iterable[Any]) -> Iterator[T]:
+        """Results in the items' order; all are handed in at once."""
+        begun = [self.submit(job, item) for item in items]
+        return (b.result() for b in begun)
+
+
+def _on(device: Any, job: Callable[..., T], *args: Any) -> T:
+    with float64(), jax.default_device(device):
+        return job(*args)
