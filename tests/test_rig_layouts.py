@@ -18,16 +18,7 @@ def test_fits_with_nothing_missing_hold_the_truth(name):
     assert not fitted(name, range(2))["wrong"]
 
 
-#: What comes out wrong today, and how.
-WRONG = {("rack and pinion, current", "input_delay@i"): "sensor_delay at position is named, input_delay at i not even beside it"}
-
-
-def cases():
-    for pair in ((n, w) for n in LAYOUTS for w in ("", *LAYOUTS[n].withheld)):
-        yield pytest.param(*pair, marks=[pytest.mark.xfail(reason=WRONG[pair], strict=True)] if pair in WRONG else [])
-
-
 @pytest.mark.slow
-@pytest.mark.parametrize(("name", "withheld"), cases())
+@pytest.mark.parametrize(("name", "withheld"), [(n, w) for n in LAYOUTS for w in ("", *LAYOUTS[n].withheld)])
 def test_what_is_withheld_is_named_and_nothing_else(name, withheld):
     assert diagnosed(name, withheld, 1)["right"]

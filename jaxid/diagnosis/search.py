@@ -35,6 +35,7 @@ from jaxid.diagnosis.selection import (
     finished,
     indistinct,
     joint_loss,
+    mirrored,
     not_borne_out,
     outweighed,
     rivals_among,
@@ -176,8 +177,11 @@ class Searcher:
         if chosen.effects and (needless or at_floor(self.nominal)):  # freed of a local minimum on the way
             chosen, mates = self.nominal, {}
         several = len(chosen.effects) > 1
-        rivals, fitted = rivals_among(list(self.known.values()), chosen, list(mates.values())), self._stale | self.known
-        return Search(self.nominal, chosen, self.tried, list(mates), rivals, several, without_each(chosen, fitted))
+        alike = list(dict.fromkeys((*mates, *mirrored(self.bench, chosen, pool))))
+        told_apart = mates or not alike  # a mirrored effect alone: no input tells what no recording can
+        rivals = rivals_among(list(self.known.values()), chosen, list(mates.values())) if told_apart else None
+        fitted = self._stale | self.known
+        return Search(self.nominal, chosen, self.tried, alike, rivals, several, without_each(chosen, fitted))
 
     def _beside(self, chosen: Hypothesis, pool: Sequence[Candidate], room: int) -> list[Hypothesis]:
         """Refits of the chosen hypothesis with more in it, `room` effects at most; after the first choice also of two others,

@@ -7,7 +7,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from jaxid.diagnosis.evidence import held_out, inflation, memory, worth
-from jaxid.diagnosis.hypothesis import family_of, Hypothesis, key_of
+from jaxid.diagnosis.hypothesis import Candidate, effect_of, family_of, Hypothesis, key_of
 from jaxid.diagnosis.shortlist import TIMING
 from jaxid.diagnosis.thresholds import LIMITS
 from jaxid.fitting.problem_builder import Bench
@@ -89,6 +89,16 @@ def indistinct(chosen: Hypothesis, h: Hypothesis) -> bool:
     both = (joint_loss(h) - joint_loss(chosen)) * (chosen.path.count + chosen.validation.count) / factor
     doubt = max(2 * LIMITS.decisive, unexplained(chosen)) if joint_loss(h) < LIMITS.close_above else 2 * LIMITS.decisive
     return worth(chosen.validation, h.validation, factor) < LIMITS.decisive and both < doubt
+
+
+def mirrored(bench: Bench, chosen: Hypothesis, pool: Sequence[Candidate]) -> list[Candidate]:
+    """Effects at the other end of the plant that say the same of any recording (`Effect.mirrors`), however their fits ended: a
+    search of one may stop where that of the other goes on."""
+    signature = bench.binding.chain.signature
+    if len(signature.inputs) != 1 or len(signature.outputs) != 1:
+        return []
+    named = {effect_of(bench, c).mirrors for c in chosen.effects}
+    return [c for c in pool if c.effect in named and c not in chosen.effects]
 
 
 def unexplained(h: Hypothesis) -> float:

@@ -75,6 +75,9 @@ class Effect(eqx.Module):
     family: ClassVar[str] = ""
     #: Effects that it may equal at some strength on some mechanism, however different they begin: one is compared with the other.
     resembles: ClassVar[tuple[str, ...]] = ()
+    #: Effect at the other end of the plant that says the same of every recording where there is one input and one output, because
+    #: no mechanism knows what time it is.
+    mirrors: ClassVar[str] = ""
     #: What it is a law of: speed, position, load, command, acceleration, reading or time.
     axis: ClassVar[str] = ""
     #: Where it acts (a clause), what it is in plain words, what to look for at the machine; `{parameter}` is its number with its

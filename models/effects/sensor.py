@@ -102,6 +102,7 @@ class SensorDelay(RecordEffect):
     """
 
     name: ClassVar[str] = "sensor_delay"
+    mirrors: ClassVar[str] = "input_delay"
     equation: ClassVar[str] = "y(t) -> y(t - delay)"
     signature: ClassVar[str] = "phase lag that grows in proportion to frequency, in this channel alone"
     source: ClassVar[str] = "exact but for the interpolation (four points)"

@@ -15,6 +15,7 @@ class InputDelay(InputEffect):
     """A pure transport delay of the command."""
 
     name: ClassVar[str] = "input_delay"
+    mirrors: ClassVar[str] = "sensor_delay"
     stage: ClassVar[int] = 0
     equation: ClassVar[str] = "u(t) -> u(t - delay)"
     signature: ClassVar[str] = "phase lag that grows in proportion to frequency"

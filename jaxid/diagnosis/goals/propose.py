@@ -21,6 +21,8 @@ from jaxid.problem.binding import Binding
 
 #: So many sets are simulated: where dry friction turns about at other instants, first order ranks and does not decide.
 FIRST = 3
+#: So often a search that finds nothing is begun anew, by the noise that its best set leaves.
+ROUNDS = 3
 
 
 @dataclass(frozen=True, eq=False)
@@ -57,6 +59,14 @@ def proposals(study: LedStudy, most: int) -> tuple[Proposal, list[Proposal]]:
     if at_noise(chooser.nominal):
         return bare, []
     chosen = chooser.run()
+    for _ in range(ROUNDS):
+        best = min(chooser.tried, key=lambda m: m.loss)
+        if chosen.units or not best.units:
+            break
+        # A large effect that is missing makes the noise by which it is judged: now by what the best set leaves.
+        white = study.weights_of(rows, best.solution)
+        chooser = study.chooser(rows, white, fit, held, most, at_noise)
+        chosen = chooser.run()
     first = [chosen] if chosen.units else []
     limits = [Proposal((u,), (np.ones(1),), study.binding.theta.copy()) for u in limits_shown(study)[:1]]
     return bare, [*limits, *(_proposal(study, chooser, m) for m in [*first, *_next(chooser, chosen)])][:FIRST]

@@ -13,7 +13,7 @@ from jaxid.data.dataset import Experiment
 from jaxid.diagnosis.goals.loop import FINE, LoopRun, mean_input, RawRun, refined
 from jaxid.diagnosis.goals.plant import CHANGED, Drive, LedPlant
 from jaxid.diagnosis.goals.probes import at_levels, is_level, LEVELS, probes_of, scaled
-from jaxid.diagnosis.torque.algebra import gram, solve, weighted, Weights
+from jaxid.diagnosis.torque.algebra import gram, Solution, solve, weighted, Weights
 from jaxid.diagnosis.torque.library import Unit, units
 from jaxid.diagnosis.torque.plant import inverse_of
 from jaxid.diagnosis.torque.rows import read_runs, Run, turning_speeds
@@ -79,6 +79,10 @@ class LedStudy(Study):
         """Weights by what the re-tuned model leaves."""
         white = self._weights(rows, np.zeros(0, int), np.zeros(0))
         return self._weights(rows, *self.solved(rows, white))
+
+    def weights_of(self, rows: Rows, solution: Solution) -> Weights:
+        """Weights by what a set of effects leaves."""
+        return self._weights(rows, solution.at, solution.theta)
 
     def solved(self, rows: Rows, white: Weights) -> tuple[np.ndarray, np.ndarray]:
         """Columns of the re-tuned model, with clocks that agree, and their numbers."""
