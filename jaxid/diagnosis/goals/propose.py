@@ -11,10 +11,11 @@ from jaxid.data.dataset import Dataset
 from jaxid.diagnosis.goals.limits import limits_shown
 from jaxid.diagnosis.goals.study import LedStudy
 from jaxid.diagnosis.thresholds import LIMITS
-from jaxid.diagnosis.torque.algebra import better, BLOCKS, gram
+from jaxid.diagnosis.torque.algebra import better, BLOCKS, gram, Weights
 from jaxid.diagnosis.torque.answer import of_model
 from jaxid.diagnosis.torque.choose import Chooser, Model
 from jaxid.diagnosis.torque.library import Unit
+from jaxid.diagnosis.torque.study import Rows
 from jaxid.dynamics.effect import BodyEffect, Effect, InputEffect, JointEffect
 from jaxid.problem.binding import Binding
 
@@ -46,30 +47,60 @@ def shown(kind: type[Effect]) -> bool:
 
 def proposals(study: LedStudy, most: int) -> tuple[Proposal, list[Proposal]]:
     """The nominal model, and sets of effects, the chosen one first; none where nothing predicts the held-out runs better."""
-    fit, held = study.of("fit"), study.of("validation") or study.of("fit")
-    rows, white = study.rows_with_effects(study.theta)
-    joints = range(len(study.noise))
-
-    def at_noise(m: Model) -> bool:
-        answer = of_model(study, rows, m)
-        return all(not answer.gap(which, j) > LIMITS.seen for which in (fit, held) for j in joints)
-
-    chooser = study.chooser(rows, white, fit, held, most, at_noise)
-    bare = _proposal(study, chooser, chooser.nominal)
-    if at_noise(chooser.nominal):
+    asked = Asked.along(study, study.theta, most)
+    bare = _proposal(study, asked.chooser, asked.chooser.nominal)
+    if asked.at_noise(asked.chooser.nominal):
         return bare, []
-    chosen = chooser.run()
-    for _ in range(ROUNDS):
-        best = min(chooser.tried, key=lambda m: m.loss)
-        if chosen.units or not best.units:
-            break
-        # A large effect that is missing makes the noise by which it is judged: now by what the best set leaves.
-        white = study.weights_of(rows, best.solution)
-        chooser = study.chooser(rows, white, fit, held, most, at_noise)
-        chosen = chooser.run()
+    chooser, chosen = asked.searched()
+    if not chosen.units:
+        # Re-tuning for an effect that is missing can lead the numbers far away: now along the free run of what was stated.
+        chooser, chosen = Asked.along(study, study.binding.theta, most).searched()
     first = [chosen] if chosen.units else []
     limits = [Proposal((u,), (np.ones(1),), study.binding.theta.copy()) for u in limits_shown(study)[:1]]
     return bare, [*limits, *(_proposal(study, chooser, m) for m in [*first, *_next(chooser, chosen)])][:FIRST]
+
+
+@dataclass(frozen=True, eq=False)
+class Asked:
+    """Every effect as columns along a free run, and the search among them by the noise that the re-tuned model leaves."""
+
+    study: LedStudy
+    rows: Rows
+    most: int
+    chooser: Chooser
+
+    @classmethod
+    def along(cls, study: LedStudy, theta: np.ndarray, most: int) -> Asked:
+        rows, white = study.rows_with_effects(theta)
+        return cls(study, rows, most, cls._chooser(study, rows, white, most))
+
+    @staticmethod
+    def _chooser(study: LedStudy, rows: Rows, white: Weights, most: int) -> Chooser:
+        fit, held = study.of("fit"), study.of("validation") or study.of("fit")
+        return study.chooser(rows, white, fit, held, most, lambda m: _at_noise(study, rows, m))
+
+    def at_noise(self, m: Model) -> bool:
+        return _at_noise(self.study, self.rows, m)
+
+    def searched(self) -> tuple[Chooser, Model]:
+        """What is chosen, by the noise that the best set leaves where nothing is by that of the re-tuned model: a large effect
+        that is missing makes the noise by which it is judged."""
+        chooser = self.chooser
+        chosen = chooser.run()
+        for _ in range(ROUNDS):
+            best = min(chooser.tried, key=lambda m: m.loss)
+            if chosen.units or not best.units:
+                break
+            white = self.study.weights_of(self.rows, best.solution)
+            chooser = self._chooser(self.study, self.rows, white, self.most)
+            chosen = chooser.run()
+        return chooser, chosen
+
+
+def _at_noise(study: LedStudy, rows: Rows, m: Model) -> bool:
+    answer = of_model(study, rows, m)
+    which = study.of("fit"), study.of("validation") or study.of("fit")
+    return all(not answer.gap(runs, j) > LIMITS.seen for runs in which for j in range(len(study.noise)))
 
 
 def _next(chooser: Chooser, chosen: Model) -> list[Model]:

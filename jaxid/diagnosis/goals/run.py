@@ -16,7 +16,6 @@ from jaxid.diagnosis.goals.search import Decider
 from jaxid.diagnosis.goals.study import LedStudy, loop_step
 from jaxid.diagnosis.hypothesis import Search
 from jaxid.diagnosis.result import Diagnosis
-from jaxid.diagnosis.verdict import level
 from jaxid.dynamics.chain import Chain
 from jaxid.dynamics.effect import Effect
 from jaxid.dynamics.joint_readings import all_read
@@ -112,16 +111,22 @@ def diagnose_led(
     left = sorted(k.name for k in library if not shown(k))
     notes.append(f"{asked}; not asked, for they have a motion of their own: {listed(left) or 'none'}")
 
+    decided = lambda bench, offer, sets, between: _decided(
+        bench, study.binding.layout.names, bare, sets, between, seed, began, progress, offer
+    )
+    alike = False
+
     def search(bench: Bench, offer: Offer) -> tuple[Fit, Search]:
-        return _decided(bench, study.binding.layout.names, bare, sets, seed, began, progress, offer)
+        nonlocal alike
+        fit, found, alike = decided(bench, offer, sets, series)
+        return fit, found
 
     found = answer(wide, names, search, step)
-    if found.which.verdict == "unknown" and series is not None and _near(found, study.binding, series):
-        # No effect is borne out: what is left is no gap where two simulators of the file as it stands are as far apart.
+    if found.which.verdict == "unknown" and alike and series is not None:
+        # No effect is borne out, and what two simulators of the file as it stands differ by accounts for what is left.
         whole = np.sqrt(np.mean(np.concatenate(series) ** 2, 0))
         plain = with_floor(bind(model, dataset, without=without), whole, doubts)
-        nominal = lambda bench, offer: _decided(bench, study.binding.layout.names, bare, [], seed, began, progress, offer)
-        again = answer(plain, (), nominal, step)
+        again = answer(plain, (), lambda bench, offer: decided(bench, offer, [], None)[:2], step)
         if again.which.verdict == "none":
             text = (
                 f"{again.which.text} Its noise is what MuJoCo and jaxid make of the same file; no effect explains what is nearer."
@@ -136,19 +141,12 @@ def diagnose_led(
     return replace(found, notes=(*found.notes, *notes), wall_time_s=time.perf_counter() - began)
 
 
-def _near(found: Diagnosis, binding: Binding, series: Sequence[np.ndarray]) -> bool:
-    """Whether a nominal model can reach noise that counts all that two simulators differ by: whatever its numbers, it leaves no
-    less of the fit runs than the best one, weighed by the channel in which noise grows most."""
-    wide = np.hypot(binding.sigma, np.sqrt(np.mean(np.concatenate(series) ** 2, 0)))
-    count = sum(len(e.t) for e in binding.experiments("fit")) * len(wide)
-    return bool(found.nominal.loss * np.min(binding.sigma / wide) ** 2 <= level(count))
-
-
 def _decided(
-    bench: Bench, names: Sequence[str], bare: Proposal, sets: Sequence[Proposal], seed: int, began: float,
-    progress: Progress | None, offer: Offer,
-) -> tuple[Fit, Search]:  # fmt: skip
-    decider = Decider(bench, names, progress, 0, 1 + len(sets))
+    bench: Bench, names: Sequence[str], bare: Proposal, sets: Sequence[Proposal], between: Sequence[np.ndarray] | None, seed: int,
+    began: float, progress: Progress | None, offer: Offer,
+) -> tuple[Fit, Search, bool]:  # fmt: skip
+    """The nominal fit, what was chosen, and whether what two simulators differ by accounts for what the nominal model leaves."""
+    decider = Decider(bench, names, between, progress, 0, 1 + len(sets))
     theta, _ = as_vector(bench.binding, names, bare)
     nominal = decider.refit((), theta)
 
@@ -161,4 +159,4 @@ def _decided(
     search = decider.decided(nominal, sets)
     plain = decider.settled(search.nominal)
     search.settled = plain, decider.settled(search.chosen) if search.chosen.effects else plain
-    return fitted(plain.path), search
+    return fitted(plain.path), search, decider.alike(nominal)

@@ -32,6 +32,7 @@ class Decider:
 
     bench: Bench
     names: Sequence[str]  # of the nominal model's numbers
+    between: Sequence[np.ndarray] | None = None  # what two simulators of the file differ by in the fit runs, [samples ny] each
     progress: Progress | None = None
     done: int = 0
     total: int = 1
@@ -80,7 +81,8 @@ class Decider:
             own = [pool[p] for p in places if p in pool]
             if own:
                 tried.append(self.refit(own, theta, nominal.path))
-        good = [h for h in tried if np.isfinite(h.fit_loss) and significant(nominal, h)]
+        limit = self._with_their_difference(nominal)
+        good = [h for h in tried if np.isfinite(h.fit_loss) and significant(nominal, h) and h.fit_loss < limit]
         if not good:
             return Search(nominal, nominal, tried)
         enough = [h for h in good if self._at_noise(h)]
@@ -89,6 +91,27 @@ class Decider:
         mates = [c for h in tried if h is not chosen and len(h.effects) <= len(chosen.effects) and indistinct(chosen, h)
                  for c in h.effects if c not in chosen.effects]  # fmt: skip
         return Search(nominal, chosen, tried, mates, None, len({c.effect for c in chosen.effects}) > 1)
+
+    def alike(self, nominal: Hypothesis) -> bool:
+        """Whether what two simulators differ by accounts for all that the re-tuned model leaves."""
+        return self._with_their_difference(nominal) <= level(nominal.path.count)
+
+    def _with_their_difference(self, nominal: Hypothesis) -> float:
+        """What the re-tuned model would leave of the fit runs if it were simulated as the other simulator does, in part or in
+        full, to first order: an effect that leaves more stands for what a simulation makes of the file."""
+        at, p = self.slopes, nominal.path.problem
+        if at is None or self.between is None or at.names != p.names:
+            return np.inf
+        where = [p.runs.record(record).samples for record in p.records]
+        apart = np.concatenate([(p.weights[k] * x).ravel() for k, x in zip(where, self.between, strict=True)])
+        A = np.column_stack([at.J, apart])
+        size = np.maximum(np.linalg.norm(A, axis=0), 1e-300)
+        by = -np.linalg.lstsq(A / size, at.r, rcond=1e-10)[0] / size
+        if by[-1] != (part := np.clip(by[-1], 0.0, 1.0)):
+            by[-1] = part
+            by[:-1] = -np.linalg.lstsq(A[:, :-1] / size[:-1], at.r + part * apart, rcond=1e-10)[0] / size[:-1]
+        left = at.r + A @ by
+        return float(left @ left) / nominal.path.count
 
     def _at_noise(self, h: Hypothesis) -> bool:
         return h.validation.loss <= level(h.validation.count) and h.fit_loss <= level(h.path.count)
