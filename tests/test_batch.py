@@ -246,7 +246,7 @@ def uninterrupted(home: Path, study: Path) -> list[dict]:
     return table(home / "straight")
 
 
-@pytest.mark.parametrize("together", [False, True])
+@pytest.mark.parametrize("together", [False, pytest.param(True, marks=pytest.mark.slow)])
 def test_poison_and_random_deaths(home, together):
     """One task kills its process each time, and processes are killed at random: all others have a result."""
     study = write_study(home, "seeds = 100")

@@ -94,6 +94,7 @@ def test_recursion_ends_where_least_squares_does(quiet):
     assert forgets.parameters["inertia"].value != batch.parameters["inertia"].value
 
 
+@pytest.mark.slow
 def test_least_squares_is_the_minimum_that_lm_finds_and_keeps_bounds(quiet):
     linear = jaxid.fit("joint", quiet, fitter="ls")
     general = jaxid.fit("joint", quiet, fitter="lm", residual="inverse_dynamics")

@@ -234,6 +234,7 @@ print(json.dumps([d.which.verdict, d.how_far.gap_after, [[e.effect, {k: p.value 
 """
 
 
+@pytest.mark.slow
 @pytest.mark.skipif(not hasattr(os, "sched_setaffinity"), reason="this system ties no process to a core")
 def test_one_core_and_all_give_the_same_bits(tmp_path):
     data = recording("pendulum", 1, load=0.1)
@@ -449,6 +450,7 @@ def test_runs_that_begin_in_motion_are_not_taken_for_a_gap():
     assert by_parts.how_far.gap_after < 1.3 and "leave open" not in by_parts.how_far.text
 
 
+@pytest.mark.slow
 def test_what_contains_a_hypothesis_leads_it_out_of_a_local_minimum():
     """Dry friction alone had ended at 79 times the noise where Stribeck's law beside it ended at the noise, without any of it."""
     names = ["coulomb_friction", "stribeck_friction"]

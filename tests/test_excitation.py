@@ -201,6 +201,7 @@ def test_files_of_a_ur(arm, tmp_path):
     assert np.abs(r.theta[:40] - truth).max() < 0.4
 
 
+@pytest.mark.slow
 def test_inputs_show_what_they_claim():
     """Least squares on noisy simulations scatter as the design says they will."""
     known = {"inertia": 0.06, "gravity_torque": 1.3, "viscous": 0.05, "coulomb": 0.1, "offset": 0.02}

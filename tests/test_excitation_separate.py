@@ -117,6 +117,7 @@ def test_nothing_is_designed_where_nothing_drives(diagnosis, recordings):
         dataclasses.replace(diagnosis, rivals=quiet).next_run()
 
 
+@pytest.mark.slow
 def test_the_command_writes_it(monkeypatch, diagnosis, tmp_path: Path):
     from click.testing import CliRunner
 
