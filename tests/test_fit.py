@@ -292,7 +292,9 @@ def test_fitters_keep_bounds_and_repeat(problem, kind):
     fields = {f.name for f in dataclasses.fields(kind)}
     if not {"popsize", "restarts"} & fields:
         pytest.skip("not a search: models linear in their parameters only")
-    small = {k: v for k, v in {"popsize": 16, "generations": 10, "restarts": 2, "iterations": 6, "steps": 200}.items() if k in fields}
+    small = {
+        k: v for k, v in {"popsize": 16, "generations": 10, "restarts": 2, "iterations": 6, "steps": 200}.items() if k in fields
+    }
     for seed in (0, 1):
         found = [kind(**small).minimise(problem, [problem.z(problem.base)], jax.random.key(seed)) for _ in range(2)]
         assert np.array_equal(found[0].z, found[1].z) and found[0].loss == found[1].loss

@@ -121,8 +121,9 @@ class Chooser:
     # ---- search
 
     def run(self) -> Model:
-        chosen = self.nominal
-        while len(self._kinds(chosen.units)) < self.most and not self.enough(chosen):
+        chosen, seen = self.nominal, set[tuple[int, ...]]()
+        while chosen.units not in seen and len(self._kinds(chosen.units)) < self.most and not self.enough(chosen):
+            seen.add(chosen.units)  # what is added and what is taken back could follow each other for ever
             found = [m for m in self._wider(chosen) if self.accepted(chosen, m)]
             if not found:
                 break
