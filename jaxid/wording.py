@@ -102,6 +102,15 @@ def listed(names: Iterable[str]) -> str:
     return names[0] if len(names) == 1 else f"{', '.join(names[:-1])} and {names[-1]}" if names else ""
 
 
+def placed(names: Iterable[str]) -> str:
+    """`lag at tau1 and tau2 and drag at q1` of `lag at tau1`, `lag at tau2`, `drag at q1`: every effect once, with its places."""
+    places: dict[str, list[str]] = {}
+    for name in names:
+        effect, _, place = name.partition(" at ")
+        places.setdefault(effect, []).append(place)
+    return " and ".join(f"{effect} at {listed(at)}" if any(at) else effect for effect, at in places.items())
+
+
 def regime_words(regime: str) -> str:
     return one_line(regime).replace("_", " ")
 

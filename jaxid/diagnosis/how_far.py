@@ -103,7 +103,8 @@ def model_before(binding: Binding, retuned: np.ndarray) -> tuple[np.ndarray, str
     """The model before anything was fitted: a robot's file as it stands; of other models the values that the dataset states, and
     what it does not state re-tuned."""
     if is_robot(binding.chain.mechanism):
-        return as_it_stands(binding)
+        theta, what = as_it_stands(binding)
+        return theta, f"Before is {what}."
     theta = retuned.copy()
     stated = [i for i in binding.free if i in binding.stated]
     if not stated:

@@ -72,7 +72,7 @@ class WithinAStep(Reason):
 @dataclass(frozen=True)
 class NothingExplains(Reason):
     gap: float
-    form = "There is a gap ({gap:times} times the noise), and no effect of the library explains it."
+    form = "There is a gap ({gap:times} times the noise on validation data), and no effect of the library explains it."
 
 
 @dataclass(frozen=True)

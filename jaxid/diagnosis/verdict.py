@@ -38,6 +38,7 @@ from jaxid.errors import UsageError
 from jaxid.fitting.scores import scored
 from jaxid.problem.binding import Binding
 from jaxid.simulation.sample_buffers import columns
+from jaxid.wording import placed
 
 
 class Diverged(UsageError):
@@ -99,7 +100,7 @@ def judge(search: Search, counted: np.ndarray | None = None) -> Verdict:
             return Verdict("none", (AtTheNoise(),))
         return Verdict("unknown", (NothingExplains(gap), *_nearer(search)))
     closed = shrinking.closed(nominal.loss, chosen.loss)
-    names = " and ".join(str(c) for c in search.chosen.effects)
+    names = placed(map(str, search.chosen.effects))
     left = float(np.sqrt(max(chosen.loss, 1.0)))
     each = (Contributions(tuple((str(c), gap) for c, gap in search.without)),) if search.without else ()
     # Several that leave more than the noise may together only come close to something else.
@@ -138,7 +139,7 @@ def _nearer(search: Search) -> tuple[Reason, ...]:
     if top is None or top.validation.loss >= min(search.chosen.validation.loss, search.nominal.validation.loss):
         return ()
     share = shrinking.closed(search.nominal.validation.loss, top.validation.loss)
-    return (NearerOnValidation(" and ".join(str(c) for c in top.effects), share),)
+    return (NearerOnValidation(placed(map(str, top.effects)), share),)
 
 
 def upheld(verdict: Verdict, gaps: Gaps, several: bool = False) -> Verdict:

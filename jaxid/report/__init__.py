@@ -45,6 +45,7 @@ def diagnosis_page(diagnosis: Diagnosis) -> str:
         checked.before(diagnosis.data),
         answer.section(diagnosis),
         carry.section(diagnosis.final, "diagnosis.json"),
+        checked.asked(diagnosis.data),
         yardstick.section(diagnosis.how_far.per_joint, diagnosis.final.stated),
         unseen.section(diagnosis.unseen),
         traces.section(diagnosis.traces),
@@ -63,6 +64,7 @@ def fit_page(fit: Fit) -> str:
         checked.before(fit.data),
         fitted.section(fit),
         carry.section(fit, "fit.json"),
+        checked.asked(fit.data),
         yardstick.section(fit.per_joint, fit.stated),
         parameters.section(fit),
         traces.section(fit.traces),
@@ -79,7 +81,12 @@ def comparison_page(comparison: Comparison) -> str:
 
 def identification_page(result: Identification) -> str:
     """The page of an identification."""
-    sections = [checked.before(result.data), identified.section(result), carry.section(result, "identification.json")]
+    sections = [
+        checked.before(result.data),
+        identified.section(result),
+        carry.section(result, "identification.json"),
+        checked.asked(result.data),
+    ]
     return render(f"{one_line(result.dataset)}: identification", sections, "identification.json", json_bytes(result))
 
 

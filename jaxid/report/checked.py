@@ -1,4 +1,4 @@
-"""What a recording says about itself: the page of `jaxid check`, and the first lines of every other page."""
+"""What a recording says about itself: the page of `jaxid check`, and the part of every other page that says it."""
 
 from __future__ import annotations
 
@@ -21,11 +21,17 @@ def section(checked: Checked) -> Section:
 
 
 def before(findings: Sequence[DataFinding]) -> Section | None:
-    """Findings before an answer; None where there are none."""
-    if not findings:
+    """What was found in a recording before an answer; None where nothing was, or only asked."""
+    if not any(f.applied or f.decisive for f in findings):
         return None
-    applied = data_lines(findings)
-    return _section(findings, " ".join(applied) or "Questions about the recording", "", "", ())
+    return _section(findings, " ".join(data_lines(findings)) or "Found in the recording, and not applied", "", "", ())
+
+
+def asked(findings: Sequence[DataFinding]) -> Section | None:
+    """Questions about a recording, after an answer; None where there are none, or where they stand with what was found."""
+    if not findings or before(findings):
+        return None
+    return _section(findings, "Questions about the recording", "", "", ())
 
 
 def _section(findings, headline: str, dataset: str, model: str, notes) -> Section:
@@ -37,6 +43,7 @@ def _section(findings, headline: str, dataset: str, model: str, notes) -> Sectio
             "model": model,
             "rows": [(f, _state(f), _gap(f), f.line.split("\n") if f.line else [], _same(f)) for f in findings],
             "notes": notes,
+            "mending": any(f.line or _gap(f) for f in findings),
         },
     )
 
