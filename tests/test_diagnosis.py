@@ -23,7 +23,7 @@ from jaxid.diagnosis.prior_pull import brought_back, put_back
 from jaxid.diagnosis.proposals import exchanged
 from jaxid.diagnosis.reasons import Lacks
 from jaxid.diagnosis.search import Searcher, THOROUGH
-from jaxid.diagnosis.selection import not_borne_out, outweighed, simpler
+from jaxid.diagnosis.selection import mirrored, not_borne_out, outweighed, simpler
 from jaxid.diagnosis.thresholds import LIMITS
 from jaxid.diagnosis.verdict import Gaps, judge, upheld, Verdict
 from jaxid.fitting.least_squares import descend
@@ -517,6 +517,16 @@ def test_a_recorded_servo_lacks_load_dependent_friction():
     row = xl330.diagnosed()
     assert row["friction"] == "partly: load_dependent_friction at q"
     assert row["MAE of the logs with gain 200, held out, rad"] < 0.032
+
+
+def test_a_delay_at_either_end_of_a_plant_is_the_same_to_any_recording():
+    names = ["input_delay", "sensor_delay", "spring_torque"]
+    bench = Bench(bind("pendulum", recording("pendulum", 1), candidates=[catalogue.effect_class(n) for n in names]))
+    pool = candidates(bench, names)
+    into, out, spring = (next(c for c in pool if c.effect == n) for n in names)
+    named = lambda *effects: cast(Any, SimpleNamespace(effects=effects))
+    assert mirrored(bench, named(into), pool) == [out] and mirrored(bench, named(out, spring), pool) == [into]
+    assert mirrored(bench, named(spring), pool) == mirrored(bench, named(into, out), pool) == []
 
 
 def test_a_run_that_diverges_is_held_against_no_other():

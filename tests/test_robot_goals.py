@@ -21,15 +21,17 @@ from jaxid.diagnosis.goals.law_told import law_told
 from jaxid.diagnosis.goals.limits import limits_shown
 from jaxid.diagnosis.goals.plant import LedPlant
 from jaxid.diagnosis.goals.propose import proposals
+from jaxid.diagnosis.goals.search import Decider
 from jaxid.diagnosis.goals.study import LedStudy
 from jaxid.diagnosis.missing import missing_forces
 from jaxid.diagnosis.torque import plant as torque_plant
+from jaxid.diagnosis.torque.choose import Chooser
 from jaxid.diagnosis.torque.plant import inverse_of
 from jaxid.dynamics.parameter_vector import Form
 from jaxid.fitting.least_squares import descend
 from jaxid.fitting.problem_builder import Bench, estimate_starts
 from jaxid.fitting.result import Estimate
-from jaxid.fitting.secant import descend_on_secants
+from jaxid.fitting.secant import descend_on_secants, Slopes
 from jaxid.models import Robot
 from jaxid.models.effects import Saturation, StribeckFriction
 from jaxid.numerics import kept
@@ -271,16 +273,12 @@ def test_what_a_quadrupeds_calf_lacks_is_named_or_partly():
 
 def test_a_search_that_takes_back_what_it_adds_ends():
     """What is added and what is taken back would follow each other for ever."""
-    from types import SimpleNamespace
-
-    from jaxid.diagnosis.torque.choose import Chooser
-
-    none, one = (SimpleNamespace(units=u, loss=1.0, cost=1.0) for u in ((), (0,)))
+    none, one = cast(Any, [SimpleNamespace(units=u, loss=1.0, cost=1.0) for u in ((), (0,))])
 
     class Turning(Chooser):
         def __init__(self):
             self.most, self.enough, self.by_joint, self.__dict__["nominal"] = 3, lambda model: False, None, none
-            self.units = [SimpleNamespace(effect="one", joints=(0,))]
+            self.units: Any = [SimpleNamespace(effect="one", joints=(0,))]
 
         def _wider(self, chosen):
             return [one]
@@ -295,3 +293,24 @@ def test_a_search_that_takes_back_what_it_adds_ends():
             return chosen
 
     assert Turning().run() is none
+
+
+def test_what_two_simulators_differ_by_is_taken_off_what_is_left():
+    """In part or in full, never more and never the other way round, beside what re-tuned numbers take up."""
+    rng = np.random.default_rng(0)
+    n = 4000
+    noise, J, apart = rng.standard_normal(n), rng.standard_normal((n, 3)), np.sin(np.arange(n) / 50)
+    weight = 2.0  # per unit of the reading
+    runs = SimpleNamespace(record=lambda k: SimpleNamespace(samples=slice(0, n)))
+    p = SimpleNamespace(records=[0], runs=runs, weights=np.full((n, 1), weight), names=["a", "b", "c"])
+    nominal: Any = SimpleNamespace(path=SimpleNamespace(problem=p, count=n))
+
+    def left(share: float) -> float:
+        decider = Decider(cast(Any, None), p.names, [apart[:, None]])
+        r = noise + J @ [0.3, -0.2, 0.1] - share * weight * apart
+        decider.slopes = Slopes(p.names, np.zeros(3), r, J, np.zeros(3, int))
+        return decider._with_their_difference(nominal)
+
+    size = np.mean((weight * apart) ** 2)
+    for share, rest in ((0.0, 0.0), (0.4, 0.0), (1.0, 0.0), (2.0, size), (-1.0, size)):
+        assert abs(left(share) - np.mean(noise**2) - rest) < 0.1
