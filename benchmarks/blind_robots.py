@@ -311,7 +311,7 @@ def main() -> dict[str, Any]:
     alone = {s: kinds for s in seeds if len(kinds := {r["kind"] for r in rows if r["seed"] == s}) < len(KINDS)}
     only = "".join(f" Of seed {s} only {', '.join(sorted(kinds))} was asked." for s, kinds in alone.items())
     own = lambda seed: [r["right"] for r in rows if r["seed"] == seed]
-    by_seed = ", ".join(f"{sum(own(s))} of {len(own(s))}" for s in dict.fromkeys(r["seed"] for r in rows))
+    by_seed = ", ".join(f"{sum(own(s))} of {len(own(s))}" for s in seeds)
     text = (
         "Arms of two and three joints under MuJoCo's position actuators, 20 s at 500 Hz, encoders with noise of 1e-4 rad, "
         f"simulated by MuJoCo with one effect that the file does not have (seed {', '.join(map(str, seeds))}). Right: the effect "

@@ -102,13 +102,18 @@ def listed(names: Iterable[str]) -> str:
     return names[0] if len(names) == 1 else f"{', '.join(names[:-1])} and {names[-1]}" if names else ""
 
 
+def by_effect(pairs: Iterable[tuple[str, str]]) -> dict[str, list[str]]:
+    """Places of each effect, of (effect, place), in their order."""
+    places: dict[str, list[str]] = {}
+    for effect, place in pairs:
+        places.setdefault(effect, []).append(place)
+    return places
+
+
 def placed(names: Iterable[str]) -> str:
     """`lag at tau1 and tau2 and drag at q1` of `lag at tau1`, `lag at tau2`, `drag at q1`: every effect once, with its places."""
-    places: dict[str, list[str]] = {}
-    for name in names:
-        effect, _, place = name.partition(" at ")
-        places.setdefault(effect, []).append(place)
-    return " and ".join(f"{effect} at {listed(at)}" if any(at) else effect for effect, at in places.items())
+    pairs = ((effect, place) for effect, _, place in (name.partition(" at ") for name in names))
+    return " and ".join(f"{effect} at {listed(at)}" if any(at) else effect for effect, at in by_effect(pairs).items())
 
 
 def regime_words(regime: str) -> str:

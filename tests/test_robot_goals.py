@@ -309,7 +309,7 @@ def test_what_two_simulators_differ_by_is_taken_off_what_is_left():
         decider = Decider(cast(Any, None), p.names, [apart[:, None]])
         r = noise + J @ [0.3, -0.2, 0.1] - share * weight * apart
         decider.slopes = Slopes(p.names, np.zeros(3), r, J, np.zeros(3, int))
-        return decider._with_their_difference(nominal)
+        return decider.with_their_difference(nominal)
 
     size = np.mean((weight * apart) ** 2)
     for share, rest in ((0.0, 0.0), (0.4, 0.0), (1.0, 0.0), (2.0, size), (-1.0, size)):

@@ -10,6 +10,7 @@ from jaxid.conventions.finding import data_lines
 from jaxid.diagnosis.cause import words
 from jaxid.diagnosis.reasons import WithinAStep
 from jaxid.wording import (
+    by_effect,
     CLOSE,
     listed,
     number,
@@ -52,9 +53,7 @@ PLACES = 3
 
 def at_places(effects: Sequence[EffectEstimate]) -> str:
     """`dead zone at tau1 and tau2 and backlash at q1`: every effect once, with its places, or how many they are."""
-    places: dict[str, list[str]] = {}
-    for e in effects:
-        places.setdefault(e.effect, []).append(one_line(e.location))
+    places = by_effect((e.effect, one_line(e.location)) for e in effects)
     named = lambda at: listed(at) if len(at) <= PLACES else f"{len(at)} places"
     return listed(f"{one_line(effect).replace('_', ' ')} at {named(at)}" for effect, at in places.items())
 

@@ -15,7 +15,6 @@ from jaxid.diagnosis.torque.algebra import better, BLOCKS, gram, Weights
 from jaxid.diagnosis.torque.answer import of_model
 from jaxid.diagnosis.torque.choose import Chooser, Model
 from jaxid.diagnosis.torque.library import Unit
-from jaxid.diagnosis.torque.study import Rows
 from jaxid.dynamics.effect import BodyEffect, Effect, InputEffect, JointEffect
 from jaxid.problem.binding import Binding
 
@@ -47,40 +46,35 @@ def shown(kind: type[Effect]) -> bool:
 
 def proposals(study: LedStudy, most: int) -> tuple[Proposal, list[Proposal]]:
     """The nominal model, and sets of effects, the chosen one first; none where nothing predicts the held-out runs better."""
-    asked = Asked.along(study, study.theta, most)
+    asked = Asked(study, study.theta, most)
     bare = _proposal(study, asked.chooser, asked.chooser.nominal)
     if asked.at_noise(asked.chooser.nominal):
         return bare, []
     chooser, chosen = asked.searched()
     if not chosen.units:
         # Re-tuning for an effect that is missing can lead the numbers far away: now along the free run of what was stated.
-        chooser, chosen = Asked.along(study, study.binding.theta, most).searched()
+        chooser, chosen = Asked(study, study.binding.theta, most).searched()
     first = [chosen] if chosen.units else []
     limits = [Proposal((u,), (np.ones(1),), study.binding.theta.copy()) for u in limits_shown(study)[:1]]
     return bare, [*limits, *(_proposal(study, chooser, m) for m in [*first, *_next(chooser, chosen)])][:FIRST]
 
 
-@dataclass(frozen=True, eq=False)
 class Asked:
-    """Every effect as columns along a free run, and the search among them by the noise that the re-tuned model leaves."""
+    """Every effect as columns along the free run of numbers theta, and the search among them."""
 
-    study: LedStudy
-    rows: Rows
-    most: int
-    chooser: Chooser
+    def __init__(self, study: LedStudy, theta: np.ndarray, most: int):
+        self.study, self.most = study, most
+        self.fit, self.held = study.of("fit"), study.of("validation") or study.of("fit")
+        self.rows, white = study.rows_with_effects(theta)
+        self.chooser = self._by(white)
 
-    @classmethod
-    def along(cls, study: LedStudy, theta: np.ndarray, most: int) -> Asked:
-        rows, white = study.rows_with_effects(theta)
-        return cls(study, rows, most, cls._chooser(study, rows, white, most))
-
-    @staticmethod
-    def _chooser(study: LedStudy, rows: Rows, white: Weights, most: int) -> Chooser:
-        fit, held = study.of("fit"), study.of("validation") or study.of("fit")
-        return study.chooser(rows, white, fit, held, most, lambda m: _at_noise(study, rows, m))
+    def _by(self, white: Weights) -> Chooser:
+        return self.study.chooser(self.rows, white, self.fit, self.held, self.most, self.at_noise)
 
     def at_noise(self, m: Model) -> bool:
-        return _at_noise(self.study, self.rows, m)
+        answer = of_model(self.study, self.rows, m)
+        joints = range(len(self.study.noise))
+        return all(not answer.gap(which, j) > LIMITS.seen for which in (self.fit, self.held) for j in joints)
 
     def searched(self) -> tuple[Chooser, Model]:
         """What is chosen, by the noise that the best set leaves where nothing is by that of the re-tuned model: a large effect
@@ -91,16 +85,9 @@ class Asked:
             best = min(chooser.tried, key=lambda m: m.loss)
             if chosen.units or not best.units:
                 break
-            white = self.study.weights_of(self.rows, best.solution)
-            chooser = self._chooser(self.study, self.rows, white, self.most)
+            chooser = self._by(self.study.weights_of(self.rows, best.solution))
             chosen = chooser.run()
         return chooser, chosen
-
-
-def _at_noise(study: LedStudy, rows: Rows, m: Model) -> bool:
-    answer = of_model(study, rows, m)
-    which = study.of("fit"), study.of("validation") or study.of("fit")
-    return all(not answer.gap(runs, j) > LIMITS.seen for runs in which for j in range(len(study.noise)))
 
 
 def _next(chooser: Chooser, chosen: Model) -> list[Model]:

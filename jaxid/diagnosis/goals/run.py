@@ -16,6 +16,7 @@ from jaxid.diagnosis.goals.search import Decider
 from jaxid.diagnosis.goals.study import LedStudy, loop_step
 from jaxid.diagnosis.hypothesis import Search
 from jaxid.diagnosis.result import Diagnosis
+from jaxid.diagnosis.verdict import level
 from jaxid.dynamics.chain import Chain
 from jaxid.dynamics.effect import Effect
 from jaxid.dynamics.joint_readings import all_read
@@ -156,7 +157,8 @@ def _decided(
         return assemble(bench, path.problem, minimum, OutputError(), "lm", seed, bench.compile_time(), spent)
 
     offer(fitted, Search(nominal, nominal))
-    search = decider.decided(nominal, sets)
+    limit = decider.with_their_difference(nominal)
+    search = decider.decided(nominal, sets, limit)
     plain = decider.settled(search.nominal)
     search.settled = plain, decider.settled(search.chosen) if search.chosen.effects else plain
-    return fitted(plain.path), search, decider.alike(nominal)
+    return fitted(plain.path), search, limit <= level(nominal.path.count)

@@ -68,8 +68,9 @@ class Decider:
         self.evaluations += spent
         return Hypothesis(h.effects, p.theta(path.z), path, h.validation)
 
-    def decided(self, nominal: Hypothesis, sets: Sequence[Proposal]) -> Search:
+    def decided(self, nominal: Hypothesis, sets: Sequence[Proposal], limit: float) -> Search:
         """Of the sets that were proposed the one that simulations bear out; its effects taken back where they are not missed.
+        `limit`: what each has to stay below on the fit runs (`with_their_difference`).
         None is asked where the re-tuned model reaches the noise: what two simulators differ by is coloured, and is no effect."""
         if not sets or judge(Search(nominal, nominal)).name == "none":
             return Search(nominal, nominal)
@@ -81,7 +82,6 @@ class Decider:
             own = [pool[p] for p in places if p in pool]
             if own:
                 tried.append(self.refit(own, theta, nominal.path))
-        limit = self._with_their_difference(nominal)
         good = [h for h in tried if np.isfinite(h.fit_loss) and significant(nominal, h) and h.fit_loss < limit]
         if not good:
             return Search(nominal, nominal, tried)
@@ -92,11 +92,7 @@ class Decider:
                  for c in h.effects if c not in chosen.effects]  # fmt: skip
         return Search(nominal, chosen, tried, mates, None, len({c.effect for c in chosen.effects}) > 1)
 
-    def alike(self, nominal: Hypothesis) -> bool:
-        """Whether what two simulators differ by accounts for all that the re-tuned model leaves."""
-        return self._with_their_difference(nominal) <= level(nominal.path.count)
-
-    def _with_their_difference(self, nominal: Hypothesis) -> float:
+    def with_their_difference(self, nominal: Hypothesis) -> float:
         """What the re-tuned model would leave of the fit runs if it were simulated as the other simulator does, in part or in
         full, to first order: an effect that leaves more stands for what a simulation makes of the file."""
         at, p = self.slopes, nominal.path.problem
