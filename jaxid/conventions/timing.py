@@ -19,7 +19,8 @@ from jaxid.wording import listed
 
 #: A delay is one of whole rows if it is known so well (rows) and lies so close to them.
 KNOWN, CLOSE = 0.12, 0.25
-SURE = 6.0  # standard deviations
+#: Standard deviations from which a drift is said, and from which it is tried: nothing fits well, and is known well, before it.
+SURE, LIKELY = 6.0, 2.0
 #: A clock's drift moves the input by at least so many rows within a run.
 DRIFT = 0.7
 MOST_ROWS, MOST_DRIFT = 6.0, 0.02
@@ -40,7 +41,7 @@ def lateness(fit: ForceFit, m: Motion, as_one: bool = False) -> tuple[list[Late]
     and the motion without."""
     nu, nq, size = len(m.mix), fit.nq, len(fit.free)
     late: list[Late] = []
-    for _ in range(4):
+    for least in (LIKELY, LIKELY, SURE, SURE):
         fitted = fit.fit(replace(m, held=np.zeros(len(m.held), bool)))
         theta = fit.binding.theta.copy()
         theta[fit.free] = fitted.x[:size]
@@ -65,7 +66,7 @@ def lateness(fit: ForceFit, m: Motion, as_one: bool = False) -> tuple[list[Late]
         steps = [*steps[:1] * nu, *steps[1:] * nu] if as_one else steps
         good = lambda pair, most: float(np.clip(pair[0], -most, most)) if np.isfinite(pair[1]) else 0.0
         drift = np.array([good(p, MOST_DRIFT) for p in steps[nu:]])
-        sure = together((m.drift + drift)[:told], np.array([s for _, s in steps[nu:]])[:told]) is not None
+        sure = together((m.drift + drift)[:told], np.array([s for _, s in steps[nu:]])[:told], least) is not None
         change = drift if sure else -m.drift
         rows = np.array([good(p, 2.0) for p in steps[:nu]]) - change * m.since.mean() / m.step
         late = [Late(float(m.rows[k] + rows[k]), steps[k][1], float(m.drift[k] + change[k]), steps[nu + k][1]) for k in range(nu)]
@@ -73,7 +74,7 @@ def lateness(fit: ForceFit, m: Motion, as_one: bool = False) -> tuple[list[Late]
     return late, m
 
 
-def together(values: np.ndarray, stds: np.ndarray) -> tuple[float, float] | None:
+def together(values: np.ndarray, stds: np.ndarray, least: float = SURE) -> tuple[float, float] | None:
     """Mean and standard deviation of what several inputs say, where that is surely not zero and they agree."""
     known = np.isfinite(stds) & (stds > 0)
     if not known.any():
@@ -81,7 +82,7 @@ def together(values: np.ndarray, stds: np.ndarray) -> tuple[float, float] | None
     weight = np.where(known, 1 / np.where(known, stds, 1.0) ** 2, 0.0)
     mean, std = float(np.sum(weight * values) / weight.sum()), float(1 / np.sqrt(weight.sum()))
     agree = bool(np.all(np.abs(values - mean)[known] <= 3 * stds[known] + 0.02 * abs(mean)))
-    return (mean, std) if agree and abs(mean) > SURE * std else None
+    return (mean, std) if agree and abs(mean) > least * std else None
 
 
 def _own_laws(m: Motion) -> np.ndarray:
@@ -98,22 +99,27 @@ def timed(binding: Binding, fit: ForceFit, m: Motion, names: Names) -> Iterator[
     too."""
     plain, recorded = fit.fit(m), m
 
-    def closes(moved: Motion) -> bool:
+    def closes(moved: Motion, before: float = plain.worst) -> bool:
         """What is left is much less, or noise; a drift without which nothing fits has shown it."""
         left = fit.fit(moved)
-        return m is not recorded or left.worst <= max(GONE * plain.worst, ALIKE * fit.noise(left, binding, moved))
+        return m is not recorded or left.worst <= max(GONE * before, ALIKE * fit.noise(left, binding, moved))
+
+    def grows(late: list[Late], drift: float) -> bool:
+        """The same for a drift, beside what is late all the time and may be a delay."""
+        drifts = drift * np.ones(len(late))
+        if common is None:
+            return closes(replace(m, drift=drifts))
+        rows = np.array([x.rows for x in late])
+        without = replace(m, rows=rows + drift * float(m.since.mean()) / m.step, drift=0 * drifts)
+        return closes(replace(m, rows=rows, drift=drifts), fit.fit(without).worst)
 
     if plain.worst > GONE or not names.inputs:  # what is missing is something else
         if (drifting := _far_drift(fit, m, plain)) is None:
             return
         m = drifting
     late, common, drifting = _told(fit, m)
-    if m is recorded and drifting is None and common is not None and abs(common[0] - round(common[0])) > CLOSE:
-        # No delay has part of a row: does it grow?
-        if (moved := _far_drift(fit, m, plain)) is not None:
-            _, _, drifting = _told(fit, moved)
     if drifting is not None and DRIFT * m.step < abs(drifting[0]) * float(m.since.max()) and abs(drifting[0]) < 0.015:
-        if closes(replace(m, drift=drifting[0] * np.ones(len(late)))):
+        if grows(late, drifting[0]):
             yield _clock(binding, m, names, *drifting)
             return
     for k, x in enumerate(late):
