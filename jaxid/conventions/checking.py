@@ -31,6 +31,7 @@ from jaxid.dynamics.chain import Chain
 from jaxid.errors import DatasetError, DatasetWarning, UsageError
 from jaxid.problem.binding import bind, Binding
 from jaxid.robots.floating import wanted
+from jaxid.robots.stops import sentences_of
 
 
 #: What a short fit of a bound model, with more effects, leaves of a dataset, times the noise; None where nothing is simulated.
@@ -65,6 +66,7 @@ def run_check(
                     if found[-1].applied:
                         data = read_as(data, OTHER)
                         binding = _bound(model, data, tuple(without))[0] or binding
+                notes += sentences_of(binding.chain.mechanism, binding.dataset)
                 more, data = _by_model(binding, data, as_recorded, gap)
                 found += more
             except UsageError as error:  # what these data do not allow is not the end of what comes after

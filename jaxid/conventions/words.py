@@ -34,6 +34,8 @@ def headline(checked: Checked) -> str:
     if not checked.findings and not checked.model:
         return "Nothing found in the samples themselves; no model was asked."
     if not checked.findings:
+        if checked.notes:
+            return "Nothing found in what was compared; see the notes."
         return "Nothing found: the recording contradicts neither itself nor the model."
     if not checked.usable:
         return "The recording cannot be used as it is."

@@ -17,6 +17,7 @@ from jaxid.dynamics.chain import Chain
 from jaxid.dynamics.joint_readings import with_speeds
 from jaxid.dynamics.parameter import with_fields
 from jaxid.errors import nearest, UsageError
+from jaxid.robots import stops
 from jaxid.robots.beside import as_inputs, left_out, rides, with_base, with_rates
 from jaxid.robots.drives import file_law, stated_law
 from jaxid.robots.floating import ANGLES, floating, refuse_unmeasured, wanted
@@ -315,4 +316,4 @@ def notes_of(model: Any, dataset: Dataset) -> tuple[str, ...]:
     law = matched(model, dataset).mechanism.drive_law  # type: ignore[attr-defined]
     notes = notes if law is None else (*notes, law.text)
     impossible = [f"{text}: no body has it, the nearest one is simulated" for text in tree.impossible]
-    return (*tree.notes, *impossible, *notes)
+    return (*tree.notes, *impossible, *notes, *stops.sentences(tree, dataset))
