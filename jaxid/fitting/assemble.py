@@ -172,9 +172,9 @@ def numbers_covariance(binding: Binding, problem: Problem, z: np.ndarray, cov: C
     """That of the fitted numbers themselves, of which some are searched by their logarithm."""
     n, slope = len(problem.free), problem.dtheta(z)
     known = np.where(np.isfinite(cov.std[:n]), slope, np.nan)
-    return results.Covariance(
-        tuple(binding.layout.names[i] for i in problem.free), cov.matrix[:n, :n] * known * known[:, None]
-    )  # fmt: skip
+    names = tuple(binding.layout.names[i] for i in problem.free)
+    doubts = np.array([binding.doubts.get(name, 0.0) for name in names])  # of one cause: they come together
+    return results.Covariance(names, cov.matrix[:n, :n] * known * known[:, None] + np.outer(doubts, doubts))
 
 
 def fitted_chain(binding: Binding, theta: np.ndarray, added: Sequence[EffectEstimate]) -> Chain:

@@ -7,8 +7,8 @@ difference is no gap of the model.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from dataclasses import replace
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -18,6 +18,7 @@ from jaxid.fitting.problem_builder import Bench, estimate_starts
 from jaxid.fitting.replay import in_mujoco
 from jaxid.fitting.scores import free_runs
 from jaxid.problem.binding import Binding
+from jaxid.robots import stops
 from jaxid.robots.tree import Tree
 from jaxid.robots.yardstick import as_it_stands
 
@@ -30,9 +31,25 @@ def file_of(binding: Binding) -> Path | None:
     return found[0] if found else None
 
 
-def between_simulators(bench: Bench) -> list[np.ndarray] | None:
-    """What MuJoCo's free runs of the file as it stands differ by from jaxid's, [samples n] of each fit run; None where MuJoCo has
-    no run of it."""
+@dataclass(frozen=True)
+class Between:
+    """MuJoCo's free runs of the file as it stands: what they differ by from jaxid's, [samples n] of each fit run, and the root
+    mean square [n] of what they leave of the readings."""
+
+    apart: list[np.ndarray]
+    left: np.ndarray
+
+    @property
+    def size(self) -> np.ndarray:
+        return _rms(self.apart)
+
+
+def _rms(series: Sequence[np.ndarray]) -> np.ndarray:
+    return np.sqrt(np.mean(np.concatenate(series) ** 2, 0))
+
+
+def between_simulators(bench: Bench) -> Between | None:
+    """None where MuJoCo has no run of the file."""
     b = bench.binding
     path = file_of(b)
     if path is None or not b.experiments("fit"):
@@ -50,7 +67,8 @@ def between_simulators(bench: Bench) -> list[np.ndarray] | None:
     apart = [y - x[:, :n] for x, y in zip(ours, theirs, strict=True)]
     if not all(np.isfinite(x).all() for x in apart) or b.chain.joint_outputs != list(range(len(b.sigma))):
         return None
-    return apart
+    left = [e.y[:, b.chain.joint_outputs] - y for e, y in zip(data.experiments, theirs, strict=True)]
+    return Between(apart, _rms(left))
 
 
 def with_floor(binding: Binding, apart: np.ndarray | None, numbers: Mapping[str, float] | None = None) -> Binding:
@@ -64,5 +82,23 @@ def with_floor(binding: Binding, apart: np.ndarray | None, numbers: Mapping[str,
         text = f"{told.text}; MuJoCo and jaxid differ by {own:.2g} {told.unit} on the same file: nearer"
         text += f" than {new:.2g} says nothing"
         noise[name] = replace(told, std=float(new), text=text) if new > 1.2 * old else told
-    doubts = {name: abs(x) for name, x in (numbers or {}).items()}
-    return replace(binding, sigma=sigma, noise={**binding.noise, **noise}, doubts=doubts)
+    return replace(binding, sigma=sigma, noise={**binding.noise, **noise}, doubts=dict(numbers or {}))
+
+
+def not_this_file(binding: Binding, between: Between | None, apart: np.ndarray | None) -> str:
+    """Where jaxid's run of the file is further from MuJoCo's, whatever the numbers (`apart`, rms [n]), than MuJoCo's is from the
+    recording: what is left then is jaxid's own, and no model of it tells of the robot. Empty where it tells."""
+    if between is None or apart is None:
+        return ""
+    far = [k for k, x in enumerate(apart) if x > max(between.left[k], binding.sigma[k])]
+    if not far:
+        return ""
+    worst = max(far, key=lambda k: apart[k] / between.left[k])
+    names = [name for name, _ in binding.chain.signature.outputs]
+    unit = binding.noise[names[worst]].unit
+    text = (
+        f"MuJoCo's run of the file leaves {between.left[worst]:.2g} {unit} of {names[worst]}, and jaxid's run of the same file "
+        f"lies {apart[worst]:.2g} {unit} from that one, whatever its numbers: something that the file says and jaxid does not "
+        "simulate acts in this recording, and what is left says nothing of the robot."
+    )
+    return " ".join((text, *(f"{s}." for s in stops.sentences_of(binding.chain.mechanism, binding.dataset))))

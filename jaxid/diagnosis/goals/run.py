@@ -9,7 +9,7 @@ from dataclasses import replace
 import numpy as np
 
 from jaxid.data.dataset import Dataset
-from jaxid.diagnosis.goals.floor import between_simulators, with_floor
+from jaxid.diagnosis.goals.floor import between_simulators, not_this_file, with_floor
 from jaxid.diagnosis.goals.law_told import law_told
 from jaxid.diagnosis.goals.propose import as_vector, goes_the_other_way, kinds_of, Proposal, proposals, shown, with_other_hold
 from jaxid.diagnosis.goals.search import Decider
@@ -101,8 +101,11 @@ def diagnose_led(
         dataset, study = swapped, other
         study.tuned(study.theta)
     say("along the motion", 1, 3, "noise")
-    series = between_simulators(Bench(study.binding, step, differences=1))
-    doubts, apart = ({}, None) if series is None else study.taken_up(series)
+    between = between_simulators(Bench(study.binding, step, differences=1))
+    series = None if between is None else between.apart
+    doubts, simulated = ({}, None) if series is None else study.taken_up(series, clocks=False)
+    apart = None if series is None else study.taken_up(series)[1]
+    strange = not_this_file(study.binding, between, simulated)
     study = study.with_binding(with_floor(study.binding, apart))
     say("along the motion", 2, 3, f"effects, {len(kinds)} kinds")
     bare, sets = proposals(study, max_effects)
@@ -122,11 +125,15 @@ def diagnose_led(
         fit, found, alike = decided(bench, offer, sets, series)
         return fit, found
 
-    found = answer(wide, names, search, step)
-    if found.which.verdict == "unknown" and alike and series is not None:
+    if strange:  # what is left is judged by the readings' own noise, and nothing is asked
+        own = bind(model, dataset, without=without)
+        found = answer(own, (), lambda bench, offer: decided(bench, offer, [], None)[:2], step)
+        found = replace(found, which=replace(found.which, text=f"{found.which.text} {strange}"))
+    else:
+        found = answer(wide, names, search, step)
+    if not strange and found.which.verdict == "unknown" and alike and between is not None:
         # No effect is borne out, and what two simulators of the file as it stands differ by accounts for what is left.
-        whole = np.sqrt(np.mean(np.concatenate(series) ** 2, 0))
-        plain = with_floor(bind(model, dataset, without=without), whole, doubts)
+        plain = with_floor(bind(model, dataset, without=without), between.size, doubts)
         again = answer(plain, (), lambda bench, offer: decided(bench, offer, [], None)[:2], step)
         if again.which.verdict == "none":
             text = (
@@ -158,7 +165,7 @@ def _decided(
 
     offer(fitted, Search(nominal, nominal))
     limit = decider.with_their_difference(nominal)
-    search = decider.decided(nominal, sets, limit)
+    search = decider.with_what_the_file_lacks(decider.decided(nominal, sets, limit))
     plain = decider.settled(search.nominal)
     search.settled = plain, decider.settled(search.chosen) if search.chosen.effects else plain
     return fitted(plain.path), search, limit <= level(nominal.path.count)

@@ -13,11 +13,14 @@ from jaxid.diagnosis.hypothesis import Candidate, candidates, Hypothesis, Search
 from jaxid.diagnosis.selection import indistinct, significant
 from jaxid.diagnosis.thresholds import LIMITS
 from jaxid.diagnosis.verdict import judge, level
+from jaxid.dynamics.effect import JointEffect
 from jaxid.fitting.fitter import Progress
 from jaxid.fitting.least_squares import Path
 from jaxid.fitting.problem_builder import Bench, estimate_starts
 from jaxid.fitting.secant import descend_on_secants, Slopes
+from jaxid.problem.binding import Binding
 from jaxid.problem.residual import OutputError
+from jaxid.robots.yardstick import MANY
 
 
 #: Iterations and tolerance of a refit from the numbers that were read along the measured motion.
@@ -38,13 +41,14 @@ class Decider:
     total: int = 1
     evaluations: int = field(default=0)
     slopes: Slopes | None = None  # of the nominal model's free runs, where its fit ended
+    asked: frozenset[int] = frozenset()  # numbers of the model that are asked for as effects
 
     def refit(self, effects: Sequence[Candidate], theta: np.ndarray, like: Path | None = None) -> Hypothesis:
         """A model with these effects fitted to the free runs from numbers theta; its runs begin as those of `like`."""
         told = " and ".join(map(str, effects)) or "nominal model"
         if self.progress:
             self.progress("simulated", self.done, self.total, told)
-        free = [*self.bench.binding.free, *(i for c in effects for i in c.index)]
+        free = [*(i for i in self.bench.binding.free if i not in self.asked), *(i for c in effects for i in c.index)]
         p = self.bench.problem(OutputError(), "fit", free, theta)
         if like is None:
             path, self.slopes, spent = descend_on_secants(p, [p.z(theta)], None, *NEAR)
@@ -91,6 +95,28 @@ class Decider:
         mates = [c for h in tried if h is not chosen and len(h.effects) <= len(chosen.effects) and indistinct(chosen, h)
                  for c in h.effects if c not in chosen.effects]  # fmt: skip
         return Search(nominal, chosen, tried, mates, None, len({c.effect for c in chosen.effects}) > 1)
+
+    def with_what_the_file_lacks(self, search: Search) -> Search:
+        """A brake that the file leaves at nothing (`damping`, `frictionloss` of a joint) and that re-tuning made something of is
+        an effect that the file lacks: the model without it is the nominal one, and it is taken back where it is not missed."""
+        b, chosen = self.bench.binding, search.chosen
+        lacked = [
+            c for c in _absent(b) if all(abs(chosen.theta[i]) > MANY * abs(b.doubts.get(b.layout.names[i], 0.0)) for i in c.index)
+        ]
+        if not lacked:
+            return search
+        self.asked, tried = frozenset(i for c in lacked for i in c.index), list(search.tried)
+        theta = search.nominal.theta.copy()
+        theta[list(self.asked)] = 0.0
+        self.total += 1
+        nominal = self.refit((), theta)
+        whole = Hypothesis((*lacked, *chosen.effects), chosen.theta, chosen.path, chosen.validation)
+        if not np.isfinite(nominal.fit_loss) or not significant(nominal, whole):
+            self.asked = frozenset()
+            return search
+        whole = self._thinned(nominal, whole, tried)
+        several = len({c.effect for c in whole.effects}) > 1
+        return Search(nominal, whole, [*tried, whole], search.confusable, search.rivals, several)
 
     def with_their_difference(self, nominal: Hypothesis) -> float:
         """What the re-tuned model would leave of the fit runs if it were simulated as the other simulator does, in part or in
@@ -145,3 +171,14 @@ class Decider:
         missed = float(d @ S @ d)
         share = missed / h.path.count / max(h.fit_loss - 1.0, 1e-12)
         return missed / h.fit_inflation > SURELY * (3 * LIMITS.decisive + 2 * len(c.index)) and share > SURELY * LIMITS.gain
+
+
+def _absent(b: Binding) -> list[Candidate]:
+    """Effects that are part of the model, at each joint where its file has nothing of them."""
+    out = []
+    for effect in (e for e in b.chain.effects if isinstance(e, JointEffect)):
+        for place in b.chain.offers(effect):
+            index = tuple(i for i in b.layout.of_effect(effect.name, place) if i in b.free)
+            if index and all(i in b.nominal and b.theta[i] == 0.0 for i in index):
+                out.append(Candidate(effect.name, place, index))
+    return out

@@ -57,20 +57,22 @@ class LedStudy(Study):
         out.settle(out.theta)
         return out
 
-    def taken_up(self, series: Sequence[np.ndarray]) -> tuple[dict[str, float], np.ndarray]:
+    def taken_up(self, series: Sequence[np.ndarray], clocks: bool = True) -> tuple[dict[str, float], np.ndarray]:
         """What positions [samples n] in each of the fit runs change in the numbers that are fitted to them, by name, and the root
-        mean square [n] of what these leave of them."""
+        mean square [n] of what these leave of them; with `clocks` beside what rows know no better (delays within a sample, the
+        width of a reversal), which no simulation has."""
         rows, n = self.made(self.theta, []), self.binding.chain.nq
+        size = rows.size if clocks else self.plant.size
         own, target = [], []
         for k, x in zip(self.of("fit"), series, strict=True):
             run = self.runs[k]
             e = next(e for e in self.binding.dataset.experiments if e.name == run.experiment.name)
             fine = np.stack([np.interp(run.experiment.t, e.t, c) for c in x.T], 1)
-            own.append(rows.rows[k][:, :, :-1].reshape(-1, rows.size))
+            own.append(rows.rows[k][:, :, :size].reshape(-1, size))
             target.append(run.sampled(fine).reshape(-1))  # type: ignore[attr-defined]
         A, b = np.concatenate(own), np.concatenate(target)
-        size = np.maximum(np.linalg.norm(A, axis=0), 1e-300)
-        numbers = np.linalg.lstsq(A / size, b, rcond=1e-10)[0] / size
+        norm = np.maximum(np.linalg.norm(A, axis=0), 1e-300)
+        numbers = np.linalg.lstsq(A / norm, b, rcond=1e-10)[0] / norm
         names = [self.binding.layout.names[i] for i in self.plant.free]
         left = (b - A @ numbers).reshape(-1, n)
         return dict(zip(names, map(float, numbers[: len(names)]), strict=True)), np.sqrt(np.mean(left**2, 0))
