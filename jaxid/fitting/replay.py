@@ -30,8 +30,9 @@ LATE = ("input_delay", "actuator_lag", "quadratic_drag")
 
 @dataclass(frozen=True)
 class Replay:
-    """`rows`: for each run and joint the rms error in MuJoCo and in the other (`other`: "jaxid", or "against"), and the rms
-    between both. `runs`: for each run `t` and the joints' positions in MuJoCo and (`NAME_jaxid`, `NAME_against`) the other."""
+    """`rows`: for each run and joint the rms error in MuJoCo and in the other (`other`: "jaxid", or "against"), the rms between
+    both, and of a file that `jaxid export` patched the error of the original one in MuJoCo (`before`). `runs`: for each run `t`
+    and the joints' positions in MuJoCo and (`NAME_jaxid`, `NAME_against`) the other."""
 
     dataset: str
     robot: str
@@ -91,7 +92,9 @@ def run_replay(dataset: Dataset, robot: Path, against: Path | None) -> Replay:
         if there.leading != tree.leading:
             raise UsageError(f"{against} has the joints {', '.join(there.leading)}, {robot} has {', '.join(tree.leading)}")
         simulated = in_mujoco(data, against, there, None, starts, notes)
-    rows, runs = _compared(data, tree, ours, simulated, other)
+    before = _before(data, source, starts)
+    rows, runs = _compared(data, tree, ours, simulated, other, before)
+    notes += _worse(rows)
     notes += _verdict(rows, source, other)
     return Replay(dataset.name, str(robot), other, tuple(rows), tuple(runs), tuple(dict.fromkeys(notes)))
 
@@ -232,7 +235,32 @@ def _law(data: Dataset, joints: tuple[str, ...], source: _Source | None, path: P
     return law
 
 
-def _compared(data: Dataset, tree: Tree, ours: list, other: list | None, name: str) -> tuple[list[dict[str, Any]], list[dict]]:
+def _before(data: Dataset, source: _Source | None, starts: list[np.ndarray]) -> list[np.ndarray] | None:
+    """Positions by run of the file that was patched, where it is still there."""
+    if source is None or source.original is None:
+        return None
+    try:
+        return in_mujoco(data, source.original, read_tree(source.original), None, starts, [])
+    except UsageError:  # no law drives the original
+        return None
+
+
+def _worse(rows: list[dict[str, Any]]) -> list[str]:
+    """Joints at which the patched file is further from the recording than the original."""
+    out = []
+    for joint in dict.fromkeys(r["joint"] for r in rows):
+        own = [r for r in rows if r["joint"] == joint and r.get("before") is not None]
+        now, was = (sum(r[k] ** 2 for r in own) for k in ("mujoco", "before"))
+        if now > was:
+            out.append(
+                f"{joint}: in MuJoCo the patched file is further from the recording than the original: do not take it over"
+            )
+    return out
+
+
+def _compared(
+    data: Dataset, tree: Tree, ours: list, other: list | None, name: str, before: list | None = None
+) -> tuple[list[dict[str, Any]], list[dict]]:
     joints, outputs = joints_of(data, tree), [c.name for c in data.outputs]
     rows, runs = [], []
     rms = lambda x: float(np.sqrt(np.mean(x**2))) if len(x) else float("nan")
@@ -244,8 +272,9 @@ def _compared(data: Dataset, tree: Tree, ours: list, other: list | None, name: s
             mine = ours[i][:, k]
             theirs = None if other is None else other[i][:, k]
             run |= {joint: mine} | ({} if theirs is None else {f"{joint}_{name}": theirs})
+            was = {} if before is None else {"before": rms((before[i][:, k] - e.y[:, c])[read])}
             rows.append({
-                "experiment": e.name, "joint": joint, "mujoco": rms((mine - e.y[:, c])[read]),
+                "experiment": e.name, "joint": joint, **was, "mujoco": rms((mine - e.y[:, c])[read]),
                 name: None if theirs is None else rms((theirs - e.y[:, c])[read]),
                 "difference": None if theirs is None else rms(mine - theirs), "unit": data.outputs[c].unit,
             })  # fmt: skip
@@ -261,8 +290,9 @@ def _verdict(rows: list[dict[str, Any]], source: _Source | None, other: str) -> 
         worst = max(own, key=lambda r: r["difference"] / max(r[other], 1e-300), default=None)
         if worst is None or not worst["difference"] > worst[other]:
             continue
-        text = f"{joint}: MuJoCo and {'the other file' if other == 'against' else 'jaxid'} differ by {worst['difference']:.3g} "
-        text += f"{worst['unit']}, more than the other is off ({worst[other]:.3g})"
+        them = "the other file" if other == "against" else "jaxid"
+        text = f"{joint}: MuJoCo and {them} differ by {worst['difference']:.3g} {worst['unit']}, more than "
+        text += f"{them}'s run differs from the recording ({worst[other]:.3g})"
         at = lambda r: str(r.get("location", "")).split("_cmd")[0].split("_tau")[0] == joint
         lacking = [
             f"{r.get('effect')} ({r.get('how')})" for r in (source.rows if source else ()) if r.get("how") != "exact" and at(r)

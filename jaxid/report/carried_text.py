@@ -5,6 +5,7 @@ from __future__ import annotations
 from typing import Any, TYPE_CHECKING
 
 from jaxid.wording import (
+    by_effect,
     listed,
     number,
     one_line,
@@ -29,13 +30,22 @@ def export_text(exported: Exported, folder: Any = "") -> str:
             r.how,
         )
         for r in exported.rows
+        if not r.kept
     ]
+    same = by_effect((one_line(r.effect), one_line(r.location)) for r in exported.rows if r.kept)
     notes = dict.fromkeys(
-        f"{one_line(r.effect)} at {one_line(r.location)}: {one_line(r.note)}" for r in exported.rows if r.how != "exact"
+        f"{one_line(r.effect)}{f' at {one_line(r.location)}' if r.location else ''}: {one_line(r.note)}"
+        for r in exported.rows
+        if r.how != "exact" and not r.kept
     )
     names = [one_line(name) for name in (*exported.files, "export.json")]
     files = f"written: {listed(f'{folder}/{name}' for name in names)}" if folder else f"files: {listed(names)}"
-    return "\n".join([table(head, rows), *notes, *map(one_line, exported.notes), files])
+    kept = (
+        [f"as the file has them, which the data allow: {'; '.join(f'{k} at {listed(at)}' for k, at in same.items())}"]
+        if same
+        else []
+    )
+    return "\n".join([table(head, rows), *kept, *notes, *map(one_line, exported.notes), files])
 
 
 def _short(value: Any) -> str:
@@ -48,16 +58,17 @@ def _short(value: Any) -> str:
 
 def replay_text(result: Replay) -> str:
     """Each joint's error in every run of a simulator beside the other's."""
-    other = result.other
+    other, patched = result.other, any("before" in r for r in result.rows)
+    columns = (*(["before"] if patched else []), "mujoco", other, "difference")
+    value = lambda v: "-" if v is None else number(v)
     rows = [
-        (one_line(r["experiment"]), one_line(r["joint"]), number(r["mujoco"]), "-" if r[other] is None else number(r[other]),
-         "-" if r["difference"] is None else number(r["difference"]), r["unit"])
-        for r in result.rows
-    ]  # fmt: skip
+        (one_line(r["experiment"]), one_line(r["joint"]), *(value(r.get(c)) for c in columns), r["unit"]) for r in result.rows
+    ]
     head = (
         "run",
         "joint",
-        "rms error in MuJoCo",
+        *(["rms error in MuJoCo before"] if patched else []),
+        "patched" if patched else "rms error in MuJoCo",
         f"in {'the other file' if other == 'against' else 'jaxid'}",
         "between both",
         "unit",

@@ -69,7 +69,9 @@ def _numbers(sheet: Sheet, found: Outcome, done: set[str]) -> None:
             _plain_number(sheet, name, number)
     for link, numbers in links.items():
         assert sheet.tree is not None
-        sheet.bodies[link] = body_before(sheet.tree, link), from_numbers(numbers)
+        own = [n for name, n in found.parameters.items() if name.partition("@")[2] == link and name.partition("@")[0] in BODY]
+        if not all(n.kept for n in own):
+            sheet.bodies[link] = body_before(sheet.tree, link), from_numbers(numbers)
         for name, number in found.parameters.items():
             field, _, place = name.partition("@")
             if place == link and field in BODY:

@@ -13,7 +13,7 @@ from jaxid.errors import UsageError
 from jaxid.robots.export.laws import code, lawful
 from jaxid.robots.export.mjcf_code import callback, snippet, spec_code
 from jaxid.robots.export.mjcf_file import compiled, MjcfFile
-from jaxid.robots.export.outcome import Outcome
+from jaxid.robots.export.outcome import AS_STATED, Outcome
 from jaxid.robots.export.sheet import Body, Change, from_ten, JointNumbers, Sheet
 from jaxid.robots.export.target import (
     APPROXIMATE,
@@ -95,10 +95,9 @@ class _Patch:
             return Row(change.effect, change.location, "", value_of(self.sheet, change), change.unit, CODE,
                        joined(self._why(change), was(change), change.note))  # fmt: skip
         known = change.place in self.sheet.after and hasattr(self.sheet.after[change.place], change.quantity)
-        if known and change.value == change.before:
-            return Row(
-                change.effect, change.location, "", change.value, change.unit, EXACT, joined("as the file has it", change.note)
-            )
+        if (known or change.quantity == "inertial") and change.value == change.before:
+            note = change.note or AS_STATED
+            return Row(change.effect, change.location, "", change.value, change.unit, EXACT, note)
         return self.lacking(change)
 
     def _why(self, change: Change) -> str:

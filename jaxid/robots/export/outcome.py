@@ -17,6 +17,10 @@ KINDS = ("fit", "diagnosis", "identification")
 LONGEST, MOST = 200, 5000
 
 
+#: How the note of a number begins that is not carried over.
+AS_STATED = "as the file has it"
+
+
 @dataclass(frozen=True)
 class Number:
     """A fitted number; `std` None where the data do not determine it."""
@@ -25,10 +29,13 @@ class Number:
     std: float | None = None
     unit: str = ""
     at_bound: bool = False
+    kept: str = ""  # why it is as the file has it
 
     @property
     def doubt(self) -> str:
         """What is to be said of it."""
+        if self.kept:
+            return self.kept
         if self.at_bound:
             return "it stands at its bound and may stand for something else"
         return "" if self.std is not None else "the data do not determine it by itself"

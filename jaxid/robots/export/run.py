@@ -9,6 +9,7 @@ from typing import Any
 
 from jaxid.errors import nearest, UsageError
 from jaxid.robots.export.apply import carried
+from jaxid.robots.export.kept import kept
 from jaxid.robots.export.outcome import Outcome, outcome
 from jaxid.robots.export.ranges import ranges_of
 from jaxid.robots.export.sheet import of_tree, Sheet
@@ -61,11 +62,12 @@ def export(content: Any, to: str, robot: str | Path | None = None, ranges: bool 
     path = _file(found, robot, beside)
     target = TARGETS[to]
     tree = None if path is None else based(read_tree(path), (found.robot.get("base") or {}).get("kind") == "free")
-    sheet = _sheet(found, tree, path)
+    told = kept(found)
+    sheet = _sheet(told, tree, path)
     patches = path is not None and path.suffix.lower() in target.FILES
     if target.FILES and path is not None and not patches and to in ("mjcf", "urdf"):
         sheet.notes.append(f"{path.name} is no {to.upper()}, so nothing was patched: give one with --robot FILE")
-    written = target.write(sheet, found, path if patches else None)
+    written = target.write(sheet, told, path if patches else None)
     more = ranges_of(found, to) if ranges else None
     rows = tuple(written.rows)
     files = {**written.files, **(more.files if more else {})}

@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 
 from jaxid.robots.export.laws import described, LAWS
+from jaxid.robots.export.outcome import AS_STATED
 from jaxid.robots.export.sheet import Change, Sheet
 
 
@@ -27,6 +28,11 @@ class Row:
     unit: str
     how: str
     note: str
+
+    @property
+    def kept(self) -> bool:
+        """Whether it stays as the file has it."""
+        return AS_STATED in self.note
 
     def to_dict(self) -> dict[str, Any]:
         return asdict(self)
