@@ -93,12 +93,16 @@ def indistinct(chosen: Hypothesis, h: Hypothesis) -> bool:
 
 def mirrored(bench: Bench, chosen: Hypothesis, pool: Sequence[Candidate]) -> list[Candidate]:
     """Effects at the other end of the plant that say the same of any recording (`Effect.mirrors`), however their fits ended: a
-    search of one may stop where that of the other goes on."""
+    search of one may stop where that of the other goes on. All readings that are late say what one input that is late says."""
     signature = bench.binding.chain.signature
-    if len(signature.inputs) != 1 or len(signature.outputs) != 1:
-        return []
-    named = {effect_of(bench, c).mirrors for c in chosen.effects}
-    return [c for c in pool if c.effect in named and c not in chosen.effects]
+    inputs, outputs = ([name for name, _ in side] for side in (signature.inputs, signature.outputs))
+    named: dict[str, list[str]] = {}
+    for c in chosen.effects:
+        if effect_of(bench, c).mirrors:
+            named.setdefault(effect_of(bench, c).mirrors, []).append(c.location)
+    whole = {kind for kind, at in named.items() if len(at) == len(outputs if set(at) <= set(outputs) else inputs)}
+    alike = [c for c in pool if c.effect in whole and c not in chosen.effects]
+    return [c for c in alike if len(inputs if c.location in inputs else outputs) == 1]
 
 
 def unexplained(h: Hypothesis) -> float:
