@@ -203,8 +203,10 @@ def test_stated_numbers_are_refuted_as_their_deviations_say(numbers):
         assert (agrees, unknown) == (s.deviation is not None and s not in refuted, s.deviation is None)
     if len(refuted) > 2:
         assert words[0].startswith(f"{len(refuted)} of {len(stated)} numbers") and len(words) == 1
-        least = float(re.findall(r"\(([\d.]+) standard deviations off or more\)", words[0])[0])
+        told = re.findall(r"\(([\d.e+]+)(?: to ([\d.e+]+))? standard deviations off\)", words[0])[0]
+        least, most = float(told[0]), float(told[1] or told[0])
         assert abs(least - min(abs(s.deviation) for s in refuted)) <= 0.06 * least
+        assert abs(most - max(abs(s.deviation) for s in refuted)) <= 0.06 * most
         assert words[0].count("→") == min(len(refuted), text.STATED)
     else:
         assert len(words) == len(refuted)

@@ -23,7 +23,7 @@ def section(diagnosis: Diagnosis) -> Section:
         {
             "diagnosis": diagnosis,
             "headline": headline(diagnosis),
-            "stated": text.stated_sentences(diagnosis.final.stated),
+            "stated": text.stated_sentences(diagnosis.final.stated, which.effects),
             "where": where_card(diagnosis),
             "which": which_card(diagnosis),
             "far": far_card(diagnosis),

@@ -24,6 +24,7 @@ def of_diagnosis(diagnosis: Diagnosis) -> Section:
         "background.html",
         {
             "named": wording.listed(text.effect_name(e) for e in diagnosis.which.effects),
+            "several": len(diagnosis.which.effects) > 1,
             "confusable": [text.effect_name(e) for e in diagnosis.which.confusable_with],
             "next_experiment": diagnosis.next_experiment,
             "notes": list(notes),

@@ -16,10 +16,16 @@ if TYPE_CHECKING:
 def section(fit: Fit, nominal: Fit | None = None) -> Section | None:
     """The parameters of `fit`, beside those of the nominal model where one is given."""
     before = {} if nominal is None else dict(text.parameter_rows(nominal))
-    rows = [(name, p, before.get(name), place(p), text.remark(p)) for name, p in text.parameter_rows(fit)]
+    stated = {name: s.stated for s in fit.stated for name in (s.parameter, f"{s.parameter}@{s.joint}", f"{s.parameter}@{s.link}")}
+    rows = [
+        (name, p, before.get(name), stated.get(name), place(p), text.remark(p)) for name, p in text.parameter_rows(fit)
+    ]
     if not rows:
         return None
-    return Section("parameters.html", {"rows": rows, "compare": nominal is not None, "correlated": fit.correlated})
+    told = any(row[3] is not None for row in rows)
+    return Section(
+        "parameters.html", {"rows": rows, "compare": nominal is not None, "stated": told, "together": text.together(fit)}
+    )
 
 
 def place(estimate: Estimate) -> float | None:

@@ -31,18 +31,27 @@ def section(which: Which) -> Section | None:
         {
             "rows": [(r, kind, told(r)) for r, kind in rows[:ROWS]],
             "hidden": max(0, len(rows) - ROWS),
-            "rounds": [round_of(rows, number) for number in sorted({r.round for r, _ in rows})],
+            "rounds": [round_of(own, beside, k) for k, (beside, own) in enumerate(rounds(rows).items())],
+            "above": [kind for _, kind in rows].index("named") if any(kind == "named" for _, kind in rows) else 0,
         },
     )
 
 
-def round_of(rows: list[tuple[Ranked, str]], number: int) -> tuple[str, Markup]:
+def rounds(rows: list[tuple[Ranked, str]]) -> dict[tuple[str, ...], list[tuple[Ranked, str]]]:
+    """Rows by what each was tried beside; drawn are those of a round in which several were tried, or one was named."""
+    groups: dict[tuple[str, ...], list[tuple[Ranked, str]]] = {}
+    for row in rows:
+        groups.setdefault(tuple(sorted(row[0].beside)), []).append(row)
+    told = {k: own for k, own in groups.items() if len(own) > 2 or not k or any(kind == "named" for _, kind in own)}
+    return dict(sorted(told.items(), key=lambda pair: len(pair[0])))
+
+
+def round_of(own: list[tuple[Ranked, str]], beside: tuple[str, ...], number: int) -> tuple[str, Markup]:
     """Caption and picture of the candidates of one round, the named ones first."""
-    own = [row for row in rows if row[0].round == number]
     shown = sorted(own[:BARS], key=lambda row: row[1] != "named")
-    caption = "Alone" if number == 1 else f"Beside {wording.listed(dict.fromkeys(b for r, _ in own[:1] for b in r.beside))}"
+    caption = f"Beside {wording.listed(beside)}" if beside else "Alone"
     caption += f": the best {len(shown)} of {len(own)}" if len(own) > len(shown) else ""
-    return caption, picture(shown, f"ranking-{number}")
+    return caption, picture(shown, f"ranking-{number + 1}")
 
 
 def picture(rows: list[tuple[Ranked, str]], name: str) -> Markup:

@@ -87,9 +87,12 @@ def measured(how_far: HowFar) -> bool:
     return math.isfinite(how_far.gap_retuned) or not math.isnan(how_far.gap_before)
 
 
-def stated_sentences(stated: Sequence[Stated]) -> list[str]:
-    """Numbers that were stated and that the data refute, worst first: each in a sentence, or all in one where they are many."""
-    refuted = [s for s in stated if s.refuted]
+def stated_sentences(stated: Sequence[Stated], named: Sequence[EffectEstimate] = ()) -> list[str]:
+    """Numbers that were stated and that the data refute, worst first: each in a sentence, or all in one where they are many. One
+    that is told as an effect that is missing is not told again."""
+    told = {(e.location, p.value) for e in named for p in e.parameters.values()}
+    refuted = [s for s in stated if s.refuted and (s.joint, s.fitted) not in told]
+    refuted.sort(key=lambda s: -abs(s.deviation or 0.0))
     if len(refuted) <= 2:
         return [sentence(s.text) for s in refuted]
     unit = lambda s: "" if s.unit in ("", "1") else f" {one_line(s.unit)}"
@@ -97,11 +100,24 @@ def stated_sentences(stated: Sequence[Stated]) -> list[str]:
     name = lambda s: s.text.partition(":")[0] if every.count(s.parameter) > 1 else s.parameter  # "armature of elbow_flex"
     shown = [f"{one_line(name(s))} {number(s.stated)} → {number(s.fitted, 4)}{unit(s)}" for s in refuted[:STATED]]
     more = f", and {len(refuted) - STATED} more" if len(refuted) > STATED else ""
-    least = number(min(abs(s.deviation or 0.0) for s in refuted), 2)
+    off = dict.fromkeys(number(abs(s.deviation or 0.0), 2) for s in (refuted[-1], refuted[0]))
     return [
         f"{len(refuted)} of {len(stated)} numbers that you stated are not those of the data: {', '.join(shown)}{more}"
-        f" ({least} standard deviations off or more)."
+        f" ({' to '.join(off)} standard deviations off)."
     ]
+
+
+#: So many groups of numbers are listed.
+GROUPS = 6
+
+
+def together(fit: Fit) -> str:
+    """Numbers that the data determine only together, group by group; empty where there are none."""
+    groups = [one_line(", ".join(group)) for group in fit.correlated]
+    if not groups:
+        return ""
+    more = f"; and {len(groups) - GROUPS} more groups" if len(groups) > GROUPS else ""
+    return f"The data determine only together, not one by one: {'; '.join(groups[:GROUPS])}{more}"
 
 
 def meaning(which: Which) -> list[str]:
@@ -133,7 +149,8 @@ def which_sentence(which: Which, how_far: HowFar | None = None) -> str:
     if which.verdict == "none":
         if WithinAStep.where in which.text:
             return f"Nothing is missing. {which.text}"
-        return "Nothing is missing: the model already reaches the noise."
+        retuned = how_far is not None and how_far.gap_before > NEAR * how_far.gap_retuned
+        return f"Nothing is missing: the model{', its own numbers re-tuned,' if retuned else ' already'} reaches the noise."
     return which.text or "There is a gap, and no known effect explains most of it."
 
 
@@ -177,9 +194,12 @@ def shrinkage_sentence(how_far: HowFar, verdict: str) -> str:
     """The share of the gap that is closed with its interval, or why there is none."""
     if verdict == "unknown" or not measured(how_far):
         return ""
+    if verdict == "none" and how_far.gap_before > NEAR * how_far.gap_retuned:
+        return "Its own numbers close the gap once they are re-tuned: no effect is needed."
     if how_far.shrinkage is None:
         return f"No shrinkage is given: {one_line(how_far.interval_reason).rstrip('.')}." if how_far.interval_reason else ""
-    head = f"{percent(how_far.shrinkage)} of the gap is closed on {unused(how_far)}"
+    share = percent(how_far.shrinkage)
+    head = f"{share[:1].upper()}{share[1:]} of the gap is closed on {unused(how_far)}"
     if how_far.shrinkage_interval_95 is None:
         reason = one_line(how_far.interval_reason).rstrip(".").removeprefix("no interval: ")
         return f"{head} (no interval: {reason})." if reason else f"{head}."
@@ -234,7 +254,7 @@ def diagnosis_text(diagnosis: Diagnosis) -> str:
         *map(wrapped, data_lines(diagnosis.data)),
         f"{one_line(diagnosis.dataset)}, model {one_line(diagnosis.model)}{COMPARED.get(diagnosis.final.simulation, '')}",
         joint_table(how_far.per_joint),
-        paragraph("STATED", stated_sentences(diagnosis.final.stated)),
+        paragraph("STATED", stated_sentences(diagnosis.final.stated, diagnosis.which.effects)),
         "" if which.verdict == "none" else paragraph("WHERE", (where_sentence(f) for f in diagnosis.where[:2])),
         paragraph("WHICH", [which_sentence(which, how_far), *meaning(which), confusable_sentence(which)]),
         paragraph(
@@ -301,7 +321,7 @@ def fit_text(fit: Fit) -> str:
     ]
     if scores:
         parts.append(table(("data", "channel", "rms error", "of its std", "relative"), scores))
-    parts += [f"The data determine only together: {one_line(', '.join(group))}" for group in fit.correlated]
+    parts += [together(fit)]
     parts += [paragraph("stated", [s.text]) for s in fit.stated]
     parts += [paragraph("note", [note]) for note in fit.notes]
     parts.append(f"{fit.evaluations} evaluations, {number(fit.wall_time_s)} s, {number(fit.compile_time_s)} s of it compiling")
