@@ -109,7 +109,8 @@ def find_column(source: Source, columns: Arrays, column: str) -> str | None:
     if column.isdigit() and 1 <= int(column) <= len(columns) and (source.rows is not None or len(source.columns) == 1):
         return list(columns)[int(column) - 1]
     ends = [n for n in columns if n.endswith("." + column)]
-    if len(ends) != 1 and (headed := re.fullmatch(r"(.*\S)\s*[\[(][^\[\]()]*[\])]", column)):  # as its header has it, unit and all
+    headed = re.fullmatch(r"(.*\S)\s*[\[(][^\[\]()]*[\])]", column)
+    if len(ends) != 1 and headed:  # as its header has it, unit and all
         return headed[1] if headed[1] in source.units and headed[1] in columns else None
     return ends[0] if len(ends) == 1 else None
 
