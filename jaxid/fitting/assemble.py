@@ -173,8 +173,8 @@ def numbers_covariance(binding: Binding, problem: Problem, z: np.ndarray, cov: C
     n, slope = len(problem.free), problem.dtheta(z)
     known = np.where(np.isfinite(cov.std[:n]), slope, np.nan)
     names = tuple(binding.layout.names[i] for i in problem.free)
-    doubts = np.array([binding.doubts.get(name, 0.0) for name in names])  # of one cause: they come together
-    return results.Covariance(names, cov.matrix[:n, :n] * known * known[:, None] + np.outer(doubts, doubts))
+    doubts = np.array([binding.doubts.get(name, 0.0) for name in names])
+    return results.Covariance(names, cov.matrix[:n, :n] * known * known[:, None] + np.diag(doubts**2))
 
 
 def fitted_chain(binding: Binding, theta: np.ndarray, added: Sequence[EffectEstimate]) -> Chain:

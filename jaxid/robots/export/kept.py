@@ -32,8 +32,8 @@ def _stated(found: Outcome) -> dict[str, float]:
     for row in rows if isinstance(rows, list) else []:
         if not isinstance(row, Mapping):
             continue
-        for place in (row.get("link"), row.get("joint")):
-            name = f"{row.get('parameter')}@{place}"
+        kind = row.get("parameter")
+        for name in (f"{kind}@{row.get('link')}", f"{kind}@{row.get('joint')}", str(kind)):
             if name in found.parameters and name not in out:
                 out[name] = number(f"stated {name}", row.get("stated"))
     return out

@@ -1,0 +1,181 @@
+"""What a robot's file leaves out, as its owner has it: brakes of nothing, stops that the recording meets, a patch of one line."""
+
+import dataclasses
+import json
+from pathlib import Path
+from types import SimpleNamespace
+from typing import Any, cast
+
+import mujoco
+import numpy as np
+import pytest
+
+import jaxid
+from jaxid.diagnosis.goals.floor import Between, not_this_file
+from jaxid.diagnosis.goals.search import _absent
+from jaxid.problem.binding import bind
+from jaxid.robots.export.kept import kept
+from jaxid.robots.export.outcome import outcome
+from jaxid.robots.mjcf import read_mjcf
+from jaxid.robots.stops import sentences
+
+
+DRY = 1.2  # N m
+
+
+def file(dry: float = 0.0, angle: str = '<compiler angle="radian"/>', rate: float = 1e-3) -> str:
+    return f"""<mujoco>{angle}
+  <option timestep="{rate}" integrator="implicitfast"/>
+  <worldbody><body name="upper">
+    <joint name="lift" axis="0 1 0" damping="1.0" armature="0.1" range="-2 2"/>
+    <inertial pos="0 0 -.15" mass="2.2" diaginertia=".025 .025 .004"/>
+    <body name="fore" pos="0 0 -.3">
+      <joint name="bend" axis="0 1 0" damping="0.6" armature="0.06" range="-2.4 2.4" frictionloss="{dry}"/>
+      <inertial pos="0 0 -.12" mass="1.3" diaginertia=".01 .01 .002"/>
+    </body>
+  </body></worldbody>
+  <actuator><position joint="lift" kp="120" kv="6"/><position joint="bend" kp="80" kv="4"/></actuator>
+</mujoco>"""
+
+
+def log(text: str, folder: Path, seconds: float = 10.0, noise: float = 2e-4) -> Path:
+    """A recording in MuJoCo of the file in `text`, with goals and encoders at 100 Hz, and the file without dry friction."""
+    rng, joints = np.random.default_rng(3), ("lift", "bend")
+    m = mujoco.MjModel.from_xml_string(text)
+    step, t = round(0.01 / m.opt.timestep), np.arange(0, seconds, 0.01)
+    runs = []
+    for _ in range(3):
+        f, phase = rng.uniform(0.1, 0.9, (2, 4)), rng.uniform(0, 6.28, (2, 4))
+        goal = 0.2 * (np.sin(2 * np.pi * f[:, :, None] * t + phase[:, :, None]) - np.sin(phase)[:, :, None]).sum(1).T
+        d, q = mujoco.MjData(m), []
+        for u in goal * np.minimum(1, t)[:, None]:
+            q.append(d.qpos + rng.normal(0, noise, 2))
+            d.ctrl[:] = u
+            mujoco.mj_step(m, d, step)
+        runs.append((goal * np.minimum(1, t)[:, None], np.array(q)))
+    data = jaxid.Dataset.from_arrays(
+        [t] * 3, {f"{j}_cmd": [u[:, k] for u, _ in runs] for k, j in enumerate(joints)},
+        {j: [q[:, k] for _, q in runs] for k, j in enumerate(joints)}, units={n: "rad" for j in joints for n in (j, f"{j}_cmd")},
+        split=["fit", "validation", "report"], at_rest=True, noise_std=dict.fromkeys(joints, noise), check_model=False,
+    )  # fmt: skip
+    jaxid.save_dataset(data, folder / "log")
+    return folder / "log"
+
+
+# ---- from the recording to one changed attribute
+
+
+@pytest.mark.slow
+def test_a_brake_that_the_file_leaves_at_nothing_is_named_and_alone_written_back(tmp_path):
+    arm = tmp_path / "arm.xml"
+    arm.write_text(file().replace(' frictionloss="0.0"', ""))
+    found = jaxid.diagnose(str(arm), jaxid.load_dataset(log(file(DRY), tmp_path)))
+    (effect,) = found.which.effects
+    assert (found.which.verdict, effect.effect, effect.location) == ("named", "coulomb_friction", "bend")
+    level = effect.parameters["level"]
+    assert level.std and abs(level.value - DRY) < 0.03 * DRY  # MuJoCo's creeps
+    assert not [s for s in found.final.stated if s.refuted and s.parameter != "frictionloss"], "the file's own numbers are right"
+    written = found.export("mjcf").files["arm.xml"]
+    changed = [b for a, b in zip(arm.read_text().split("\n"), written.split("\n"), strict=True) if a != b]
+    assert len(changed) == 1 and 'name="bend"' in changed[0] and 'damping="0.6" armature="0.06"' in changed[0]
+
+
+@pytest.mark.slow
+def test_a_recording_at_the_stops_of_its_file_says_nothing_of_the_robot(tmp_path):
+    text = file(DRY, angle="")  # its ranges are degrees
+    arm = tmp_path / "arm.xml"
+    arm.write_text(file(0.0, angle=""))
+    path = log(text, tmp_path)
+    found = jaxid.diagnose(str(arm), jaxid.load_dataset(path))
+    assert found.which.verdict == "unknown" and not found.which.effects
+    assert "does not simulate" in found.which.text and 'angle="radian"' in found.which.text
+    assert "stops" in " ".join(jaxid.check(str(arm), jaxid.load_dataset(path)).notes)
+    assert not any(r.field for r in found.export("mjcf").rows), "nothing of such a fit goes into a file"
+
+
+# ---- its parts
+
+
+def test_stops_are_said_where_a_joint_meets_them(tmp_path):
+    arm = tmp_path / "arm.xml"
+    data = jaxid.load_dataset(log(file(), tmp_path, seconds=4.0))
+    for angle, told in (('<compiler angle="radian"/>', False), ("", True)):
+        arm.write_text(file(angle=angle))
+        said = sentences(read_mjcf(arm), data)
+        assert bool(said) == told
+    assert "lift stands at or past its range" in said[0] and 'add <compiler angle="radian"/>' in said[0]
+
+
+def test_brakes_that_a_file_states_are_no_effects(tmp_path):
+    arm = tmp_path / "arm.xml"
+    data = jaxid.load_dataset(log(file(), tmp_path, seconds=4.0))
+    for dry, lacking in ((0.0, ["lift", "bend"]), (0.3, ["lift"])):
+        arm.write_text(file(dry))
+        found = _absent(bind(str(arm), data))
+        assert [(c.effect, c.location) for c in found] == [("coulomb_friction", j) for j in lacking]
+
+
+@pytest.mark.parametrize(
+    ("apart", "left", "strange"), [(1e-4, 1e-3, False), (0.3, 5e-3, True), (1e-3, 5e-3, False), (1e-4, 1e-5, False)]
+)
+def test_no_file_is_judged_by_a_run_that_is_not_its_own(apart, left, strange):
+    """Further from MuJoCo's run than that is from the recording, and than noise."""
+    noise = {"lift": SimpleNamespace(unit="rad")}
+    chain = SimpleNamespace(signature=SimpleNamespace(outputs=[("lift", "rad")]), mechanism=None)
+    binding = SimpleNamespace(sigma=np.array([2e-4]), noise=noise, chain=chain, dataset=None)
+    told = not_this_file(cast(Any, binding), Between([], np.array([left])), np.array([apart]))
+    assert bool(told) == strange
+
+
+# ---- which numbers stay
+
+
+def result(fitted: dict[str, tuple[float, float, float]], covariance: np.ndarray | None = None, verdict: str = "named"):
+    """A diagnosis with (stated, fitted, std) of each number."""
+    rows = [
+        {"joint": k.split("@")[1], "link": "", "parameter": k.split("@")[0], "stated": s, "fitted": v, "std": e}
+        for k, (s, v, e) in fitted.items()
+    ]
+    entry = {} if covariance is None else {"covariance": {"names": list(fitted), "matrix": covariance.tolist()}}
+    numbers = {k: {"value": v, "std": e, "unit": ""} for k, (_, v, e) in fitted.items()}
+    content = {"kind": "diagnosis", "model": "robot", "parameters": numbers, "stated": rows, **entry}
+    return outcome(json.loads(json.dumps(content | {"which": {"verdict": verdict, "effects": []}})))
+
+
+def left(found) -> set[str]:
+    return {k for k, n in kept(found).parameters.items() if n.kept}
+
+
+def test_numbers_that_the_data_do_not_refute_stay_as_the_file_has_them():
+    one, two = "damping@lift", "damping@bend"
+    assert left(result({one: (1.0, 1.02, 0.05), two: (1.0, 2.0, 0.05)})) == {one}
+    assert left(result({one: (1.0, 1.02, 0.05), two: (1.0, 1.02, None)}, verdict="unknown")) == {one, two}
+    assert left(result({one: (1.0, 1.02, 0.05), two: (1.0, 1.02, None)})) == {one}  # not known alone, yet of the fit
+    assert kept(result({one: (1.0, 1.2345678, 0.012)})).parameters[one].value == 1.2346
+
+
+def test_numbers_that_go_together_are_left_together_or_not_at_all():
+    """Two that trade for each other: each near the file's by itself, both not."""
+    one, two = "damping@lift", "damping@bend"
+    C = 0.05**2 * np.array([[1.0, 0.98], [0.98, 1.0]])
+    both_off, traded = {one: (1.0, 1.05, 0.05), two: (1.0, 0.95, 0.05)}, {one: (1.0, 1.05, 0.05), two: (1.0, 1.05, 0.05)}
+    assert left(result(both_off, C)) != {one, two} and left(result(traded, C)) == {one, two}
+
+
+def test_a_doubt_counts_beside_what_noise_leaves():
+    """What a simulator's first-order step makes of dampings, in the covariance that `assemble` writes."""
+    names, shift = ["damping@lift", "damping@bend"], np.array([0.045, 0.035])
+    C = 1e-6 * np.array([[1.0, 0.99], [0.99, 1.0]]) + np.diag(shift**2)
+    std = np.sqrt(np.diag(C))
+    fitted = lambda times: {n: (1.0, 1.0 - k * s, e) for n, s, e, k in zip(names, shift, std, times, strict=True)}
+    assert left(result(fitted((1.0, 1.0)), C)) == left(result(fitted((1.0, -0.5)), C)) == set(names)
+    assert left(result(fitted((1.0, 4.0)), C)) == {names[0]}
+
+
+def test_an_outcome_of_a_model_that_is_no_robot_is_kept_as_well():
+    found = result({"damping@lift": (1.0, 1.001, 0.05)})
+    plain = dataclasses.replace(
+        found, parameters={"inertia": found.parameters["damping@lift"]},
+        content={"stated": [{"joint": "q", "link": "", "parameter": "inertia", "stated": 1.0}]},
+    )  # fmt: skip
+    assert left(plain) == {"inertia"}
