@@ -27,6 +27,7 @@ from jaxid.problem.solver import with_solver
 from jaxid.robots.floating import refuse_free
 from jaxid.robots.limbs import effects_at, limbs_of
 from jaxid.runtime import Interrupted
+from jaxid.serialise import with_effects
 
 
 if TYPE_CHECKING:
@@ -186,16 +187,16 @@ def check(model: object, dataset: Dataset, *, without: Iterable[str] = (), as_re
 def simulate(
     model: object,
     dataset: Dataset,
-    parameters: Fit | Mapping[str, Any] | None = None,
+    parameters: Fit | Diagnosis | Mapping[str, Any] | None = None,
     *,
     solver: Any = None,
     **old: Any,
 ) -> Simulation:
     """Free runs of a model on a dataset's inputs.
 
-    `model` as of `fit`, None for the one that the parameters or the dataset name; `parameters` a `Fit` or the content of a
-    fit.json, None for the numbers of the model itself, such as `fit.chain`. `solver` (a solver of diffrax, or `Diffrax`)
-    checks jaxid's own stepping. Raises `UsageError` for arguments that do not fit.
+    `model` as of `fit`, None for the one that the parameters or the dataset name; `parameters` a `Fit`, a `Diagnosis` (with the
+    effects that it names) or the content of the JSON of either, None for the numbers of the model itself, such as `fit.chain`.
+    `solver` (a solver of diffrax, or `Diffrax`) checks jaxid's own stepping. Raises `UsageError` for arguments that do not fit.
     """
     from jaxid.fitting.simulate import simulate_dataset
 
@@ -212,8 +213,8 @@ def simulate(
     if isinstance(parameters, Fit) and parameters.chain is not None and model is None:
         known = parameters.model in catalogue.model_names()
         model, parameters = (None, parameters) if known else (parameters.chain, None)
-    content = parameters.to_dict() if isinstance(parameters, Fit) else parameters
-    return simulate_dataset(content, dataset, model, solver)
+    content = parameters.to_dict() if isinstance(parameters, Fit | Diagnosis) else parameters
+    return simulate_dataset(with_effects(content), dataset, model, solver)
 
 
 def replay(dataset: Dataset, robot: str | Path, against: str | Path | None = None) -> Replay:

@@ -25,6 +25,14 @@ def json_bytes(result: Any) -> bytes:
     return (json.dumps(finite(result.to_dict()), indent=1, allow_nan=False) + "\n").encode()
 
 
+def with_effects(content: Any) -> Any:
+    """The content of a result with the effects that it adds to its model under `effects`, where a fit has them: those of a
+    diagnosis stand under what it names."""
+    which = content.get("which") if isinstance(content, dict) and content.get("kind") == "diagnosis" else None
+    named = which.get("effects") if isinstance(which, dict) else None
+    return content if named is None or "effects" in content else {**content, "effects": named}
+
+
 def finite(value: Any) -> Any:
     """The same nested data as JSON can hold: NumPy numbers become Python's, a number that is not finite becomes null."""
     if isinstance(value, dict):

@@ -225,7 +225,14 @@ def diagnose(
 
 @cli.command()
 @DATASET
-@click.option("--parameters", "parameters", required=True, type=click.Path(path_type=Path), metavar="FIT.json", help="A fit.")
+@click.option(
+    "--parameters",
+    "parameters",
+    required=True,
+    type=click.Path(path_type=Path),
+    metavar="FIT.json",
+    help="A fit, or a diagnosis with what it names.",
+)
 @OUT
 @MODEL
 @SOLVER

@@ -74,11 +74,12 @@ def foretell(work: str, model: str | None, data: Any, quiet: bool) -> None:
 def read_parameters(path: Path) -> dict[str, Any]:
     """The content of a FIT.json; only `parameters` is needed."""
     from jaxid.errors import UsageError
+    from jaxid.serialise import with_effects
     from jaxid.storage.small_files import read_small, TooLarge
 
     wanted = 'it needs {"parameters": {"inertia": {"value": 0.08}}, "effects": []}'
     try:
-        content = json.loads(read_small(path).decode())
+        content = with_effects(json.loads(read_small(path).decode()))
     except TooLarge as error:
         raise UsageError(f"--parameters {path}: {error}; {wanted}") from error
     except OSError as error:

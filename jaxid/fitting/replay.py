@@ -83,7 +83,7 @@ def run_replay(dataset: Dataset, robot: Path, against: Path | None) -> Replay:
     data = driving(named(dataset, tree, dataset.model.joints if dataset.model is not None else None), tree)
     source = None if against is not None else _source(robot)
     notes: list[str] = []
-    simulated, starts = (None, None) if against is not None else _by_jaxid(data, robot, tree, source, notes)
+    simulated, starts = (None, None) if against is not None else _by_jaxid(dataset, data, robot, tree, source, notes)
     starts = starts or [_measured_start(e, data, joints_of(data, tree)) for e in data.experiments]
     ours = in_mujoco(data, robot, tree, source, starts, notes)
     other = "jaxid" if against is None else "against"
@@ -127,11 +127,16 @@ def _source(robot: Path) -> _Source | None:
     return _Source(content, original if known else None, tuple(r for r in rows if isinstance(r, Mapping)))
 
 
-def _by_jaxid(data: Dataset, robot: Path, tree: Tree, source: _Source | None, notes: list[str]) -> tuple[Any, Any]:
-    """(positions by run, starts) of jaxid's free run; (None, None) where it has none, with a note that says why."""
+def _by_jaxid(
+    raw: Dataset, data: Dataset, robot: Path, tree: Tree, source: _Source | None, notes: list[str]
+) -> tuple[Any, Any]:
+    """(positions by run, starts) of jaxid's free run; (None, None) where it has none, with a note that says why. `raw` is the
+    dataset as it came, `data` the same under the joints' names."""
     from jaxid.models import Robot
 
     result = source.content.get("result", {}) if source is not None else {}
+    if result.get("kind") in ("fit", "diagnosis") and result.get("model") not in (None, "robot"):
+        return _by_its_model(raw, result, robot, notes)
     if source is not None and source.original is not None and result.get("kind") in ("fit", "diagnosis"):
         model, content = Robot(read_tree(source.original)), _content(source, data, joints_of(data, tree))
         notes.append(f"jaxid's run is of the result that {robot.name} was exported from")
@@ -149,6 +154,21 @@ def _by_jaxid(data: Dataset, robot: Path, tree: Tree, source: _Source | None, no
         return None, None
     joints = joints_of(data, tree)
     return [np.stack([run[j] for j in joints], 1) for run in simulation.runs], [np.asarray(s) for s in simulation.starts]
+
+
+def _by_its_model(dataset: Dataset, result: Mapping[str, Any], robot: Path, notes: list[str]) -> tuple[Any, Any]:
+    """The same of a result whose model is no robot's, on the channels that it has."""
+    content = {"parameters": result.get("parameters", {}), "effects": list(result.get("effects", ()))}
+    try:
+        simulation = simulate_dataset(content, dataset, result["model"])
+    except UsageError as error:
+        notes.append(f"jaxid has no run of its own: {error}")
+        return None, None
+    notes.append(f"jaxid's run is of the {result['model']} that {robot.name} was exported from")
+    joints = [c.name for c in dataset.outputs]
+    return [np.stack([run[j] for j in joints if j in run], 1) for run in simulation.runs], [
+        np.asarray(s) for s in simulation.starts
+    ]
 
 
 def _content(source: _Source, data: Dataset, joints: tuple[str, ...]) -> dict[str, Any]:
@@ -186,7 +206,12 @@ def in_mujoco(
     joints = free.leading
     inputs = [c.name for c in data.inputs]
     goals, torques = (all(f"{j}{end}" in inputs for j in joints) for end in ("_cmd", "_tau"))
-    law = None
+    law, spec = None, data.model
+    if inputs and not (goals or torques) and not (spec is not None and spec.free):
+        raise UsageError(
+            f"nothing that was recorded drives {path.name}: of its joints add goals ({joints[0]}_cmd) or torques "
+            f"({joints[0]}_tau) as inputs (the recording has {', '.join(inputs)}), or say free = true"
+        )
     if goals and not _own_actuators(tree, joints):
         law = _law(data, joints, source, path)
         notes.append(f"{path.name} has no position actuators for these joints: the law of [controller] drives")

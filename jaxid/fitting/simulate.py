@@ -31,7 +31,9 @@ def simulate_dataset(content: Mapping[str, Any] | None, dataset: Dataset, model:
     parameters = content.get("parameters", {})
     if not isinstance(parameters, Mapping) or not isinstance(effects, list | tuple):
         raise UsageError('parameters must look like {"parameters": {"inertia": {"value": 0.08}}, "effects": []}')
-    binding = bind(model or content.get("model"), dataset, effects=[_label(e) for e in effects], splits=False)
+    known = resolve_model(model or content.get("model"), dataset).contents  # its own laws have their numbers among the parameters
+    added = [e for e in effects if not (isinstance(e, Mapping) and e.get("effect") in known)]
+    binding = bind(model or content.get("model"), dataset, effects=[_label(e) for e in added], splits=False)
     theta = binding.theta.copy()
     for name, value in parameters.items():
         theta[binding.layout.index(name)] = _number(name, value)

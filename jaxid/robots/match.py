@@ -110,6 +110,8 @@ def named(dataset: Dataset, tree: Tree, joints: Mapping[str, str] | None = None)
         joints = {c: tree.leading[k - 1] for c, k in zip(numbered, places, strict=True)}
         listed = ", ".join(f"{c} = {j}" for c, j in joints.items())
         notes += [f"joints by the order of the file, as the recording does not name them: {listed} (else state [model.joints])"]
+    elif not joints and numbered and {c.name for c in dataset.outputs} <= set(tree.joints):
+        joints = {c: c for c in numbered}  # joints that are named q, q1 …: their torques are tau, tau1 …
     names = {}
     for channel, joint in joints.items():
         forms = forms_of(channel, joint)

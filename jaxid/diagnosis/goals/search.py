@@ -98,7 +98,8 @@ class Decider:
 
     def with_what_the_file_lacks(self, search: Search) -> Search:
         """A brake that the file leaves at nothing (`damping`, `frictionloss` of a joint) and that re-tuning made something of is
-        an effect that the file lacks: the model without it is the nominal one, and it is taken back where it is not missed."""
+        an effect that the file lacks: the model without it is the nominal one, and it is taken back where it is not missed. Where
+        more is left than the noise, it may stand for what is not known, and stays a number."""
         b, chosen = self.bench.binding, search.chosen
         lacked = [
             c for c in _absent(b) if all(abs(chosen.theta[i]) > MANY * abs(b.doubts.get(b.layout.names[i], 0.0)) for i in c.index)
@@ -116,7 +117,11 @@ class Decider:
             return search
         whole = self._thinned(nominal, whole, tried)
         several = len({c.effect for c in whole.effects}) > 1
-        return Search(nominal, whole, [*tried, whole], search.confusable, search.rivals, several)
+        found = Search(nominal, whole, [*tried, whole], search.confusable, search.rivals, several)
+        if judge(found).name == "named":
+            return found
+        self.asked = frozenset()
+        return search
 
     def with_their_difference(self, nominal: Hypothesis) -> float:
         """What the re-tuned model would leave of the fit runs if it were simulated as the other simulator does, in part or in
