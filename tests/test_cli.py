@@ -22,7 +22,7 @@ from jaxid.cli import app as cli, terminal
 from jaxid.data.dataset import Dataset
 from jaxid.errors import DatasetWarning
 from jaxid.runtime import Interrupted
-from jaxid.serialise import finite
+from jaxid.serialise import finite, json_bytes
 from report_sample import hostile, sample_diagnosis, sample_fit, sample_simulation
 
 
@@ -180,6 +180,14 @@ def test_simulate(calls, tmp_path, capsys):
     assert table.column_names == ["t", "q"]
     assert np.allclose(table["q"].to_numpy(), np.cos(np.linspace(0, 1, 11)))
     assert "0.00200 rad" in capsys.readouterr().out
+
+
+def test_a_diagnosis_is_simulated_with_what_it_names(calls, tmp_path):
+    named = sample_diagnosis(200)
+    assert named.which.effects
+    (tmp_path / "d.json").write_bytes(json_bytes(named))
+    assert run("simulate", "data", "--parameters", tmp_path / "d.json", "--out", tmp_path / "out") == 0
+    assert [e["effect"] for e in calls["simulate"][0][2]["effects"]] == [e.effect for e in named.which.effects]
 
 
 @pytest.mark.parametrize("command", ["fit", "diagnose"])

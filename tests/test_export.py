@@ -586,6 +586,8 @@ def test_replay_of_the_file_that_made_the_recording(bench, tmp_path):
     assert any("exported from" in n for n in found.notes)
     for row in found.rows:
         assert row["mujoco"] < 1e-9 and 0 < row["difference"] < 1e-3 and abs(row["jaxid"] - row["difference"]) < 1e-9
+        assert row["before"] > 10 * row["difference"] and "before" in repr(found)
+    assert not [n for n in found.notes if "further" in n]
     assert "run_1.parquet" in found.tables() and found.to_dict()["per_joint"][0]["joint"] == "lift"
 
 
@@ -648,3 +650,31 @@ def test_the_replay_command(arm, tmp_path, capsys):
     assert (tmp_path / "out" / "run_1.parquet").is_file()
     assert main(own) == 0 and "rms error in MuJoCo" in capsys.readouterr().out
     assert main(["replay", str(tmp_path), "--robot", str(tmp_path / "no.xml"), "--out", str(tmp_path / "out")]) == 2
+
+
+def test_a_replay_that_nothing_drives_is_refused(arm):
+    t = np.arange(0, 1, 0.01)
+    own = {"units": {"current": "A", "lift": "rad", "bend": "rad"}, "check_model": False}
+    data = jaxid.Dataset.from_arrays(t, {"current": np.sin(t)}, {"lift": np.sin(t), "bend": np.sin(t)}, **own)
+    with pytest.raises(jaxid.UsageError, match="nothing that was recorded drives arm.xml: of its joints add goals"):
+        jaxid.replay(data, arm)
+
+
+def test_a_patch_that_makes_things_worse_is_said():
+    from jaxid.fitting.replay import _worse
+
+    rows = [{"joint": j, "before": b, "mujoco": m} for j, b, m in (("lift", 1.0, 0.1), ("bend", 0.1, 0.2))]
+    (said,) = _worse(rows)
+    assert said.startswith("bend") and "do not take it over" in said
+
+
+def test_joints_named_q_take_the_torques_of_their_numbers(tmp_path):
+    """A file's own q, driven by `tau`."""
+    path = tmp_path / "rod.xml"
+    path.write_text('<mujoco><worldbody><body><joint name="q" axis="0 1 0"/><inertial pos="0 0 -.2" mass=".4" '
+                    'diaginertia=".01 .01 .001"/></body></worldbody></mujoco>')  # fmt: skip
+    t = np.arange(0, 1, 0.01)
+    data = jaxid.Dataset.from_arrays(t, {"tau": 0.1 * np.sin(t)}, {"q": 1e-3 * np.sin(9 * t)}, units={"tau": "N m", "q": "rad"},
+                                     check_model=False)  # fmt: skip
+    (row,) = jaxid.replay(data, path).rows
+    assert row["mujoco"] > 10 * row["difference"] > 0, "the torque drives both"

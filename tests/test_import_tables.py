@@ -414,3 +414,10 @@ def test_the_cases_of_a_bench(tmp_path):
     for path in files:
         data, _ = run(path, tmp_path / path.name, own.get(path.name, PLAIN))
         assert len(data.experiments[0]) == 50 and abs(float(np.median(np.diff(data.experiments[0].t))) - 0.01) < 1e-9
+
+
+def test_a_column_goes_by_its_header_as_it_stands(tmp_path):
+    (tmp_path / "log.csv").write_text(text(header="t [s],angle (rad),motor [N m]"))
+    same(run(tmp_path / "log.csv", tmp_path / "out", ("t=t [s]:s", "q=angle (rad):rad", "tau=motor [N m]:N m"))[0])
+    with pytest.raises(DatasetError, match="there is no column"):
+        run(tmp_path / "log.csv", tmp_path / "other", ("t=t:s", "q=angle:rad", "tau=speed [A]:N m"))

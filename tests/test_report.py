@@ -303,3 +303,30 @@ def test_nothing_calls_show():
     for folder in ("jaxid", "models", "fitters", "notebooks", "docs"):
         for file in (root / folder).rglob("*.py"):
             assert "plt.show" not in file.read_text() and "pyplot.show" not in file.read_text(), file
+
+
+def test_candidates_are_drawn_beside_what_they_were_tried_beside():
+    from jaxid.diagnosis.result import Ranked
+    from jaxid.report.ranking import rounds
+
+    tried = [((), 4), (("a at q",), 3), (("b at q",), 1), (("c at q", "a at q"), 1)]
+    rows = [(Ranked(f"e{k}", "q", 1.0, 1.0, 1.0, "", beside), "") for beside, n in tried for k in range(n)]
+    assert {beside: len(own) for beside, own in rounds(rows).items()} == {(): 4, ("a at q",): 3}
+    named = [*rows[:-1], (rows[-1][0], "named")]
+    assert list(rounds(named)) == [(), ("a at q",), ("a at q", "c at q")]
+
+
+def test_numbers_known_only_together_are_said_once():
+    fit = replace(sample_fit(), correlated=tuple((f"a{k}", f"b{k}") for k in range(9)))
+    told = text.together(fit)
+    assert told.count("not one by one") == 1 and "; and 3 more groups" in told
+    assert text.together(replace(fit, correlated=())) == ""
+
+
+def test_stated_numbers_stand_beside_those_of_the_fit(tmp_path):
+    from jaxid.fitting.stated import Stated
+
+    stated = (Stated("q", "", "inertia", 0.0777, 0.08123, 0.0004, 8.0, "inertia: …", "kg m^2"),)
+    page = write_fit(replace(sample_fit(), stated=stated), tmp_path / "fit.html").read_text(encoding="utf-8")
+    assert '<th class="n">stated</th>' in page and ">0.0777<" in page
+    assert '<th class="n">stated</th>' not in write_fit(sample_fit(), tmp_path / "b.html").read_text(encoding="utf-8")
