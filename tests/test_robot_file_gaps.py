@@ -116,14 +116,23 @@ def test_brakes_that_a_file_states_are_no_effects(tmp_path):
 
 
 @pytest.mark.parametrize(
-    ("apart", "left", "strange"), [(1e-4, 1e-3, False), (0.3, 5e-3, True), (1e-3, 5e-3, False), (1e-4, 1e-5, False)]
+    ("apart", "left", "strange"),
+    [
+        ((1e-4, 1e-4), (1e-3, 1e-3), False),
+        ((0.3, 0.2), (5e-3, 1e-3), True),
+        ((4e-4, 4e-4), (2e-4, 2e-4), False),  # MuJoCo's run of the file is at the noise: the file is right
+        ((1e-4, 4e-4), (4e-3, 2e-4), False),  # a little more where nothing is missing, and far less where something is
+    ],
 )
 def test_no_file_is_judged_by_a_run_that_is_not_its_own(apart, left, strange):
-    """Further from MuJoCo's run than that is from the recording, and than noise."""
-    noise = {"lift": SimpleNamespace(unit="rad")}
-    chain = SimpleNamespace(signature=SimpleNamespace(outputs=[("lift", "rad")]), mechanism=None)
-    binding = SimpleNamespace(sigma=np.array([2e-4]), noise=noise, chain=chain, dataset=None)
-    told = not_this_file(cast(Any, binding), Between([], np.array([left])), np.array([apart]))
+    """Further from MuJoCo's run than that is from the recording, which is further than noise."""
+    outputs = [("lift", "rad"), ("bend", "rad")]
+    chain = SimpleNamespace(signature=SimpleNamespace(outputs=outputs), mechanism=None)
+    binding = SimpleNamespace(
+        sigma=np.full(2, 2e-4), noise={n: SimpleNamespace(unit=u) for n, u in outputs}, chain=chain, dataset=None,
+        experiments=lambda split: [SimpleNamespace(t=np.zeros(1000))],
+    )  # fmt: skip
+    told = not_this_file(cast(Any, binding), Between([], np.array(left)), np.array(apart))
     assert bool(told) == strange
 
 

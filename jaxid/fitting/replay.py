@@ -127,9 +127,7 @@ def _source(robot: Path) -> _Source | None:
     return _Source(content, original if known else None, tuple(r for r in rows if isinstance(r, Mapping)))
 
 
-def _by_jaxid(
-    raw: Dataset, data: Dataset, robot: Path, tree: Tree, source: _Source | None, notes: list[str]
-) -> tuple[Any, Any]:
+def _by_jaxid(raw: Dataset, data: Dataset, robot: Path, tree: Tree, source: _Source | None, notes: list[str]) -> tuple[Any, Any]:
     """(positions by run, starts) of jaxid's free run; (None, None) where it has none, with a note that says why. `raw` is the
     dataset as it came, `data` the same under the joints' names."""
     from jaxid.models import Robot

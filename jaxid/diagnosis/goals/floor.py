@@ -13,6 +13,7 @@ from pathlib import Path
 
 import numpy as np
 
+from jaxid.diagnosis.verdict import level
 from jaxid.errors import UsageError
 from jaxid.fitting.problem_builder import Bench, estimate_starts
 from jaxid.fitting.replay import in_mujoco
@@ -87,13 +88,14 @@ def with_floor(binding: Binding, apart: np.ndarray | None, numbers: Mapping[str,
 
 def not_this_file(binding: Binding, between: Between | None, apart: np.ndarray | None) -> str:
     """Where jaxid's run of the file is further from MuJoCo's, whatever the numbers (`apart`, rms [n]), than MuJoCo's is from the
-    recording: what is left then is jaxid's own, and no model of it tells of the robot. Empty where it tells."""
+    recording, and that is above the noise: what is left then is jaxid's own, and no model of it tells of the robot. Empty where
+    it tells."""
     if between is None or apart is None:
         return ""
-    far = [k for k, x in enumerate(apart) if x > max(between.left[k], binding.sigma[k])]
-    if not far:
+    ours, theirs = (float(np.mean((x / binding.sigma) ** 2)) for x in (apart, between.left))
+    if not ours > theirs > level(sum(len(e.t) for e in binding.experiments("fit")) * len(apart)):
         return ""
-    worst = max(far, key=lambda k: apart[k] / between.left[k])
+    worst = int(np.argmax(apart / binding.sigma))
     names = [name for name, _ in binding.chain.signature.outputs]
     unit = binding.noise[names[worst]].unit
     text = (
