@@ -137,7 +137,8 @@ def paragraph(label: str, sentences: Iterable[str]) -> str:
 
 def wrapped(sentence: str, first: str = "", others: str = "") -> str:
     width = max(40, min(shutil.get_terminal_size((100, 24)).columns, 110))
-    return "\n".join(textwrap.wrap(one_line(sentence), width, initial_indent=first, subsequent_indent=others))
+    indents = {"initial_indent": first, "subsequent_indent": others}
+    return "\n".join(textwrap.wrap(one_line(sentence), width, break_on_hyphens=False, **indents))
 
 
 def complain(text: object) -> None:

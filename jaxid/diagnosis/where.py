@@ -241,7 +241,7 @@ def when(window: tuple[float, float], found: Sequence[Missing], name: str) -> st
 def during(window: tuple[float, float], e: Experiment) -> str:
     """A window of a run in words: in its own time, or from its start where its clock began long before."""
     if abs(e.t[0]) < LATE:
-        return f"from {window[0]:.5g} to {window[1]:.5g} s of {e.name}"
+        return f"from {window[0]:.3f} to {window[1]:.3f} s of {e.name}"
     return f"from {window[0] - e.t[0]:.5g} to {window[1] - e.t[0]:.5g} s after the start of {e.name}"
 
 

@@ -6,6 +6,7 @@ import shlex
 from pathlib import Path
 from typing import Any
 
+from jaxid import wording
 from jaxid.report.page import Section
 
 
@@ -27,4 +28,19 @@ def section(result: Any, file: str) -> Section | None:
             "the patched file in MuJoCo on the same log, joint by joint",
         ),
     ]
-    return Section("carry.html", {"lines": lines, "robot": name.name})
+    return Section("carry.html", {"lines": lines, "robot": name.name, "changes": changes(result, to)})
+
+
+def changes(result: Any, to: str) -> list[tuple[str, str, str, str]]:
+    """What the patched file says otherwise: number, field, value, and what is to be said; none where the file is not at hand."""
+    from jaxid.errors import UsageError
+
+    try:
+        rows = result.export(to).rows
+    except (UsageError, OSError):
+        return []
+    told = []
+    for r in (r for r in rows if not r.kept):
+        value = f"{wording.number(r.value, 4) if isinstance(r.value, float) else r.value} {r.unit}".strip()
+        told.append((f"{r.effect} at {r.location}" if r.location else r.effect, r.field or f"no field ({r.how})", value, r.note))
+    return told

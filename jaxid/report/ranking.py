@@ -1,4 +1,4 @@
-"""Every candidate after its refit, best first."""
+"""The candidates that were tried, after their refits, best first."""
 
 from __future__ import annotations
 

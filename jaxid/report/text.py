@@ -114,7 +114,8 @@ GROUPS = 6
 
 def together(fit: Fit) -> str:
     """Numbers that the data determine only together, group by group; empty where there are none."""
-    groups = [one_line(", ".join(group)) for group in fit.correlated]
+    own = [[name for name in group if not name.startswith("start of ")] for group in fit.correlated]
+    groups = list(dict.fromkeys(one_line(", ".join(group)) for group in own if len(group) > 1))
     if not groups:
         return ""
     more = f"; and {len(groups) - GROUPS} more groups" if len(groups) > GROUPS else ""
@@ -173,15 +174,15 @@ def how_far_sentence(how_far: HowFar, verdict: str) -> str:
             "of these it reaches the noise there too."
         )
         return (
-            f"What is left, its own numbers retuned, is {retuned} times the noise; 1 is the noise itself{stated}."
+            f"What is left, its own numbers re-tuned, is {retuned} times the noise; 1 is the noise itself{stated}."
             f"{away if not how_far.gap_retuned <= NEAR else ''}"
         )
     if verdict == "unknown":
         worse = before != retuned and not how_far.gap_retuned <= how_far.gap_before
-        led = " Retuned to the data that were fitted it is further from these than as it was stated." if worse else ""
-        return f"The gap is {before} times the noise, {retuned} after retuning the model's own parameters.{led}"
+        led = " Re-tuned to the data that were fitted it is further from these than as it was stated." if worse else ""
+        return f"The gap is {before} times the noise, {retuned} after re-tuning the model's own parameters.{led}"
     course = "falls" if how_far.gap_after < how_far.gap_before else "does not fall, but goes"
-    return f"The gap {course} from {before} to {after} times the noise ({retuned} if the old parameters are retuned alone)."
+    return f"The gap {course} from {before} to {after} times the noise ({retuned} re-tuned alone)."
 
 
 def unused(how_far: HowFar) -> str:
@@ -200,11 +201,11 @@ def shrinkage_sentence(how_far: HowFar, verdict: str) -> str:
     if how_far.shrinkage is None:
         return f"No shrinkage is given: {one_line(how_far.interval_reason).rstrip('.')}." if how_far.interval_reason else ""
     share = percent(how_far.shrinkage)
-    head = f"{share[:1].upper()}{share[1:]} of the gap is closed on {unused(how_far)}"
+    head = f"{share[:1].upper()}{share[1:]} of its mean square is closed on {unused(how_far)}"
     if how_far.shrinkage_interval_95 is None:
         reason = one_line(how_far.interval_reason).rstrip(".").removeprefix("no interval: ")
         return f"{head} (no interval: {reason})." if reason else f"{head}."
-    return f"{head} (in a further run like these {interval(how_far)})."
+    return f"{head} (in a further run {interval(how_far)})."
 
 
 def telling(how_far: HowFar) -> list[str]:
@@ -230,7 +231,9 @@ def channel_sentence(how_far: HowFar, name: str, verdict: str) -> str:
     before, retuned, after = number(gap.rmse_before), number(gap.rmse_retuned), number(gap.rmse_after)
     course = f"{before} → {after} {unit}" if verdict in ("named", "partly") else f"{before} {unit}"
     if verdict not in ("named", "partly") and retuned != before:
-        course += f", {retuned} {unit} retuned"
+        course += f", {retuned} {unit} re-tuned"
+    elif verdict in ("named", "partly") and gap.rmse_after > gap.rmse_retuned and retuned != after:
+        course += f", further off than re-tuned alone ({retuned} {unit})"
     return f"{one_line(name)}: rms error {course} (noise {number(gap.noise, 2)} {unit}, {one_line(gap.noise_source)})"
 
 
