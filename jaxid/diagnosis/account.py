@@ -101,7 +101,7 @@ def traces(bench: Bench, residual: Residual, nominal: Hypothesis, final: Hypothe
     """Measured and simulated series of every split, for the report."""
     out = []
     thetas = [nominal.theta] + ([final.theta] if named else [])
-    labels = ["nominal model, re-tuned"] + (["with " + " and ".join(str(c) for c in named)] if named else [])
+    labels = ["re-tuned"] + (["with " + " and ".join(str(c) for c in named)] if named else [])
     for split in ("report", "validation", "fit"):
         if not bench.binding.experiments(split):
             continue

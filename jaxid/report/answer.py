@@ -111,7 +111,8 @@ def far_card(diagnosis: Diagnosis) -> tuple[str, list[str]]:
         last = how_far.gap_retuned if verdict == "none" else how_far.gap_after if diagnosis.which.effects else how_far.gap_before
         fact = f"{wording.times(last)} × the noise"
     else:
-        fact = f"{wording.percent(how_far.shrinkage)} of the gap closed"
+        share = wording.percent(how_far.shrinkage)
+        fact = f"{share[:1].upper()}{share[1:]} of the gap closed"
     sentences = [text.how_far_sentence(how_far, verdict)]
     if how_far.shrinkage is None or verdict == "unknown":
         sentences.append(text.shrinkage_sentence(how_far, verdict))
@@ -119,7 +120,7 @@ def far_card(diagnosis: Diagnosis) -> tuple[str, list[str]]:
         if how_far.interval_reason:
             sentences.append(f"No interval: {how_far.interval_reason.rstrip('.').removeprefix('no interval: ')}.")
     else:
-        sentences.append(f"In a further run like these: {text.interval(how_far)}.")
+        sentences.append(f"In a further run: {text.interval(how_far)}.")
     return fact, [s for s in sentences if s]
 
 
@@ -132,8 +133,8 @@ def gap_picture(how_far: HowFar, verdict: str):
 def draw_gap(axes: Axes, how_far: HowFar, verdict: str) -> Axes:
     """The same on Axes."""
     bars = [
-        ("nominal model", how_far.gap_before, plot.VERMILLION),
-        ("nominal model, retuned", how_far.gap_retuned, plot.ORANGE),
+        ("as stated", how_far.gap_before, plot.VERMILLION),
+        ("re-tuned", how_far.gap_retuned, plot.ORANGE),
     ]
     if verdict in ("named", "partly"):
         bars.append(("with the missing effect", how_far.gap_after, plot.BLUE))

@@ -266,7 +266,7 @@ def traces(study: Study, nominal: Answer, final: Answer, label: str) -> tuple[Tr
     out = []
     for k in sorted(range(len(study.runs)), key=lambda k: ("report", "validation", "fit").index(study.runs[k].split)):
         run, measured = study.runs[k], nominal.measured(k)
-        needed = {"nominal model, re-tuned": measured - nominal.residual(k)}
+        needed = {"re-tuned": measured - nominal.residual(k)}
         if label:
             needed[label] = measured - final.residual(k)
         for j, (name, unit) in enumerate(study.binding.chain.torque_channels):
