@@ -47,7 +47,10 @@ def export(result, to, robot, ranges, out, as_json, quiet) -> int:
         terminal.say(export_text(found, out))
     if found.carries:
         return SUCCESS
-    terminal.complain(f"nothing of this result can be carried into {to}: {out / 'export.json'} says why")
+    if any(r.kept for r in found.rows):
+        terminal.complain(f"nothing to carry into {to}: the data refute no number of the file ({out / 'export.json'} has each)")
+    else:
+        terminal.complain(f"nothing of this result can be carried into {to}: {out / 'export.json'} says why")
     return FAILED
 
 

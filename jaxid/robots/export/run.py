@@ -42,7 +42,7 @@ class Exported:
     @property
     def carries(self) -> bool:
         """Whether anything can be carried over."""
-        return any(r.how != "none" for r in self.rows)
+        return any(r.how != "none" and not r.kept for r in self.rows)
 
     def to_list(self) -> list[dict[str, Any]]:
         """The rows as `export.json` holds them."""
