@@ -203,7 +203,7 @@ def _diagnosed(question: Question, scatter: timing.Scatter | None = None) -> tup
     claim, nominal = judge.claim(), judge.nominal
     verdict, named, final, how_far = claim.verdict, claim.named, claim.final, claim.how_far
     estimates = effect_estimates(binding, final, named)
-    if verdict.name == "named" and (against := doubts(estimates)):
+    if verdict.name in ("named", "partly") and (against := doubts(estimates)):
         verdict = verdict.but("partly", NotBelievable(tuple(against)))
     assembled = lambda: fit_of(bench, final, residual, seed, compile_time, time.perf_counter() - began)
     final_fit = assembled() if named or question.search is None else nominal_fit
