@@ -51,10 +51,10 @@ def scaled(channel: str, factor: float) -> Mending:
 @pytest.mark.parametrize(
     ("name", "kind", "channel", "fault", "line"),
     [
-        ("seven", "sign", "tau2", scaled("tau2", -1.0), "scale = -1"),
+        pytest.param("seven", "sign", "tau2", scaled("tau2", -1.0), "scale = -1", marks=pytest.mark.slow),
         ("seven", "sign", "q3", scaled("q3", -1.0), "scale = -1"),
         ("seven", "zero", "q4", Mending({"q4": {"offset": 1.5708}}), "offset = -1.5708"),
-        ("seven", "scale", "q2", scaled("q2", 180 / pi), 'unit = "deg"'),
+        pytest.param("seven", "scale", "q2", scaled("q2", 180 / pi), 'unit = "deg"', marks=pytest.mark.slow),
         ("seven", "scale", "tau3", scaled("tau3", 1000.0), 'unit = "mN m"'),
         ("three", "sign", "tau1", scaled("tau1", -1.0), "scale = -1"),
         ("three", "scale", "q1", scaled("q1", 180 / pi), 'unit = "deg"'),
