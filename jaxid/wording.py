@@ -137,8 +137,8 @@ def paragraph(label: str, sentences: Iterable[str]) -> str:
 
 def wrapped(sentence: str, first: str = "", others: str = "") -> str:
     width = max(40, min(shutil.get_terminal_size((100, 24)).columns, 110))
-    indents = {"initial_indent": first, "subsequent_indent": others}
-    return "\n".join(textwrap.wrap(one_line(sentence), width, break_on_hyphens=False, **indents))
+    lines = textwrap.TextWrapper(width, initial_indent=first, subsequent_indent=others, break_on_hyphens=False)
+    return "\n".join(lines.wrap(one_line(sentence)))
 
 
 def complain(text: object) -> None:

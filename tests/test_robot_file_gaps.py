@@ -1,12 +1,13 @@
 """What a robot's file leaves out, as its owner has it: brakes of nothing, stops that the recording meets, a patch of one line."""
 
 import dataclasses
+import importlib
 import json
+from collections.abc import Mapping
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any, cast
 
-import mujoco
 import numpy as np
 import pytest
 
@@ -21,6 +22,7 @@ from jaxid.robots.stops import sentences
 
 
 DRY = 1.2  # N m
+mujoco: Any = importlib.import_module("mujoco")
 
 
 def file(dry: float = 0.0, angle: str = '<compiler angle="radian"/>', rate: float = 1e-3) -> str:
@@ -139,7 +141,7 @@ def test_no_file_is_judged_by_a_run_that_is_not_its_own(apart, left, strange):
 # ---- which numbers stay
 
 
-def result(fitted: dict[str, tuple[float, float, float]], covariance: np.ndarray | None = None, verdict: str = "named"):
+def result(fitted: Mapping[str, tuple[float, float, float | None]], covariance: np.ndarray | None = None, verdict: str = "named"):
     """A diagnosis with (stated, fitted, std) of each number."""
     rows = [
         {"joint": k.split("@")[1], "link": "", "parameter": k.split("@")[0], "stated": s, "fitted": v, "std": e}
