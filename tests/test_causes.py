@@ -3,15 +3,18 @@
 from __future__ import annotations
 
 import re
+from dataclasses import replace
 
 import numpy as np
 import pytest
 
 from jaxid import catalogue
 from jaxid.diagnosis.cause import span, variable, words
+from jaxid.diagnosis.result import MissingForce
 from jaxid.dynamics.parameter import specs
 from jaxid.fitting.result import EffectEstimate, Estimate
 from jaxid.report import binned
+from jaxid.report.missing_force import law_sentence
 
 
 def estimate(name: str, value: float = 0.25, std: float | None = 0.01) -> EffectEstimate:
@@ -38,6 +41,31 @@ def test_numbers_bear_as_many_digits_as_are_known():
     known = lambda value, std: words(estimate("dead_zone", value, std), "plain")
     for value, std, told in ((0.2969, 0.0026, "0.297"), (0.31, 0.15, "0.3"), (0.0999951, 7e-6, "0.1000"), (0.25, None, "0.250")):
         assert f"needs {told} N m" in known(value, std)
+
+
+def test_a_wave_number_is_said_as_its_period():
+    ten = EffectEstimate("torque_ripple", "q", {"order": Estimate(10.0, 0.01, "rad/rad", 0.0, 400.0)})
+    assert "once every 0.6283 rad" in words(ten, "seen")
+    rail = EffectEstimate("torque_ripple", "x", {"order": Estimate(10.0, 0.01, "rad/m", 0.0, 400.0)})
+    assert "once every 0.6283 m" in words(rail, "seen")
+
+
+@pytest.mark.parametrize(
+    ("variable", "law", "told"),
+    [
+        ("position", lambda q, qd: (0.3 + 0.1 * q) * np.sign(qd), (0.2, -1.0, 0.4, 1.0, -0.2, -1.0, -0.4, 1.0)),
+        ("speed", lambda q, qd: 0.1 * qd, (-0.1, -1.0, 0.1, 1.0)),
+    ],
+)
+def test_what_the_effects_supply_is_said_with_its_size_and_place(variable, law, told):
+    t = np.linspace(0, 200, 20001)
+    q, qd = np.sin(t), np.cos(t)
+    before = law(q, qd)
+    force = MissingForce("q1", "N m", "rad", "rad/s", "run", t, q, qd, 0 * t, before, 0 * t, 0 * t)
+    sentence = law_sentence([force], variable)
+    found = [float(x.replace("−", "-")) for x in re.findall(r"[-−]?\d+\.\d+", sentence)]
+    assert np.allclose(found, told, atol=0.08) and sentence.count("N m at") == len(told) // 2
+    assert law_sentence([replace(force, after=before)], variable) == "" == law_sentence([force], "reading")
 
 
 def test_means_count_visits_not_samples():

@@ -16,7 +16,8 @@ if TYPE_CHECKING:
 
 
 class Amount:
-    """A fitted number inside a sentence: with its unit, or as a share (`{gain:%}`)."""
+    """A fitted number inside a sentence: with its unit, as a share (`{gain:%}`), or of a wave number the period
+    (`{order:period}`)."""
 
     def __init__(self, estimate: Estimate):
         self.value, self.unit = estimate.value, "" if estimate.unit in ("", "1") else f" {estimate.unit}"
@@ -24,7 +25,11 @@ class Amount:
         self.digits = int(np.clip(round(np.log10(known)) + 1, 1, 4)) if np.isfinite(known) else 3
 
     def __format__(self, form: str) -> str:
-        return percent(self.value) if form == "%" else number(self.value, self.digits) + self.unit
+        if form == "%":
+            return percent(self.value)
+        if form == "period":  # rad/m counts phase along metres
+            return f"{number(2 * np.pi / self.value, self.digits)} {self.unit.partition('/')[2] or 'rad'}"
+        return number(self.value, self.digits) + self.unit
 
 
 def words(effect: EffectEstimate, field: str) -> str:

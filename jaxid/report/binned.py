@@ -60,13 +60,26 @@ def directions(field: str) -> list[tuple[str, int]]:
     return [("", 0)] if field == "qd" else [("forwards", 1), ("backwards", -1)]
 
 
+def supplied(forces: Sequence[MissingForce], field: str, sign: int = 0) -> Means:
+    """What the named effects supply, as means over a field of the motion; in one direction of motion, or in both (0)."""
+    runs = []
+    for f in forces:
+        keep = moving(f) & ((sign == 0) | (np.sign(f.qd) == sign))
+        runs.append((getattr(f, field), plot.series(f.before) - plot.series(f.after), keep))
+    return means(runs, edges_of(forces, field))
+
+
+def edges_of(forces: Sequence[MissingForce], field: str) -> np.ndarray:
+    """Edges of the parts of an axis; none where the field does not vary."""
+    low, high = np.quantile(np.concatenate([getattr(f, field) for f in forces]), [0.005, 0.995])
+    return np.linspace(low, high, PARTS + 1) if high > low else np.zeros(0)
+
+
 def draw(axes: Axes, forces: Sequence[MissingForce], field: str, which: str, law: bool) -> None:
     """Means of `before` or `after` against a field of the motion; `law`: what the named effects supply as a line on top."""
-    x = np.concatenate([getattr(f, field) for f in forces])
-    low, high = np.quantile(x, [0.005, 0.995])
-    if not high > low:
+    edges = edges_of(forces, field)
+    if not len(edges):
         return
-    edges = np.linspace(low, high, PARTS + 1)
     for (_, sign), color, mark in zip(directions(field), (plot.VERMILLION, plot.ORANGE), "o^", strict=False):
         keep = [moving(f) & ((sign == 0) | (np.sign(f.qd) == sign)) for f in forces]
         series = [(getattr(f, field), plot.series(getattr(f, which)), k) for f, k in zip(forces, keep, strict=True)]
@@ -75,7 +88,6 @@ def draw(axes: Axes, forces: Sequence[MissingForce], field: str, which: str, law
         axes.errorbar(m.x[known], m.mean[known], m.half[known], fmt=mark, ms=3.6, lw=1.0, color=color)
         axes.plot(m.x[~known], m.mean[~known], mark, ms=3.6, mfc="white", mew=0.9, color=color)
         if law:
-            given = [(x, plot.series(f.before) - plot.series(f.after), k) for f, (x, _, k) in zip(forces, series, strict=True)]
-            supplied = means(given, edges)
-            axes.plot(supplied.x, supplied.mean, color=plot.BLUE, lw=1.6, ls="-" if sign >= 0 else (0, (4, 2)), zorder=3)
+            line = supplied(forces, field, sign)
+            axes.plot(line.x, line.mean, color=plot.BLUE, lw=1.6, ls="-" if sign >= 0 else (0, (4, 2)), zorder=3)
     axes.axhline(0.0, color=plot.BLACK, linewidth=0.6)

@@ -32,7 +32,8 @@ def section(forces: Sequence[MissingForce], regimes: Sequence[Regime], where: Se
     pictures = []
     for i, joint in enumerate(joints[:SHOWN]):
         own = [f for f in forces if f.joint == joint]
-        pictures.append((f"Joint {joint}", picture(own, f"force-{i}", told_by.get(joint, ""))))
+        variable = told_by.get(joint, "")
+        pictures.append((f"Joint {joint}", picture(own, f"force-{i}", variable), law_sentence(own, variable)))
     strongest = sorted(regimes, key=lambda r: -r.strength)[:30]
     if not pictures and not strongest:
         return None
@@ -49,6 +50,24 @@ def section(forces: Sequence[MissingForce], regimes: Sequence[Regime], where: Se
 def supplied(force: MissingForce) -> float:
     """How much the named effects change at a joint: joints without news come last."""
     return float(np.nanstd(plot.series(force.before) - plot.series(force.after)))
+
+
+def law_sentence(forces: Sequence[MissingForce], variable: str) -> str:
+    """The two ends of what the named effects supply over the variable that they are a law of; "" where nothing is supplied."""
+    first = forces[0]
+    field = FIELDS.get(variable, "")
+    unit = {"q": first.q_unit, "qd": first.qd_unit, "load": first.unit}.get(field)
+    if unit is None or all(np.array_equal(f.before, f.after) for f in forces):
+        return ""
+    of, parts = f"a {variable} of " if field == "load" else "", []
+    for direction, sign in binned.directions(field):
+        law = binned.supplied(forces, field, sign)
+        if len(law.x) > 1:
+            at = sorted((int(np.argmin(law.mean)), int(np.argmax(law.mean))))
+            values = [(wording.number(law.mean[k], 2), wording.number(law.x[k], 2)) for k in at]
+            ends = [f"{force} {first.unit} at {of}{place} {unit}" for force, place in values]
+            parts.append(f"{f'moving {direction}, ' if direction else ''}from {ends[0]} to {ends[1]}")
+    return f"The named effects supply {'; '.join(parts)}." if parts else ""
 
 
 def picture(forces: Sequence[MissingForce], name: str, variable: str = ""):

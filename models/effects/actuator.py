@@ -199,7 +199,7 @@ class TorqueRipple(JointEffect):
     source: ClassVar[str] = "textbook; the order is the number of poles, slots or teeth per turn, or found from the data"
     excitation: ClassVar[str] = "slow constant speed over the whole travel, both ways"
     axis: ClassVar[str] = "position"
-    seen: ClassVar[str] = "over and over with position, {order} times a radian"
+    seen: ClassVar[str] = "over and over with position, once every {order:period}"
     plain: ClassVar[str] = "The torque pulsates with position: cogging of the motor or an eccentric gear."
     check: ClassVar[str] = "Turn slowly over a whole revolution and compare the period with poles and teeth."
     sine: Array = param(0.0, -TORQUE, TORQUE, scale=0.02 * TORQUE, unit="{F}", meaning="amplitude of the sine")
