@@ -341,7 +341,8 @@ class ForceFit:
         moved = replace(m, q=m.q + noisy[0], qd=m.qd + noisy[1], qdd=m.qdd + noisy[2])
         # Signs of slow velocities flip: no more than any reading would show, so only smooth parts are compared.
         change = (self.missing(theta, moved) - self.missing(theta, m)) * m.weight / norm
-        return float(np.sqrt(np.mean(change**2)))
+        with np.errstate(over="ignore"):  # a fit that has run away
+            return float(np.sqrt(np.mean(change**2)))
 
     def spread(self, fitted: Fitted, m: Motion, at: int) -> tuple[float, float]:
         """A number's change from the fit, and its standard deviation: by leaving parts of the recording out, since what a model

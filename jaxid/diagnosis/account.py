@@ -13,6 +13,7 @@ from jaxid.diagnosis.missing import missing_forces
 from jaxid.diagnosis.result import Ranked
 from jaxid.fitting.assemble import assemble, estimates
 from jaxid.fitting.fitter import Minimum
+from jaxid.fitting.own_simulation import by_run, own_simulation
 from jaxid.fitting.problem_builder import Bench, estimate_starts
 from jaxid.fitting.result import EffectEstimate, Fit
 from jaxid.fitting.scores import free_runs, make_traces
@@ -98,19 +99,25 @@ def ranked(search: Search) -> list[Ranked]:
 
 
 def traces(bench: Bench, residual: Residual, nominal: Hypothesis, final: Hypothesis, named):
-    """Measured and simulated series of every split, for the report."""
+    """Measured and simulated series of every split, for the report, simulated as models were compared."""
     out = []
-    thetas = [nominal.theta] + ([final.theta] if named else [])
+    hypotheses = (nominal, final) if named else (nominal,)
+    thetas = [h.theta for h in hypotheses]
     labels = ["re-tuned"] + (["with " + " and ".join(str(c) for c in named)] if named else [])
     for split in ("report", "validation", "fit"):
         if not bench.binding.experiments(split):
             continue
         if split == "fit":
-            starts = np.array([_starts(bench, h) for h in (nominal, final)[: len(thetas)]])
+            starts = np.array([_starts(bench, h) for h in hypotheses])
         else:
             starts = estimate_starts(bench, split, thetas)
         predictions = free_runs(bench, split, thetas, starts)
-        out += make_traces(bench.binding, split, dict(zip(labels, predictions, strict=True)))
+        windows = []
+        if residual.windows:
+            own = [own_simulation(bench, residual, split, h.path.problem, h.path.z) for h in hypotheses]
+            windows = [by_run(p, z, bench.binding.experiments(split)) or [] for p, z in own]
+        series = windows if windows and all(windows) else predictions
+        out += make_traces(bench.binding, split, dict(zip(labels, series, strict=True)), series is windows)
     return tuple(out)
 
 

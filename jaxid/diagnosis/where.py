@@ -150,6 +150,7 @@ def findings(
             seen = f"{joint}: {percent(share)} of the missing force {spread}"
             if cause and words(cause, "seen"):
                 seen, told_by = f"{joint}: {words(cause, 'seen')}", variable(cause)
+                regime = regime if told_by == _WORDS[regime][1] else "everywhere"
             text = f"{seen} ({size}); strongest {when(window, found, experiment)}"
             channel = joint if joint in outputs else outputs[min(j, len(outputs) - 1)]
             limits = (span(cause) if cause else None) or _range(found, j, told_by, inside)

@@ -11,7 +11,7 @@ from jaxid.fitting import result as results
 from jaxid.fitting.covariance import Covariance, covariance
 from jaxid.fitting.ending import ending
 from jaxid.fitting.fitter import Minimum
-from jaxid.fitting.own_simulation import own_simulation, simulated_scores
+from jaxid.fitting.own_simulation import by_run, own_simulation, simulated_scores
 from jaxid.fitting.per_joint import per_joint
 from jaxid.fitting.problem_builder import Bench, estimate_starts
 from jaxid.fitting.result import EffectEstimate, Estimate, Fit, Score, Trace
@@ -122,14 +122,15 @@ def assemble(
             starts = problem.starts(result.z)[None]
         else:
             starts = estimate_starts(bench, split, [theta])
-        predictions = free_runs(bench, split, [theta], starts)[0]
+        predictions, covered = free_runs(bench, split, [theta], starts)[0], None
         table[split] = {**table.get(split, {}), **scores(bench, split, predictions)}
         if residual.simulation in ("windows", "closed_loop"):
             inside, z = own_simulation(bench, residual, split, problem, result.z)
             free[split], table[split] = table[split], simulated_scores(inside, z)
-            if inside.runs.channels == binding.chain.signature.outputs and len(inside.records) == len(experiments):
-                predictions = inside.predictions(z)
-        traces += make_traces(binding, split, {"fit": predictions})
+            if inside.runs.channels == binding.chain.signature.outputs:
+                covered = by_run(inside, z, experiments)
+                predictions = covered or predictions
+        traces += make_traces(binding, split, {"fit": predictions}, bool(covered) and residual.windows)
         if split == "fit" and residual.windows:
             windowed = table[split]
     joints: tuple[dict, ...] = ()

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -12,6 +13,7 @@ from jaxid.problem.residual import Residual
 
 
 if TYPE_CHECKING:
+    from jaxid.data.dataset import Experiment
     from jaxid.fitting.problem_builder import Bench
     from jaxid.fitting.result import Score
 
@@ -28,6 +30,19 @@ def own_simulation(bench: Bench, residual: Residual, split: str, problem: Proble
         path = descend([(own, at)], 8, 1e-8, share)[0]
         at = path.z if np.isfinite(path.cost) else at
     return own, at
+
+
+def by_run(problem: Problem, z: np.ndarray, experiments: Sequence[Experiment]) -> list[np.ndarray] | None:
+    """What a problem simulates of each of the runs [samples outputs], windows one after the other; None where it does not cover
+    them sample by sample."""
+    out: list[list[np.ndarray]] = [[] for _ in experiments]
+    for number, prediction in zip(problem.records, problem.predictions(z), strict=True):
+        at = problem.runs.record(number).experiment
+        if at >= len(out):
+            return None
+        out[at].append(prediction)
+    whole = [np.concatenate(own) if own else np.zeros((0, 0)) for own in out]
+    return whole if all(len(y) == len(e.t) for y, e in zip(whole, experiments, strict=True)) else None
 
 
 def simulated_scores(problem: Problem, z: np.ndarray) -> dict[str, Score]:

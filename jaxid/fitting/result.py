@@ -100,6 +100,7 @@ class Trace:
     measured: np.ndarray
     simulated: dict[str, np.ndarray]  # label -> series, for instance "nominal", "with dead_zone at tau"
     noise: float
+    windows: bool = False  # simulated in short windows, each with its own start
 
     def plot(self, ax: Axes | None = None) -> Axes:
         """Draws measured minus simulated over time, with the band of the noise, on new axes or the given ones."""

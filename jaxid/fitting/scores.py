@@ -122,12 +122,13 @@ def torque_scores(
     return out
 
 
-def make_traces(binding: Binding, split: str, predictions: dict[str, Sequence[np.ndarray]]) -> list[Trace]:
-    """Traces of a split, one per experiment and channel; `predictions` label -> outputs per experiment."""
+def make_traces(binding: Binding, split: str, predictions: dict[str, Sequence[np.ndarray]], windows: bool = False) -> list[Trace]:
+    """Traces of a split, one per experiment and channel; `predictions` label -> outputs per experiment, of `windows` or of
+    whole runs."""
     out = []
     _, iy = samples.columns(binding.dataset, binding.chain)
     for k, e in enumerate(binding.experiments(split)):
         for c, (name, unit) in enumerate(binding.chain.signature.outputs):
             series = {label: p[k][:, c] for label, p in predictions.items()}
-            out.append(Trace(e.name, split, name, unit, e.t, e.y[:, iy[c]], series, float(binding.sigma[c])))
+            out.append(Trace(e.name, split, name, unit, e.t, e.y[:, iy[c]], series, float(binding.sigma[c]), windows))
     return out

@@ -27,7 +27,7 @@ def section(traces: Sequence[Trace]) -> Section | None:
     pictures = [
         (f"{t.channel} in {t.experiment} ({t.split} data)", picture(t, f"trace-{i}")) for i, t in enumerate(ordered[:SHOWN])
     ]
-    return Section("traces.html", {"pictures": pictures, "hidden": max(0, len(traces) - SHOWN)})
+    return Section("traces.html", {"pictures": pictures, "hidden": max(0, len(traces) - SHOWN), "windows": ordered[0].windows})
 
 
 def colors(labels: Sequence[str]) -> list[str]:

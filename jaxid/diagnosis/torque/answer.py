@@ -202,7 +202,7 @@ def how_far(
     elif (exact := shrink(gaps[0] ** 2, gaps[2] ** 2)) < 0:
         reason = f"on {split} data the gap does not shrink"
     else:
-        shrinkage, reason = min(exact, 1.0), "by torque no interval is given: rows of one run are not runs"
+        shrinkage, reason = min(exact, 1.0), "rows of torque within one run are not independent"
     text = (
         f"gap on {split} data: {times(gaps[0])} times the noise before, {times(gaps[1])} after re-tuning the old parameters alone"
     )
