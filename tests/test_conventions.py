@@ -290,7 +290,7 @@ def test_an_answer_begins_with_what_was_applied_and_names_the_effect_after_it():
 
 def test_effects_that_cannot_be_believed_are_said_so():
     from jaxid.diagnosis.believable import doubts
-    from jaxid.fitting.result import EffectEstimate, Estimate
+    from jaxid.fitting.result import Covariance, EffectEstimate, Estimate
 
     number = lambda value, std, lower=-1.0, upper=1.0, at_bound=False: Estimate(value, std, "1", lower, upper, at_bound)
     off = EffectEstimate("torque_scale", "tau", {"gain": number(-0.895, 0.001, -0.9, 5.0)})
@@ -303,8 +303,15 @@ def test_effects_that_cannot_be_believed_are_said_so():
         EffectEstimate("input_hold", "tau", {"linear": number(1.0, 0.01, 0.0, 1.0, at_bound=True)}),
         EffectEstimate("torque_scale", "tau", {"gain": number(0.1, 0.001)}),
     ]
-    assert len(doubts([off, nothing, pushed, *sound])) == 3
+    assert list(doubts([off, nothing, pushed, *sound])) == [str(off), str(nothing), str(pushed)]
     assert not doubts(sound)
+    # A sine and a cosine of unknown phase: neither is sure, both together are.
+    names = ("torque_ripple.sine@q", "torque_ripple.cosine@q")
+    together = lambda share: Covariance(names, np.array([[0.49**2, share * 0.49 * 0.3], [share * 0.49 * 0.3, 0.3**2]]))
+    assert str(nothing) in doubts([nothing], together(0.0)) and not doubts([nothing], together(-0.999))
+    assert str(nothing) in doubts([nothing], together(1.0)) and str(nothing) in doubts(
+        [nothing], Covariance((), np.zeros((0, 0)))
+    )
 
 
 @pytest.fixture(scope="module")

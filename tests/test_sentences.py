@@ -123,7 +123,8 @@ def results(draw) -> Any:
     repeated = draw(st.booleans())
     text_ = "What is kept stands still: nothing can be judged on it." if still else ""
     advised = advice(verdict, [e.effect for e in effects], [], repeated=repeated, still=("report",) if still else ())
-    which = Which(verdict, effects, (), ranking, text_)
+    against = {str(e): f"{e} does next to nothing" for e in effects if verdict == "partly" and draw(st.booleans())}
+    which = Which(verdict, effects, (), ranking, text_, against)
     found = replace(SAMPLE, which=which, how_far=far, where=where, next_experiment=advised)
     return found, repeated, still
 
@@ -147,6 +148,9 @@ def test_sentences_of_a_diagnosis_agree_with_its_numbers(drawn):
     if still:
         assert "There is a gap" not in everything and "nothing can be judged" in everything.lower() and "–" not in terminal
         return
+    doubted = bool(found.which.doubts)
+    assert ("The model lacks" in terminal) == ("The model lacks" in cards[0]) == (verdict in ("named", "partly") and not doubted)
+    assert ("may be part of it" in terminal) == ("may be part of it" in cards[0]) == ("Perhaps " in everything) == doubted
     sentence = text.how_far_sentence(far, verdict)
     claimed = verdict in ("named", "partly")
     assert claimed or "falls" not in sentence
@@ -218,6 +222,15 @@ def test_stated_numbers_of_one_name_are_told_apart_by_their_joints():
     )
     (words,) = text.stated_sentences([own("elbow"), own("wrist"), own("gripper")])
     assert all(f"armature of {joint} 0.0280 → " in words for joint in ("elbow", "wrist", "gripper"))
+
+
+def test_what_is_doubted_stands_behind_what_is_sure():
+    drags = [EffectEstimate("quadratic_drag", q) for q in ("q1", "q2", "q3")]
+    which = Which("partly", tuple(drags), (), (), "", {str(drags[1]): "it does nothing"})
+    assert text.lacks(which, str) == (
+        "The model lacks quadratic_drag at q1 and quadratic_drag at q3, perhaps quadratic_drag at q2, and something more that no "
+        "known effect explains."
+    )
 
 
 def test_one_law_at_many_joints_is_said_once():

@@ -4,29 +4,49 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
+import numpy as np
+from scipy.stats import chi2
+
 from jaxid import catalogue
 from jaxid.diagnosis.thresholds import LIMITS
 from jaxid.dynamics.parameter import specs
-from jaxid.fitting.result import EffectEstimate, Estimate
+from jaxid.fitting.result import Covariance, EffectEstimate, Estimate
 
 
-def doubts(effects: Sequence[EffectEstimate]) -> list[str]:
-    """What speaks against each of the effects as they were estimated, in words."""
-    return [why for e in effects if (why := _doubt(e))]
+#: What one number has within two standard deviations.
+TWO_SIGMA = 0.9545
 
 
-def _doubt(effect: EffectEstimate) -> str:
+def doubts(effects: Sequence[EffectEstimate], covariance: Covariance | None = None) -> dict[str, str]:
+    """Effect at its place -> what speaks against it as it was estimated, in words; `covariance` of all fitted numbers."""
+    return {str(e): why for e in effects if (why := _doubt(e, covariance))}
+
+
+def _doubt(effect: EffectEstimate, covariance: Covariance | None) -> str:
     strengths = _strengths(effect)
     if effect.effect == "torque_scale" and any(1 + p.value < LIMITS.switched_off for p in strengths.values()):
         return f"{effect} all but switches the drive off"
     known = {k: p for k, p in strengths.items() if p.std is not None and p.std > 0}
-    if known and len(known) == len(strengths) and all(abs(p.value) < 2 * p.std for p in known.values() if p.std is not None):
+    apart = any(abs(p.value) >= 2 * p.std for p in known.values() if p.std is not None)
+    if known and len(known) == len(strengths) and not apart and not _together(effect, known, covariance):
         return f"{effect} is within two standard deviations of doing nothing"
     for name, p in strengths.items():
         share = (p.lower, p.upper) == (0.0, 1.0)  # its end is where it is whole
         if p.at_bound and p.value != 0 and not share:
             return f"{name} of {effect} was pushed to its bound"
     return ""
+
+
+def _together(effect: EffectEstimate, strengths: dict[str, Estimate], covariance: Covariance | None) -> bool:
+    """Whether several numbers, none of them sure, are not all zero: a sine and a cosine of unknown phase."""
+    names = [f"{effect.effect}.{k}@{effect.location}" for k in strengths]
+    if len(names) < 2 or covariance is None or not set(names) <= set(covariance.names):
+        return False
+    at = [covariance.names.index(n) for n in names]
+    C, x = covariance.matrix[np.ix_(at, at)], np.array([p.value for p in strengths.values()])
+    if not np.isfinite(C).all() or np.linalg.matrix_rank(C) < len(at):
+        return False
+    return float(x @ np.linalg.solve(C, x)) > chi2.ppf(TWO_SIGMA, len(at))
 
 
 def _strengths(effect: EffectEstimate) -> dict[str, Estimate]:

@@ -77,7 +77,8 @@ def _which(parts: Sequence[Diagnosis], names: Sequence[tuple[str, ...]]) -> Whic
     ranking = tuple(sorted(every("ranking"), key=lambda r: -r.evidence if np.isfinite(r.evidence) else np.inf))
     text = " ".join(f"{listed(joints)}: {d.which.text}" for joints, d in zip(names, parts, strict=True))
     verdict = verdict_of([d.which.verdict for d in parts])
-    return Which(verdict, every("effects"), every("confusable_with"), ranking, text)
+    doubts = {k: why for d in parts for k, why in d.which.doubts.items()}
+    return Which(verdict, every("effects"), every("confusable_with"), ranking, text, doubts)
 
 
 def _mean(gaps: Sequence[float], weights: Sequence[float]) -> float:

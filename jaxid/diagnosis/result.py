@@ -131,6 +131,7 @@ class Which:
     confusable_with: tuple[EffectEstimate, ...]
     ranking: tuple[Ranked, ...]
     text: str = ""
+    doubts: dict[str, str] = field(default_factory=dict)  # "effect at location" -> why it is not to be believed as it stands
 
     def to_dict(self) -> dict[str, Any]:
         return {
@@ -139,6 +140,7 @@ class Which:
             "confusable_with": [{"effect": e.effect, "location": e.location} for e in self.confusable_with],
             "ranking": [r.to_dict() for r in self.ranking],
             "text": self.text,
+            "doubts": self.doubts,
         }
 
 

@@ -203,10 +203,11 @@ def _diagnosed(question: Question, scatter: timing.Scatter | None = None) -> tup
     claim, nominal = judge.claim(), judge.nominal
     verdict, named, final, how_far = claim.verdict, claim.named, claim.final, claim.how_far
     estimates = effect_estimates(binding, final, named)
-    if verdict.name in ("named", "partly") and (against := doubts(estimates)):
-        verdict = verdict.but("partly", NotBelievable(tuple(against)))
     assembled = lambda: fit_of(bench, final, residual, seed, compile_time, time.perf_counter() - began)
     final_fit = assembled() if named or question.search is None else nominal_fit
+    against = doubts(estimates, final_fit.covariance) if verdict.name in ("named", "partly") else {}
+    if against:
+        verdict = verdict.but("partly", NotBelievable(tuple(against.values())))
     how_far = dataclasses.replace(how_far, per_joint=with_effects(nominal_fit.per_joint, final_fit.per_joint))
     mates = search.confusable if named else []
     findings, pictures, rows = where_it_lies(bench, nominal, final, verdict.name, estimates, seed)
@@ -224,7 +225,7 @@ def _diagnosed(question: Question, scatter: timing.Scatter | None = None) -> tup
         pair = (search.nominal, looked.rival) if looked.rival else None
     rivals = None if pair is None else rivals_of(bench, pair)
     confusable = tuple(EffectEstimate(c.effect, c.location) for c in mates)
-    which = Which(verdict.name, estimates if named else (), confusable, ranking, verdict.text)
+    which = Which(verdict.name, estimates if named else (), confusable, ranking, verdict.text, against)
     advised = advice(
         verdict.name, [c.effect for c in named], [c.effect for c in mates], rivals, looked.unseen, judge.repeated, question.still
     )

@@ -54,6 +54,8 @@ def headline(diagnosis: Diagnosis) -> str:
         return "Nothing can be judged: the data kept for it stand still."
     if which.verdict == "unknown":
         return "There is a gap that no known effect explains."
+    if which.doubts:
+        return text.lacks(which, words)
     rest = ", and something more that no known effect explains" if which.verdict == "partly" else ""
     same = ", or an effect that looks the same in these data" if which.confusable_with else ""
     return f"The model lacks {names}{same}{rest}."
@@ -100,7 +102,8 @@ def which_card(diagnosis: Diagnosis) -> tuple[str, list[str]]:
         sentences.append("A clear remainder is left that no known effect explains.")
     own = which.verdict == "named" and len(which.effects) == 1  # said above
     sentences += [*text.to_check(which), text.confusable_sentence(which), "" if own else which.text]
-    return text.at_places(which.effects), [s for s in sentences if s]
+    perhaps = "Perhaps " if len(which.doubts) == len(which.effects) else ""
+    return f"{perhaps}{text.at_places(which.effects)}", [s for s in sentences if s]
 
 
 def far_card(diagnosis: Diagnosis) -> tuple[str, list[str]]:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from typing import Any, TYPE_CHECKING
 
 from jaxid.conventions.finding import data_lines
@@ -129,6 +129,7 @@ def meaning(which: Which) -> list[str]:
     said: dict[str, list[str]] = {}
     for e in which.effects:
         if told := words(e, "plain"):
+            told = f"If so: {told[:1].lower()}{told[1:]}" if str(e) in which.doubts else told
             said.setdefault(told, []).append(one_line(e.location))
     return [(f"{listed(at)}: " if len(which.effects) > 1 else "") + told for told, at in said.items()]
 
@@ -139,15 +140,23 @@ def to_check(which: Which) -> list[str]:
     return [f"At the machine: {check[:1].lower()}{check[1:]}" for check in dict.fromkeys(told) if check]
 
 
+def lacks(which: Which, said: Callable[[EffectEstimate], str]) -> str:
+    """What the model lacks; what is not to be believed as it stands is no more than possible."""
+    sure, perhaps = ([e for e in which.effects if (str(e) in which.doubts) == doubted] for doubted in (False, True))
+    possible = listed(said(e) for e in perhaps)
+    if not sure:
+        return f"Something is missing, and {possible} may be part of it."
+    names = f"{listed(said(e) for e in sure)}{f', perhaps {possible}' if perhaps else ''}"
+    rest = ", and something more that no known effect explains" if which.verdict == "partly" else ""
+    return f"The model lacks {names}{rest}."
+
+
 def which_sentence(which: Which, how_far: HowFar | None = None) -> str:
     """The verdict in plain words."""
     if how_far is not None and not measured(how_far):
         return which.text or "Nothing can be judged: the data kept for it stand still."
-    names = listed(effect_with_parameters(e) for e in which.effects)
-    if which.verdict == "named":
-        return f"The model lacks {names}."
-    if which.verdict == "partly":
-        return f"The model lacks {names}, and something more that no known effect explains."
+    if which.verdict in ("named", "partly"):
+        return lacks(which, effect_with_parameters)
     if which.verdict == "none":
         if WithinAStep.where in which.text:
             return f"Nothing is missing. {which.text}"
