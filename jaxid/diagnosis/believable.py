@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Container, Mapping, Sequence
 
 import numpy as np
 from scipy.stats import chi2
@@ -11,6 +11,7 @@ from jaxid import catalogue
 from jaxid.diagnosis.thresholds import LIMITS
 from jaxid.dynamics.parameter import specs
 from jaxid.fitting.result import Covariance, EffectEstimate, Estimate
+from jaxid.wording import listed, number
 
 
 #: What one number has within two standard deviations.
@@ -20,6 +21,18 @@ TWO_SIGMA = 0.9545
 def doubts(effects: Sequence[EffectEstimate], covariance: Covariance | None = None) -> dict[str, str]:
     """Effect at its place -> what speaks against it as it was estimated, in words; `covariance` of all fitted numbers."""
     return {str(e): why for e in effects if (why := _doubt(e, covariance))}
+
+
+def beside_bounds(effects: Sequence[EffectEstimate], own: Mapping[str, Estimate], stated: Container[str]) -> dict[str, str]:
+    """The same for all effects, where numbers of the model's `own` were pushed to bounds that nobody `stated`: an effect may stand
+    in for what such a number was not let be. Where a number cannot be negative, 0 is no bound but nothing."""
+    pushed = [
+        f"{name} was pushed to its bound ({number(e.value)}{'' if e.unit == '1' else f' {e.unit}'})"
+        for name, e in own.items()
+        if e.at_bound and name not in stated and (e.lower < 0 or 2 * e.value > e.lower + e.upper)
+    ]
+    why = f"{listed(pushed)}, and an effect may stand in for what it was not let be" if pushed else ""
+    return {str(e): why for e in effects if why}
 
 
 def _doubt(effect: EffectEstimate, covariance: Covariance | None) -> str:

@@ -16,7 +16,7 @@ from jaxid.data.dataset import Dataset
 from jaxid.data.time_stamps import scattered_stamps, with_scatter
 from jaxid.diagnosis import how_far as shrinking, jitter as timing
 from jaxid.diagnosis.account import effect_estimates, fit_of, notes_of, ranked, traces, where_it_lies
-from jaxid.diagnosis.believable import doubts
+from jaxid.diagnosis.believable import beside_bounds, doubts
 from jaxid.diagnosis.claim import Judge
 from jaxid.diagnosis.goals.run import dear, diagnose_led, led, Offer, TOO_DEAR
 from jaxid.diagnosis.hypothesis import candidates, check_asked, possible, Search
@@ -195,6 +195,7 @@ def _diagnosed(question: Question, scatter: timing.Scatter | None = None) -> tup
         bench, nominal_fit, search, compile_time = _search(question)
     else:
         bench = Bench(binding, question.step, differences=1, together=True)
+        bench.compile_ahead(InverseDynamics(decimate=1), binding.theta, binding.free)  # what WHERE asks in the end
         keep = lambda fit, now: question.known.offer(lambda: _so_far(question, bench, fit(), now, began))
         (nominal_fit, search), compile_time = question.search(bench, keep), bench.compile_time()
     if progress:
@@ -206,8 +207,12 @@ def _diagnosed(question: Question, scatter: timing.Scatter | None = None) -> tup
     assembled = lambda: fit_of(bench, final, residual, seed, compile_time, time.perf_counter() - began)
     final_fit = assembled() if named or question.search is None else nominal_fit
     against = doubts(estimates, final_fit.covariance) if verdict.name in ("named", "partly") else {}
+    if verdict.name in ("named", "partly") and question.search is not None:
+        spec = binding.dataset.model
+        bounded = {n for n, p in spec.parameters.items() if p.lower is not None or p.upper is not None} if spec else ()
+        against = beside_bounds(estimates, final_fit.parameters, bounded) | against
     if against:
-        verdict = verdict.but("partly", NotBelievable(tuple(against.values())))
+        verdict = verdict.but("partly", NotBelievable(tuple(dict.fromkeys(against.values()))))
     how_far = dataclasses.replace(how_far, per_joint=with_effects(nominal_fit.per_joint, final_fit.per_joint))
     mates = search.confusable if named else []
     findings, pictures, rows = where_it_lies(bench, nominal, final, verdict.name, estimates, seed)

@@ -21,6 +21,7 @@ from jaxid.diagnosis.torque.study import Rows, SHARPER, STEPS, Study
 from jaxid.dynamics.effect import Effect, InputEffect, neutral
 from jaxid.dynamics.joint_readings import joint_readings
 from jaxid.dynamics.parameter import resolve, specs, with_fields
+from jaxid.numerics.pool import Pool
 from jaxid.problem.binding import Binding
 from jaxid.simulation.sample_buffers import columns
 
@@ -32,6 +33,8 @@ OFF = 1e-4
 FIRST, EASIER, HARDER, LAST = 1e-2, 5.0, 4.0, 1e3
 #: A step that gains less of the logarithm of the likelihood is the last one.
 ENOUGH = 0.1
+
+_EFFECTS = Pool("effects")
 
 
 class LedStudy(Study):
@@ -250,19 +253,20 @@ class LedStudy(Study):
         return rows, weighted(left, [r.moves for r in which], [np.zeros((len(r.t), self.binding.chain.nq)) for r in which])
 
     def asked(self, kinds: Sequence[type[Effect]], theta: np.ndarray) -> list[Unit]:
+        """The units of these effects; programs of several are compiled side by side."""
         raw = [RawRun(**{f.name: getattr(r, f.name) for f in fields(Run)}) for r in self.free]
-        out: list[Unit] = []
-        for kind in kinds:
-            if issubclass(kind, InputEffect):
-                found = self._driven(kind, theta)
-            elif kind.name == "sensor_bias":
-                found = self._off(theta)
-            elif kind.name in ("payload", "gravity_offset"):
-                found = self._bodies(kind, theta)
-            else:
-                found = units(self.plant, [kind], raw, theta, False)
-            out += self._as_rows(found)
-        return out
+        return [
+            unit for found in _EFFECTS.map(lambda kind: self._as_rows(self._of_kind(kind, raw, theta)), kinds) for unit in found
+        ]
+
+    def _of_kind(self, kind: type[Effect], raw: Sequence[Run], theta: np.ndarray) -> list[Unit]:
+        if issubclass(kind, InputEffect):
+            return self._driven(kind, theta)
+        if kind.name == "sensor_bias":
+            return self._off(theta)
+        if kind.name in ("payload", "gravity_offset"):
+            return self._bodies(kind, theta)
+        return units(self.plant, [kind], raw, theta, False)
 
     def _as_rows(self, found: Sequence[Unit]) -> list[Unit]:
         """Units of forces at all samples as those of rows."""

@@ -234,16 +234,18 @@ def _tilt(plant: ArmPlant, place: str, runs: Sequence[Run], theta: np.ndarray) -
     )
 
 
-def _slope(kind: type[BodyEffect], field: str, place: int) -> Any:
-    def torque(value: Any, mechanism: Any, n: int, q: Any, qd: Any, qdd: Any) -> Any:
+def _slope(kind: type[BodyEffect], field: str) -> Any:
+    """One program for all places: which one is an argument."""
+
+    def torque(value: Any, place: Any, mechanism: Any, n: int, q: Any, qd: Any, qdd: Any) -> Any:
         effect: Any = neutral(kind)
         own = {f: jnp.full(n, s.value) for f, s in specs(effect).items()}
         own[field] = own[field].at[place].set(value)
         body = with_fields(with_numbers(effect, {}, n), own)(mechanism)
         return jax.vmap(body.inverse)(q, qd, qdd)
 
-    def slope(mechanism: Any, q: Any, qd: Any, qdd: Any) -> Any:
-        at = lambda v: torque(v, mechanism, q.shape[1], q, qd, qdd)
+    def slope(place: Any, mechanism: Any, q: Any, qd: Any, qdd: Any) -> Any:
+        at = lambda v: torque(v, place, mechanism, q.shape[1], q, qd, qdd)
         return jax.jvp(at, (jnp.asarray(specs(kind)[field].value),), (jnp.ones(()),))[1]
 
     return jax.jit(slope)
@@ -259,12 +261,12 @@ def _derivatives(
     with float64():
         mechanism = b.layout.form.model(theta).mechanism
         structure = jax.tree.structure(mechanism)
-        program = lambda f, j: shared("slope", (kind, f, j, structure), lambda: _slope(kind, f, j))
+        program = lambda f: shared("slope", (kind, f, structure), lambda: _slope(kind, f))
         for place in places:
             columns, j = [], joints.index(place)
             for r in runs:
                 series = [r.padded(x) for x in (r.q, r.qd, r.qdd)]
-                made = [np.asarray(program(f, j)(mechanism, *series))[: len(r.q)] for f in fields]
+                made = [np.asarray(program(f)(j, mechanism, *series))[: len(r.q)] for f in fields]
                 columns.append(r.rows(np.stack(made, -1)))
             if any(np.any(c) for c in columns):
                 out.append(_unit(kind, place, fields, {}, tuple(range(b.chain.nq)), columns, b))
