@@ -24,8 +24,8 @@ def doubts(effects: Sequence[EffectEstimate], covariance: Covariance | None = No
 
 
 def beside_bounds(effects: Sequence[EffectEstimate], own: Mapping[str, Estimate], stated: Container[str]) -> dict[str, str]:
-    """The same for all effects, where numbers of the model's `own` were pushed to bounds that nobody `stated`: an effect may stand
-    in for what such a number was not let be. Where a number cannot be negative, 0 is no bound but nothing."""
+    """The same for all effects, where numbers of the model's `own` were pushed to bounds that nobody `stated`: an effect may
+    stand in for what such a number was not let be. Where a number cannot be negative, 0 is no bound but nothing."""
     pushed = [
         f"{name} was pushed to its bound ({number(e.value)}{'' if e.unit == '1' else f' {e.unit}'})"
         for name, e in own.items()

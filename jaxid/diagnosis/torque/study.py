@@ -264,7 +264,7 @@ class Study:
             for k, x in share.items():
                 columns, r = rows.rows[k][:, :, :p] * x[:, :, None], rows.residual(k, s.at, s.theta) * x
                 for part in np.array_split(np.arange(len(r)), max(1, round(len(r) / length))):
-                    rest = without(r[part].ravel(), columns[part].reshape(-1, p), weights.spread)
+                    rest = without(r[part].ravel(), columns[part].reshape(r[part].size, p), weights.spread)
                     out.append((rest.reshape(len(part), -1) ** 2).sum(0))
             return np.array(out)
 
