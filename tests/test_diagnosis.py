@@ -113,6 +113,7 @@ def test_windows_name_the_same_effect():
     data = recording("pendulum", 1, load=0.1)
     d = jaxid.diagnose("pendulum", data, residual="multiple_shooting", effects=CHOICE)
     assert [e.effect for e in d.which.effects] == ["load_dependent_friction"] and d.residual == "multiple_shooting"
+    assert d.traces and all(t.windows and len(t.simulated) == 2 for t in d.traces)
 
 
 @pytest.mark.parametrize(("angle", "least", "most"), [(np.pi - 0.02, 60.0, 1e4), (0.3, 0.0, 3.0)])

@@ -172,6 +172,10 @@ def test_residuals_agree(swing):
         fit = jaxid.fit(None, swing, residual=residual)
         for name in ("inertia", "gravity_torque"):
             assert fit.parameters[name].value == pytest.approx(PENDULUM[name], rel=0.02)
+        for trace in fit.traces:  # the picture shows what was compared
+            rms = np.sqrt(np.mean((trace.measured - trace.simulated["fit"]) ** 2))
+            assert trace.windows and rms == pytest.approx(fit.scores[trace.split]["q"].rmse, rel=1e-6)
+        assert bool(fit.traces) == (residual == "multiple_shooting")
 
 
 # ---- what the data do not determine, bounds

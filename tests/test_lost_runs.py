@@ -208,6 +208,11 @@ def test_windows_of_a_pendulum_thrown_over_the_top_have_intervals_that_mean_some
     for name, value in {"inertia": 0.18, "gravity_torque": 3.6}.items():
         p = fit.parameters[name]
         assert p.std and abs(p.value - value) < 4 * p.std and p.std < 0.2 * value
+    # The picture shows what was compared: a free run over the top goes anywhere.
+    for trace in fit.traces:
+        rms = np.sqrt(np.mean((trace.measured - trace.simulated["fit"]) ** 2))
+        assert trace.windows and np.isclose(rms, fit.scores[trace.split]["q"].rmse, rtol=1e-6)
+        assert fit.free_run[trace.split]["q"].rmse > rms
 
 
 # ---- channels of different resolution

@@ -18,6 +18,7 @@ from jaxid.diagnosis import how_far as shrinking, jitter as timing
 from jaxid.diagnosis.account import effect_estimates, fit_of, notes_of, ranked, traces, where_it_lies
 from jaxid.diagnosis.believable import beside_bounds, doubts
 from jaxid.diagnosis.claim import Judge
+from jaxid.diagnosis.goals.propose import FIRST
 from jaxid.diagnosis.goals.run import dear, diagnose_led, led, Offer, TOO_DEAR
 from jaxid.diagnosis.hypothesis import candidates, check_asked, possible, Search
 from jaxid.diagnosis.last_resort import asked_last, first_asked
@@ -119,9 +120,10 @@ def _run(
         dataset = reference.as_priors(nominal, dataset)
     check_asked(nominal, asked or (), residual.name if residual else "")
     library = possible(nominal, allowed, residual.name if residual else "")
-    places = sum(len(nominal.offers(k)) for k in library)
+    under_goals = residual is None and led(nominal)
+    places = FIRST if under_goals else sum(len(nominal.offers(k)) for k in library)  # that are simulated
     dataset = shortened(dataset, need("diagnose", dataset, nominal.nq, places)) if dataset.experiments else dataset
-    if residual is None and led(nominal) and dataset.experiments:
+    if under_goals and dataset.experiments:
         plain = bind(model, dataset, without=without)
         answer: Any = lambda wide, names, search, step: _diagnosed(
             Question(wide, OutputError(), tuple(names), max_effects, seed, progress, known, (), search, step)
