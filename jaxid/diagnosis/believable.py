@@ -59,7 +59,7 @@ def _together(effect: EffectEstimate, strengths: dict[str, Estimate], covariance
     C, x = covariance.matrix[np.ix_(at, at)], np.array([p.value for p in strengths.values()])
     if not np.isfinite(C).all() or np.linalg.matrix_rank(C) < len(at):
         return False
-    return float(x @ np.linalg.solve(C, x)) > chi2.ppf(TWO_SIGMA, len(at))
+    return float(x @ np.linalg.solve(C, x)) > float(chi2.ppf(TWO_SIGMA, len(at)))
 
 
 def _strengths(effect: EffectEstimate) -> dict[str, Estimate]:
