@@ -142,9 +142,8 @@ def diagnose(
     identification or a diagnosis of another recording (or its JSON file), is what is known beforehand: what is asked is what is
     different here. `cutoff_hz` is the low-pass of `inverse_dynamics`.
     """
-    from jaxid.diagnosis.goals.run import begin_compiling
     from jaxid.diagnosis.limbs import diagnose_each
-    from jaxid.diagnosis.run import run_diagnosis
+    from jaxid.diagnosis.run import begin_compiling, run_diagnosis
 
     refuse_free("diagnose", dataset)
     from jaxid.diagnosis.torque.reference import Reference
@@ -159,8 +158,9 @@ def diagnose(
     if max_effects < 1:
         raise UsageError(f"max_effects is {max_effects}; a diagnosis needs at least 1")
     without = tuple(without)
+    effects = None if effects is None else tuple(effects)
     if residual is None:
-        begin_compiling(model, dataset, without)
+        begin_compiling(model, dataset, effects, without)
     checked = _checked(model, dataset, without, as_recorded)
     data = checked.mended or dataset
     try:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import time
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Sequence
 from typing import Any
 
 import jax
@@ -18,8 +18,7 @@ from jaxid.diagnosis import how_far as shrinking, jitter as timing
 from jaxid.diagnosis.account import effect_estimates, fit_of, notes_of, ranked, traces, where_it_lies
 from jaxid.diagnosis.believable import beside_bounds, doubts
 from jaxid.diagnosis.claim import Judge
-from jaxid.diagnosis.goals.propose import FIRST
-from jaxid.diagnosis.goals.run import dear, diagnose_led, led, Offer, TOO_DEAR
+from jaxid.diagnosis.goals.run import begin_simulations, dear, diagnose_led, led, Offer, TOO_DEAR
 from jaxid.diagnosis.hypothesis import candidates, check_asked, possible, Search
 from jaxid.diagnosis.last_resort import asked_last, first_asked
 from jaxid.diagnosis.next_experiment import advice, rivals_of
@@ -31,6 +30,7 @@ from jaxid.diagnosis.torque.reference import Reference
 from jaxid.diagnosis.torque.run import diagnose_by_torque
 from jaxid.diagnosis.unseen import Look, Looker
 from jaxid.diagnosis.verdict import Diverged, standing_still
+from jaxid.dynamics.chain import Chain
 from jaxid.dynamics.effect import Effect
 from jaxid.errors import UsageError
 from jaxid.fitters import LevenbergMarquardt
@@ -101,6 +101,28 @@ def run_diagnosis(
         raise Interrupted(known.latest()) from stop
 
 
+def begin_compiling(
+    model: object, dataset: Dataset, effects: Iterable[str | Effect | type[Effect]] | None, without: tuple[str, ...]
+) -> None:
+    """Begins to compile what the diagnosis of a recording under goals simulates first, while others look at the recording."""
+    try:
+        nominal = resolve_model(model, dataset, without)
+        if not dataset.experiments or not led(nominal):
+            return
+        allowed = first_asked() if effects is None else tuple(catalogue.enrolled(e) for e in effects)
+        binding = bind(model, _looked_at(nominal, dataset, possible(nominal, allowed, "")), without=without)
+    except UsageError:  # is said by who needs it
+        return
+    if not dear(binding):
+        begin_simulations(binding)
+
+
+def _looked_at(nominal: Chain, dataset: Dataset, library: Sequence[type[Effect]]) -> Dataset:
+    """As much of a dataset as there is room and time for."""
+    places = sum(len(nominal.offers(k)) for k in library)
+    return shortened(dataset, need("diagnose", dataset, nominal.nq, places)) if dataset.experiments else dataset
+
+
 def _run(
     model: object,
     dataset: Dataset,
@@ -120,10 +142,8 @@ def _run(
         dataset = reference.as_priors(nominal, dataset)
     check_asked(nominal, asked or (), residual.name if residual else "")
     library = possible(nominal, allowed, residual.name if residual else "")
-    under_goals = residual is None and led(nominal)
-    places = FIRST if under_goals else sum(len(nominal.offers(k)) for k in library)  # that are simulated
-    dataset = shortened(dataset, need("diagnose", dataset, nominal.nq, places)) if dataset.experiments else dataset
-    if under_goals and dataset.experiments:
+    dataset = _looked_at(nominal, dataset, library)
+    if residual is None and led(nominal) and dataset.experiments:
         plain = bind(model, dataset, without=without)
         answer: Any = lambda wide, names, search, step: _diagnosed(
             Question(wide, OutputError(), tuple(names), max_effects, seed, progress, known, (), search, step)

@@ -20,15 +20,14 @@ from jaxid.diagnosis.verdict import level
 from jaxid.dynamics.chain import Chain
 from jaxid.dynamics.effect import Effect
 from jaxid.dynamics.joint_readings import all_read
-from jaxid.errors import UsageError
 from jaxid.fitting.assemble import assemble
 from jaxid.fitting.fitter import Minimum, Progress
 from jaxid.fitting.least_squares import Path
 from jaxid.fitting.problem_builder import Bench
 from jaxid.fitting.result import Fit
-from jaxid.problem.binding import bind, Binding, resolve_model
+from jaxid.problem.binding import bind, Binding
 from jaxid.problem.residual import OutputError
-from jaxid.simulation.sample_buffers import LONG, STEP, step_count
+from jaxid.simulation.sample_buffers import STEP, step_count
 from jaxid.wording import listed
 
 
@@ -73,20 +72,7 @@ def led(chain: Chain) -> bool:
     return law is not None and law.kind != "pid" and not chain.mechanism.hidden_states and all_read(chain)
 
 
-def begin_compiling(model: object, dataset: Dataset, without: tuple[str, ...]) -> None:
-    """Begins to compile what the diagnosis of a recording under goals simulates first, while others look at the recording."""
-    try:
-        if not dataset.experiments or not led(resolve_model(model, dataset, without)):
-            return
-        binding = bind(model, dataset, without=without)
-    except UsageError:  # is said by who needs it
-        return
-    step = max(STEP, loop_step(binding))
-    if not dear(binding) and all(step_count(e, step) <= LONG for e in dataset.experiments):
-        _begun(binding)
-
-
-def _begun(binding: Binding) -> float:
+def begin_simulations(binding: Binding) -> float:
     """The step of the simulations; those of the model alone are being compiled."""
     step = max(STEP, loop_step(binding))
     Bench(binding, step, differences=1).compile_ahead(OutputError(), binding.theta, binding.free)
@@ -109,7 +95,7 @@ def diagnose_led(
     began = time.perf_counter()
     say = progress or (lambda *_: None)
     say("along the motion", 0, 3, "rows")
-    step = _begun(binding)  # while the rows are made
+    step = begin_simulations(binding)  # while the rows are made
     kinds = [k for k in library if shown(k)]
     study, notes = LedStudy(binding, kinds), []
     swapped = with_other_hold(dataset)
