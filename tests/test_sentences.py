@@ -15,7 +15,7 @@ from jaxid import wording
 from jaxid.diagnosis.breakdown import Share
 from jaxid.diagnosis.hypothesis import Search
 from jaxid.diagnosis.next_experiment import advice
-from jaxid.diagnosis.reasons import Remark, ReportNotReached
+from jaxid.diagnosis.reasons import FollowsFitRuns, Lacks, LacksInPart, Remark, ReportNotReached
 from jaxid.diagnosis.result import ChannelGap, Finding, HowFar, Ranked, Which
 from jaxid.diagnosis.thresholds import LIMITS
 from jaxid.diagnosis.verdict import astray, Gaps, judge, level, upheld, Verdict
@@ -227,10 +227,18 @@ def test_stated_numbers_of_one_name_are_told_apart_by_their_joints():
 def test_what_is_doubted_stands_behind_what_is_sure():
     drags = [EffectEstimate("quadratic_drag", q) for q in ("q1", "q2", "q3")]
     which = Which("partly", tuple(drags), (), (), "", {str(drags[1]): "it does nothing"})
-    assert text.lacks(which, str) == (
+    assert text.lacks(which, lambda effects: " and ".join(map(str, effects))) == (
         "The model lacks quadratic_drag at q1 and quadratic_drag at q3, perhaps quadratic_drag at q2, and something more that no "
         "known effect explains."
     )
+
+
+def test_reasons_claim_nothing_of_what_is_doubted():
+    reasons = (Lacks("drag at q", 2.0), LacksInPart("drag at q", 0.9, 2.0), FollowsFitRuns("drag at q", 0.9, 2.0))
+    verdict = Verdict("partly", reasons)
+    assert verdict.text.count("The model lacks drag at q") == 3
+    assert verdict.unclaimed().text.count("Nearest comes drag at q") == 3 and "The model lacks" not in verdict.unclaimed().text
+    assert verdict.unclaimed().name == "partly"
 
 
 def test_one_law_at_many_joints_is_said_once():

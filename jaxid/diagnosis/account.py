@@ -107,18 +107,24 @@ def traces(bench: Bench, residual: Residual, nominal: Hypothesis, final: Hypothe
     for split in ("report", "validation", "fit"):
         if not bench.binding.experiments(split):
             continue
+        windows = _by_windows(bench, residual, split, hypotheses)
         if split == "fit":
             starts = np.array([_starts(bench, h) for h in hypotheses])
         else:
             starts = estimate_starts(bench, split, thetas)
-        predictions = free_runs(bench, split, thetas, starts)
-        windows = []
-        if residual.windows:
-            own = [own_simulation(bench, residual, split, h.path.problem, h.path.z) for h in hypotheses]
-            windows = [by_run(p, z, bench.binding.experiments(split)) or [] for p, z in own]
-        series = windows if windows and all(windows) else predictions
-        out += make_traces(bench.binding, split, dict(zip(labels, series, strict=True)), series is windows)
+        series = windows or free_runs(bench, split, thetas, starts)
+        out += make_traces(bench.binding, split, dict(zip(labels, series, strict=True)), bool(windows))
     return tuple(out)
+
+
+def _by_windows(bench: Bench, residual: Residual, split: str, hypotheses: Sequence[Hypothesis]) -> list[list[np.ndarray]]:
+    """What each hypothesis simulates of the runs of a split, window by window; empty where models are compared otherwise, or a
+    run is not covered."""
+    if not residual.windows:
+        return []
+    own = [own_simulation(bench, residual, split, h.path.problem, h.path.z) for h in hypotheses]
+    series = [by_run(p, z, bench.binding.experiments(split)) for p, z in own]
+    return [s for s in series if s is not None] if all(s is not None for s in series) else []
 
 
 def notes_of(binding: Binding, fit: Fit, compile_time: float) -> list[str]:

@@ -5,17 +5,12 @@ from __future__ import annotations
 from collections.abc import Container, Mapping, Sequence
 
 import numpy as np
-from scipy.stats import chi2
 
 from jaxid import catalogue
 from jaxid.diagnosis.thresholds import LIMITS
 from jaxid.dynamics.parameter import specs
 from jaxid.fitting.result import Covariance, EffectEstimate, Estimate
 from jaxid.wording import listed, number
-
-
-#: What one number has within two standard deviations.
-TWO_SIGMA = 0.9545
 
 
 def doubts(effects: Sequence[EffectEstimate], covariance: Covariance | None = None) -> dict[str, str]:
@@ -51,7 +46,10 @@ def _doubt(effect: EffectEstimate, covariance: Covariance | None) -> str:
 
 
 def _together(effect: EffectEstimate, strengths: dict[str, Estimate], covariance: Covariance | None) -> bool:
-    """Whether several numbers, none of them sure, are not all zero: a sine and a cosine of unknown phase."""
+    """Whether several numbers, none of them sure, are not all zero: a sine and a cosine of unknown phase. Together they are as
+    far from it as two standard deviations are for one."""
+    from scipy.stats import chi2
+
     names = [f"{effect.effect}.{k}@{effect.location}" for k in strengths]
     if len(names) < 2 or covariance is None or not set(names) <= set(covariance.names):
         return False
@@ -59,7 +57,7 @@ def _together(effect: EffectEstimate, strengths: dict[str, Estimate], covariance
     C, x = covariance.matrix[np.ix_(at, at)], np.array([p.value for p in strengths.values()])
     if not np.isfinite(C).all() or np.linalg.matrix_rank(C) < len(at):
         return False
-    return float(x @ np.linalg.solve(C, x)) > float(chi2.ppf(TWO_SIGMA, len(at)))
+    return float(x @ np.linalg.solve(C, x)) > float(chi2.ppf(chi2.cdf(2**2, 1), len(at)))
 
 
 def _strengths(effect: EffectEstimate) -> dict[str, Estimate]:

@@ -75,6 +75,10 @@ class NothingExplains(Reason):
     form = "There is a gap ({gap:times} times the noise on validation data), and no effect of the library explains it."
 
 
+def _lead(claimed: bool) -> str:
+    return "The model lacks" if claimed else "Nearest comes"
+
+
 @dataclass(frozen=True)
 class Lacks(Reason):
     names: str
@@ -84,7 +88,7 @@ class Lacks(Reason):
 
     @property
     def sentence(self) -> str:
-        return self.said(lead="The model lacks" if self.claimed else "Nearest comes")
+        return self.said(lead=_lead(self.claimed))
 
 
 @dataclass(frozen=True)
@@ -92,10 +96,15 @@ class LacksInPart(Reason):
     names: str
     closed: float
     left: float
+    claimed: bool = True
     form = (
-        "The model lacks {names}, which explains {closed:floor} of the gap on validation data; a clear remainder ({left:times} "
+        "{lead} {names}, which explains {closed:floor} of the gap on validation data; a clear remainder ({left:times} "
         "times the noise) stays unexplained."
     )
+
+    @property
+    def sentence(self) -> str:
+        return self.said(lead=_lead(self.claimed))
 
 
 @dataclass(frozen=True)
@@ -103,10 +112,15 @@ class FollowsFitRuns(Reason):
     names: str
     closed: float
     left: float
+    claimed: bool = True
     form = (
-        "The model lacks {names}: with it the fit runs are followed down to the noise. The validation runs go where the fit runs "
+        "{lead} {names}: with it the fit runs are followed down to the noise. The validation runs go where the fit runs "
         "do not: there {closed:percent} of the gap is explained and {left:times} times the noise is left."
     )
+
+    @property
+    def sentence(self) -> str:
+        return self.said(lead=_lead(self.claimed))
 
 
 @dataclass(frozen=True)

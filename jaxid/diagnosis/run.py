@@ -234,6 +234,7 @@ def _diagnosed(question: Question, scatter: timing.Scatter | None = None) -> tup
         bounded = {n for n, p in spec.parameters.items() if p.lower is not None or p.upper is not None} if spec else ()
         against = beside_bounds(estimates, final_fit.parameters, bounded) | against
     if against:
+        verdict = verdict if len(against) < len(estimates) else verdict.unclaimed()
         verdict = verdict.but("partly", NotBelievable(tuple(dict.fromkeys(against.values()))))
     how_far = dataclasses.replace(how_far, per_joint=with_effects(nominal_fit.per_joint, final_fit.per_joint))
     mates = search.confusable if named else []

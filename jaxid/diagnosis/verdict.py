@@ -69,6 +69,11 @@ class Verdict:
         """Another one, by what was found since."""
         return Verdict(name, (*self.reasons, *reasons))
 
+    def unclaimed(self) -> Verdict:
+        """The same, as what comes nearest in place of what the model lacks."""
+        plainer = lambda r: replace(r, claimed=False) if getattr(r, "claimed", False) else r
+        return Verdict(self.name, tuple(map(plainer, self.reasons)))
+
     def because(self, *reasons: Reason) -> Verdict:
         """The same, by more."""
         return self.but(self.name, *reasons)
@@ -149,8 +154,7 @@ def upheld(verdict: Verdict, gaps: Gaps, several: bool = False) -> Verdict:
     closed = shrinking.closed(retuned**2, after**2)
     if retuned <= LIMITS.seen and (after < retuned or not (room or after**2 > LIMITS.alike * retuned**2)):
         if verdict.name == "named" and room and closed < LIMITS.partly:
-            lead = tuple(replace(r, claimed=False) if isinstance(r, Lacks) else r for r in verdict.reasons)
-            return Verdict("unknown", (*lead, LittleOnReport(after, retuned)))
+            return verdict.unclaimed().but("unknown", LittleOnReport(after, retuned))
         return verdict
     if after >= min(retuned, before):
         return verdict.but("unknown", FartherOnReport(after, retuned, before))

@@ -47,18 +47,13 @@ def words(effect: EffectEstimate) -> str:
 
 def headline(diagnosis: Diagnosis) -> str:
     which = diagnosis.which
-    names = text.at_places(which.effects)
     if which.verdict == "none":
         return "Nothing is missing: the model reaches the noise."
     if not text.measured(diagnosis.how_far):
         return "Nothing can be judged: the data kept for it stand still."
     if which.verdict == "unknown":
         return "There is a gap that no known effect explains."
-    if which.doubts:
-        return text.lacks(which, words)
-    rest = ", and something more that no known effect explains" if which.verdict == "partly" else ""
-    same = ", or an effect that looks the same in these data" if which.confusable_with else ""
-    return f"The model lacks {names}{same}{rest}."
+    return text.lacks(which, text.at_places, ", or an effect that looks the same in these data" if which.confusable_with else "")
 
 
 def where_card(diagnosis: Diagnosis) -> tuple[str, list[str]]:

@@ -67,7 +67,8 @@ def law_sentence(forces: Sequence[MissingForce], variable: str) -> str:
             values = [(wording.number(law.mean[k], 2), wording.number(law.x[k], 2)) for k in at]
             ends = [f"{force} {first.unit} at {of}{place} {unit}" for force, place in values]
             parts.append(f"{f'moving {direction}, ' if direction else ''}from {ends[0]} to {ends[1]}")
-    return f"The named effects supply {'; '.join(parts)}." if parts else ""
+    comma = "," if field != "qd" else ""
+    return f"The named effects supply{comma} {'; '.join(parts)}." if parts else ""
 
 
 def picture(forces: Sequence[MissingForce], name: str, variable: str = ""):

@@ -140,15 +140,14 @@ def to_check(which: Which) -> list[str]:
     return [f"At the machine: {check[:1].lower()}{check[1:]}" for check in dict.fromkeys(told) if check]
 
 
-def lacks(which: Which, said: Callable[[EffectEstimate], str]) -> str:
-    """What the model lacks; what is not to be believed as it stands is no more than possible."""
+def lacks(which: Which, said: Callable[[Sequence[EffectEstimate]], str], same: str = "") -> str:
+    """What the model lacks, and what may be the `same`; what is not to be believed as it stands is no more than possible."""
     sure, perhaps = ([e for e in which.effects if (str(e) in which.doubts) == doubted] for doubted in (False, True))
-    possible = listed(said(e) for e in perhaps)
     if not sure:
-        return f"Something is missing, and {possible} may be part of it."
-    names = f"{listed(said(e) for e in sure)}{f', perhaps {possible}' if perhaps else ''}"
+        return f"Something is missing, and {said(perhaps)} may be part of it."
+    possible = f", perhaps {said(perhaps)}" if perhaps else ""
     rest = ", and something more that no known effect explains" if which.verdict == "partly" else ""
-    return f"The model lacks {names}{rest}."
+    return f"The model lacks {said(sure)}{same}{possible}{rest}."
 
 
 def which_sentence(which: Which, how_far: HowFar | None = None) -> str:
@@ -156,7 +155,7 @@ def which_sentence(which: Which, how_far: HowFar | None = None) -> str:
     if how_far is not None and not measured(how_far):
         return which.text or "Nothing can be judged: the data kept for it stand still."
     if which.verdict in ("named", "partly"):
-        return lacks(which, effect_with_parameters)
+        return lacks(which, lambda effects: listed(map(effect_with_parameters, effects)))
     if which.verdict == "none":
         if WithinAStep.where in which.text:
             return f"Nothing is missing. {which.text}"

@@ -106,7 +106,7 @@ def diagnose_led(
         dataset, study = swapped, other
         study.tuned(study.theta)
     say("along the motion", 1, 3, "noise")
-    between = between_simulators(Bench(study.binding, step, differences=1, together=True))
+    between = between_simulators(Bench(study.binding, step, differences=1, together=True))  # the program that is there
     series = None if between is None else between.apart
     doubts, simulated = ({}, None) if series is None else study.taken_up(series, clocks=False)
     apart = None if series is None else study.taken_up(series)[1]
