@@ -126,12 +126,13 @@ def model_class(name: str) -> Any:
     return pick("model", _models(), name)
 
 
-def effect_class(name: str) -> Any:
-    """The class of an effect, with the settings that its id states: `load_dependent_friction(load=drive)`."""
+def effect_class(name: str, mechanism: Any = None) -> Any:
+    """The class of an effect, on a mechanism where that has its own variant of it, with the settings that its id states:
+    `load_dependent_friction(load=drive)`."""
     from jaxid.dynamics.parameter import kind_with
 
     plain, bracket, stated = name.partition("(")
-    kind = pick("effect", {**_effects(), **_OWN_EFFECTS}, plain)
+    kind = pick("effect", {**_effects(), **_OWN_EFFECTS, **getattr(mechanism, "variants", {})}, plain)
     if not bracket:
         return kind
     pairs = [p.partition("=") for p in stated.removesuffix(")").split(",")]

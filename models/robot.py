@@ -25,6 +25,7 @@ from jaxid.robots.floating import balanced, based, without_slides
 from jaxid.robots.tree import chain_of_rods, roll_pitch_yaw, Stated, Tree, up_to
 
 from .effects import ActuatorLag, CoulombFriction, InputDelay, QuadraticDrag, ViscousFriction
+from .effects.body import PlacedPayload
 from .robot_drive import PositionLaw
 
 
@@ -53,6 +54,7 @@ class Robot(Staged):
         default=((ViscousFriction, {"coefficient": "damping@{joint}"}), (CoulombFriction, {"level": "frictionloss@{joint}"})),
     )
     signatures: tuple[Signature, ...] = eqx.field(static=True, default=())
+    variants: ClassVar[dict[str, type]] = {"payload": PlacedPayload}
 
     mass: Array = param(0.0, 0.0, np.inf, scale=1.0, unit="kg", meaning="mass of the link and of what is fixed to it")
     com_x: Array = param(0.0, -np.inf, np.inf, scale=1.0, unit="m", meaning="its centre of mass in the link's frame, x")
@@ -372,8 +374,9 @@ class Robot(Staged):
 
     # ---- where effects of the mechanism act
 
-    def loaded(self, mass: Float[Array, " nq"]) -> Robot:
-        """The same with a point mass at the far end of each joint's link: at the next joint, or at the link's centre of mass."""
+    def loaded(self, mass: Float[Array, " nq"], beyond: Float[Array, "nq 3"] | None = None) -> Robot:
+        """The same with a point mass at the far end of each joint's link, at the next joint or at the link's centre of mass, or
+        `beyond` that in the link's frame."""
         added = jnp.zeros((len(self.joints), 10))
         for k, joint in enumerate(self.signatures[0].joints):
             node = self.joints.index(joint)
@@ -382,6 +385,8 @@ class Robot(Staged):
             place, ends = self.carriers.index(node), [i for i, up in enumerate(self.parent) if up == node]
             com = [getattr(self, name)[place] - a for name, a in zip(BODY[1:4], self.anchors[place], strict=True)]
             x, y, z = ([getattr(self, name)[ends[0]] for name in PLACE[:3]]) if ends else com
+            if beyond is not None:
+                x, y, z = x + beyond[k, 0], y + beyond[k, 1], z + beyond[k, 2]
             own = (y * y + z * z, -x * y, -x * z, x * x + z * z, -y * z, x * x + y * y, x, y, z, 1.0 + 0 * x)
             added = added.at[node].add(mass[k] * jnp.stack([jnp.asarray(v) for v in own]))
         return self._with("added", added)

@@ -122,6 +122,7 @@ EXACT = [
     ("drag", {}, {("quadratic_drag", "lift"): {"coefficient": 0.3}}),
     ("rotor", {}, {("reflected_inertia", "bend"): {"inertia": 0.03}}),
     ("payload", {}, {("payload", "bend"): {"mass": 0.2}}),
+    ("placed payload", {}, {("payload", "bend"): {"mass": 0.2, "dx": 0.1, "dy": 0.02, "dz": -0.05}}),
     ("tilt", {}, {("gravity_offset", "lift"): {"tilt": 0.15}}),
 ]
 APPROXIMATE = [("frictionloss", {"frictionloss@lift": 0.3, "frictionloss@bend": 0.1}, {})]

@@ -40,6 +40,8 @@ class Judge:
         self.nominal, self.end = search.settled or (search.nominal, search.chosen)
         self.alike = scatter.bench(bench) if scatter else bench
         self.before, self.note = shrinking.model_before(bench.binding, self.nominal.theta)
+        if search.stands is not None:
+            self.before = search.stands.theta
         self.repeated = any(n.source == "repeatability" for n in bench.binding.noise.values())
         self.reports = bool(bench.binding.experiments("report")) and "report" not in self.still
 
@@ -76,7 +78,9 @@ class Judge:
     def _named_on_report(self, found: Claim) -> Claim:
         """What the report data leave of a verdict that names effects."""
         judged, several = found.verdict, self.search.several
-        gaps = Gaps(found.how_far.gap_before, found.how_far.gap_retuned, found.how_far.gap_after)
+        # What is asked beside the model as it stands is compared with that: more numbers take up what one says.
+        other = found.how_far.gap_retuned if self.search.stands is None else found.how_far.gap_before
+        gaps = Gaps(found.how_far.gap_before, other, found.how_far.gap_after)
         verdict = upheld(judged, gaps, several)
         # Unless the model follows the fit runs and what they leave open can account for it, where it is not better without; what
         # is `partly` there has to hold as it is.

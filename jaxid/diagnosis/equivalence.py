@@ -91,7 +91,8 @@ def equivalences(model: str, without: Sequence[str] = ()) -> Equivalences:
 
     owner = robot_from(model, getattr(model, "tip", None)) if is_file(model) else catalogue.model_class(model)()
     chain = Chain(owner).without(*without)
-    library = [k for n in first_asked() if n not in chain.contents and chain.offers(k := catalogue.effect_class(n))]
+    kinds = [catalogue.effect_class(n, owner) for n in first_asked() if n not in chain.contents]
+    library = [k for k in kinds if chain.offers(k)]
     data, text = _rich_motion(chain, model, owner)
     if led(chain):
         return _under_goals(bind(owner, data, without=without, splits=False), library, model, text)

@@ -77,7 +77,7 @@ class Search:
     `rivals`: the two hypotheses between which further data should decide. `several`: more than one effect was chosen, and motions
     are simulated. `without`: what is left on validation data, in multiples of the noise, where one of several is taken out and
     the rest refitted; what is missed most comes first. `settled`: nominal and chosen, refitted to the runs that fitted and to
-    those that chose.
+    those that chose. `stands`: the model with nothing re-tuned, where the chosen effects were asked beside that.
     """
 
     nominal: Hypothesis
@@ -88,6 +88,7 @@ class Search:
     several: bool = False
     without: tuple[tuple[Candidate, float], ...] = ()
     settled: tuple[Hypothesis, Hypothesis] | None = None
+    stands: Hypothesis | None = None
 
 
 def without_each(h: Hypothesis, known: Mapping[frozenset[str], Hypothesis]) -> tuple[tuple[Candidate, float], ...]:
@@ -113,7 +114,7 @@ def candidates(bench: Bench, allowed: Sequence[str]) -> list[Candidate]:
 def possible(nominal: Chain, names: Iterable[str], residual: str = "") -> list[type[Effect]]:
     """Those effects that a model lacks and has a place for, and that a residual can see; raises `UsageError` for a name that does
     not exist."""
-    kinds = [catalogue.effect_class(n) for n in names]
+    kinds = [catalogue.effect_class(n, nominal.mechanism) for n in names]
     lacking = [k for k in kinds if k.name not in nominal.contents and nominal.offers(k)]
     return [k for k in lacking if residual != InverseDynamics.name or shows(k, nominal)]
 

@@ -238,7 +238,9 @@ def _diagnosed(question: Question, scatter: timing.Scatter | None = None) -> tup
         verdict = verdict.but("partly", NotBelievable(tuple(dict.fromkeys(against.values()))))
     how_far = dataclasses.replace(how_far, per_joint=with_effects(nominal_fit.per_joint, final_fit.per_joint))
     mates = search.confusable if named else []
-    findings, pictures, rows = where_it_lies(bench, nominal, final, verdict.name, estimates, seed)
+    findings, pictures, rows = where_it_lies(
+        bench, search.stands if named and search.stands else nominal, final, verdict.name, estimates, seed
+    )
     ranking = (*(scatter.ranked(bench, residual, search.nominal) if scatter else ()), *ranked(search))
     looked, pair, stopped = Look(), search.rivals, None
     if verdict.name in ("none", "unknown") and not question.still:

@@ -111,6 +111,8 @@ class Mechanism(eqx.Module):
     source: eqx.AbstractClassVar[str]
     #: Whether the state holds more than joint positions and velocities: such a motion cannot be inverted without a simulation.
     hidden_states: ClassVar[bool] = False
+    #: Effects that have more numbers on this mechanism: id of the effect -> a class of the same name.
+    variants: ClassVar[dict[str, type]] = {}
 
     def ode(self, *, smoothing_velocity: float = 0.0) -> ODE:
         """The model with its built-in effects as a differential equation: see `ode.ODE`. `smoothing_velocity` (rad/s or

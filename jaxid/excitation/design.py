@@ -138,7 +138,7 @@ def _with(chain: Chain, content: Mapping[str, Any] | None) -> Chain:
     """The chain with the values of a fit."""
     if content is None:
         return chain
-    kinds = [catalogue.effect_class(e["effect"]) for e in content.get("effects", []) if isinstance(e, Mapping)]
+    kinds = [catalogue.effect_class(e["effect"], chain.mechanism) for e in content.get("effects", []) if isinstance(e, Mapping)]
     chain = chain.with_effects(*(k() for k in kinds if k.name not in {e.name for e in chain.effects}))
     layout = Layout(chain)
     theta = layout.values.copy()

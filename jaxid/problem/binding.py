@@ -193,7 +193,7 @@ def parse_effect(text: str | Effect | type[Effect], chain: Chain) -> tuple[type[
     """`dead_zone@tau`, or `dead_zone` where it has one place. One that the model comprises only where a fit holds some of its
     numbers, which it then fits (at all places, where none is named)."""
     name, _, place = catalogue.enrolled(text).partition("@")
-    kind = catalogue.effect_class(name)
+    kind = catalogue.effect_class(name, chain.mechanism)
     places = chain.offers(kind)
     if not places:
         kinds = [catalogue.effect_class(n) for n in catalogue.effect_names()]

@@ -129,6 +129,12 @@ class Residual(abc.ABC):
         least size of the buffers and of a lane's output."""
 
 
+def run_up(e: Experiment) -> int:
+    """The sample of an experiment with its past (`whole`) at which its free run begins."""
+    t, cut = e.whole.t, len(e.whole) - len(e)
+    return max(cut // 2, cut - RUN_UP_SAMPLES, int(np.searchsorted(t, t[cut] - RUN_UP_S)))
+
+
 @dataclass(frozen=True)
 class OutputError(Residual):
     """Free run of the whole experiment.
@@ -149,7 +155,7 @@ class OutputError(Residual):
         records, heads = [], []
         for number, (e, own) in enumerate(zip(every, experiments, strict=True)):
             p, cut = positions[number], len(e) - len(own)
-            a = max(cut // 2, cut - RUN_UP_SAMPLES, int(np.searchsorted(e.t, e.t[cut] - RUN_UP_S)))
+            a = run_up(own)
             settled = a + (cut - a) // 4  # by then sensors and springs have forgotten how they began
             n = cut + head_samples(own) - settled
             until = lambda b, c, number=number, e=e, p=p, a=a: replace(

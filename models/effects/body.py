@@ -218,6 +218,20 @@ class Payload(BodyEffect):
         return mechanism.loaded(self.mass) if isinstance(mechanism, Loadable) else mechanism
 
 
+class PlacedPayload(Payload):
+    """The same on a robot of a file, which does not say where a link ends: where the mass sits is a number as well."""
+
+    equation: ClassVar[str] = "a point mass (dx, dy, dz) beyond the end of the joint's link: inertia and gravity together"
+    dx: Array = param(0.0, -1.0, 1.0, scale=0.02, unit="m", meaning="beyond the next joint, or the link's centre of mass, x")
+    dy: Array = param(0.0, -1.0, 1.0, scale=0.02, unit="m", meaning="the same in y of the link's frame")
+    dz: Array = param(0.0, -1.0, 1.0, scale=0.02, unit="m", meaning="the same in z of the link's frame")
+    #: Numbers whose products with the mass the motion shows, to first order.
+    moments: ClassVar[tuple[str, ...]] = ("dx", "dy", "dz")
+
+    def __call__(self, mechanism):
+        return mechanism.loaded(self.mass, jnp.stack([self.dx, self.dy, self.dz], -1))
+
+
 class GravityOffset(BodyEffect):
     """A base that stands askew: gravity turned about the first joint's axis."""
 

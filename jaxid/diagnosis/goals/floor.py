@@ -8,17 +8,19 @@ difference is no gap of the model.
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 import numpy as np
 
+from jaxid.data.dataset import Experiment
 from jaxid.diagnosis.verdict import level
 from jaxid.errors import UsageError
 from jaxid.fitting.problem_builder import Bench, estimate_starts
 from jaxid.fitting.replay import in_mujoco
 from jaxid.fitting.scores import free_runs
 from jaxid.problem.binding import Binding
+from jaxid.problem.residual import run_up
 from jaxid.robots import stops
 from jaxid.robots.tree import Tree
 from jaxid.robots.yardstick import as_it_stands
@@ -34,11 +36,12 @@ def file_of(binding: Binding) -> Path | None:
 
 @dataclass(frozen=True)
 class Between:
-    """MuJoCo's free runs of the file as it stands: what they differ by from jaxid's, [samples n] of each fit run, and the root
-    mean square [n] of what they leave of the readings."""
+    """MuJoCo's free runs of the file as it stands in the runs of a split: what they differ by from jaxid's, [samples n] of each,
+    and the root mean square [n] of what they leave of the readings."""
 
     apart: list[np.ndarray]
     left: np.ndarray
+    theirs: list[np.ndarray] = field(default_factory=list)  # MuJoCo's runs themselves
 
     @property
     def size(self) -> np.ndarray:
@@ -49,27 +52,39 @@ def _rms(series: Sequence[np.ndarray]) -> np.ndarray:
     return np.sqrt(np.mean(np.concatenate(series) ** 2, 0))
 
 
-def between_simulators(bench: Bench) -> Between | None:
-    """None where MuJoCo has no run of the file."""
+def between_simulators(bench: Bench, split: str = "fit", theta: np.ndarray | None = None) -> Between | None:
+    """None where MuJoCo has no run of the file; `theta`: numbers of jaxid's run where not those of the file."""
     b = bench.binding
-    path = file_of(b)
-    if path is None or not b.experiments("fit"):
+    path, runs = file_of(b), b.experiments(split)
+    if path is None or not runs:
         return None
-    theta, _ = as_it_stands(b)
-    starts = estimate_starts(bench, "fit", [theta])
-    ours = free_runs(bench, "fit", [theta], starts)[0]
+    theta = as_it_stands(b)[0] if theta is None else theta
+    n = b.chain.nq
+    starts = estimate_starts(bench, split, [theta])
     tree: Tree = b.chain.mechanism.tree.tree  # type: ignore[attr-defined]
-    data = replace(b.dataset, experiments=b.experiments("fit"))
+    data = replace(b.dataset, experiments=tuple(e.whole for e in runs))
+    begun = [s if e.past is None else _measured(e.whole, b) for e, s in zip(runs, starts[0], strict=True)]
     try:
-        theirs = in_mujoco(data, path, tree, None, [np.asarray(s) for s in starts[0]], [])
+        theirs = in_mujoco(data, path, tree, None, [np.asarray(s) for s in begun], [])
     except UsageError:
         return None
-    n = b.chain.nq
+    for k, (e, y) in enumerate(zip(runs, theirs, strict=True)):
+        if e.past is not None:  # jaxid's run begins a little before the cut, where MuJoCo's is by then
+            starts[0][k] = np.concatenate([y[run_up(e)], np.gradient(y, e.whole.t, axis=0)[run_up(e)]])
+    ours = free_runs(bench, split, [theta], starts)[0]
+    theirs = [y[-len(e.t) :] for e, y in zip(runs, theirs, strict=True)]
     apart = [y - x[:, :n] for x, y in zip(ours, theirs, strict=True)]
     if not all(np.isfinite(x).all() for x in apart) or b.chain.joint_outputs != list(range(len(b.sigma))):
         return None
-    left = [e.y[:, b.chain.joint_outputs] - y for e, y in zip(data.experiments, theirs, strict=True)]
-    return Between(apart, _rms(left))
+    left = [e.y[:, b.chain.joint_outputs] - y for e, y in zip(runs, theirs, strict=True)]
+    return Between(apart, _rms(left), theirs)
+
+
+def _measured(e: Experiment, b: Binding) -> np.ndarray:
+    """Positions and speeds at the first sample of a run."""
+    joints = e.motion()[:, b.chain.joint_outputs]
+    first = slice(0, max(2, len(joints) // 100))
+    return np.concatenate([joints[0], np.polyfit(e.t[first], joints[first], 1)[0]])
 
 
 def with_floor(binding: Binding, apart: np.ndarray | None, numbers: Mapping[str, float] | None = None) -> Binding:

@@ -10,12 +10,14 @@ import numpy as np
 from jaxid.data.dataset import Dataset
 from jaxid.diagnosis.goals.limits import limits_shown
 from jaxid.diagnosis.goals.study import LedStudy
+from jaxid.diagnosis.hypothesis import Candidate, candidates
 from jaxid.diagnosis.thresholds import LIMITS
 from jaxid.diagnosis.torque.algebra import better, BLOCKS, gram, Weights
 from jaxid.diagnosis.torque.answer import of_model
 from jaxid.diagnosis.torque.choose import Chooser, Model
-from jaxid.diagnosis.torque.library import Unit
+from jaxid.diagnosis.torque.library import MOMENT, Unit
 from jaxid.dynamics.effect import BodyEffect, Effect, InputEffect, JointEffect
+from jaxid.fitting.problem_builder import Bench
 from jaxid.problem.binding import Binding
 
 
@@ -137,22 +139,34 @@ def goes_the_other_way(stated: LedStudy, other: LedStudy) -> bool:
     return bool(total > LIMITS.sure and worst > 0 and fitted[1].sum() < fitted[0].sum())
 
 
+def candidates_of(bench: Bench, s: Proposal) -> list[Candidate]:
+    """The candidates of a bench that a set asks for, each with the numbers that its unit shows."""
+    kinds = {e.name: e for e in bench.binding.chain.effects}
+    pool = {(c.effect, c.location): c for c in candidates(bench, [u.effect for u in s.units])}
+    out = []
+    for u in s.units:
+        c = pool.get((u.effect, u.location.partition(" and ")[0]))
+        if c is not None:
+            hidden = [f for f in getattr(kinds[u.effect], "moments", ()) if f"{MOMENT}{f}" not in u.fields]
+            fields = {i: bench.binding.layout.entries[i].field for i in c.index}
+            out.append(replace(c, index=tuple(i for i in c.index if fields[i] not in hidden)))
+    return out
+
+
 def kinds_of(sets: Sequence[Proposal]) -> list[str]:
     return list(dict.fromkeys(u.effect for s in sets for u in s.units))
 
 
-def as_vector(binding: Binding, nominal: Sequence[str], s: Proposal) -> tuple[np.ndarray, list[tuple[str, str]]]:
-    """The numbers of a proposal in the layout of a binding, and (effect, place) of its units; `nominal`: the names of the
-    numbers that `s.theta` has."""
+def as_vector(binding: Binding, nominal: Sequence[str], s: Proposal) -> np.ndarray:
+    """The numbers of a proposal in the layout of a binding; `nominal`: the names of the numbers that `s.theta` has."""
     theta, layout = binding.theta.copy(), binding.layout
     for name, value in zip(nominal, s.theta, strict=True):
         theta[layout.index(name)] = value
-    places = []
     for u, numbers in zip(s.units, s.numbers, strict=True):
         place = u.location.partition(" and ")[0]
-        places.append((u.effect, place))
         own = dict(u.shape) | dict(zip(u.fields, map(float, numbers), strict=True))
+        own |= {f.removeprefix(MOMENT): v / own["mass"] for f, v in own.items() if f.startswith(MOMENT) and own["mass"]}
         for i in layout.of_effect(u.effect, place):
             if (field := layout.entries[i].field) in own:
                 theta[i] = np.clip(own[field], binding.lower[i], binding.upper[i])
-    return theta, places
+    return theta

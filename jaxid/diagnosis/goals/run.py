@@ -4,17 +4,18 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from jaxid.data.dataset import Dataset
+from jaxid.diagnosis.goals.as_stated import AsStated
 from jaxid.diagnosis.goals.floor import between_simulators, not_this_file, with_floor
 from jaxid.diagnosis.goals.law_told import law_told
 from jaxid.diagnosis.goals.propose import as_vector, goes_the_other_way, kinds_of, Proposal, proposals, shown, with_other_hold
 from jaxid.diagnosis.goals.search import Decider
 from jaxid.diagnosis.goals.study import LedStudy, loop_step
-from jaxid.diagnosis.hypothesis import Search
+from jaxid.diagnosis.hypothesis import Hypothesis, Search
 from jaxid.diagnosis.result import Diagnosis
 from jaxid.diagnosis.verdict import level
 from jaxid.dynamics.chain import Chain
@@ -48,6 +49,7 @@ OTHER_WAY = (
     "the goals go {} from sample to sample here, not {} as the dataset has it: the re-tuned model follows them better so on data "
     "that were and were not fitted (state hold of the goals' channels where that is wrong)"
 )
+THEIRS = "Its noise is what MuJoCo and jaxid make of the same file; no effect explains what is nearer."
 SETTLED = (
     "numbers are fitted to the fit and validation runs together, once these have chosen the effects: errors on validation runs "
     "are no longer held out, those on report runs are"
@@ -106,45 +108,47 @@ def diagnose_led(
         dataset, study = swapped, other
         study.tuned(study.theta)
     say("along the motion", 1, 3, "noise")
-    between = between_simulators(Bench(study.binding, step, differences=1, together=True))  # the program that is there
+    made = lambda b: Bench(b, step, differences=1, together=True)
+    with_kinds = lambda names: bind(model, dataset, without=without, candidates=[k for k in kinds if k.name in names])
+    plain = study.binding
+    between = between_simulators(bench := made(plain))  # the program that is there
     series = None if between is None else between.apart
     doubts, simulated = ({}, None) if series is None else study.taken_up(series, clocks=False)
     apart = None if series is None else study.taken_up(series)[1]
-    strange = not_this_file(study.binding, between, simulated)
-    study = study.with_binding(with_floor(study.binding, apart))
+    strange = not_this_file(plain, between, simulated)
+    study = study.with_binding(with_floor(plain, apart))
     say("along the motion", 2, 3, f"effects, {len(kinds)} kinds")
-    bare, sets = proposals(study, max_effects)
-    names = kinds_of(sets)
-    wide = with_floor(bind(model, dataset, without=without, candidates=[k for k in kinds if k.name in names]), apart, doubts)
     asked = f"asked along the measured motion: {listed(sorted(k.name for k in kinds))}"
     left = sorted(k.name for k in library if not shown(k))
     notes.append(f"{asked}; not asked, for they have a motion of their own: {listed(left) or 'none'}")
 
-    decided = lambda bench, offer, sets, between: _decided(
-        bench, study.binding.layout.names, bare, sets, between, seed, began, progress, offer
-    )
-    alike = False
-
-    def search(bench: Bench, offer: Offer) -> tuple[Fit, Search]:
-        nonlocal alike
-        fit, found, alike = decided(bench, offer, sets, series)
-        return fit, found
+    stated = None if strange or between is None else AsStated(bench, study, kinds, between)
+    by_itself = strange or (stated is not None and stated.stands)
+    bare, sets = (Proposal((), (), plain.theta), []) if by_itself else proposals(study, max_effects)
+    names = kinds_of([*sets, *(c.proposal for c in (stated.changes if stated else ()))])
+    road = _Road(plain.layout.names, bare, seed, began, progress)
+    if stated is not None:
+        stated.ask(lambda floor: made(with_floor(with_kinds(names), floor)), progress)
 
     if strange:  # what is left is judged by the readings' own noise, and nothing is asked
-        own = bind(model, dataset, without=without)
-        found = answer(own, (), lambda bench, offer: decided(bench, offer, [], None)[:2], step)
+        found = answer(plain, (), lambda bench, offer: road(bench, offer, with_sets([])), step)
         found = replace(found, which=replace(found.which, text=f"{found.which.text} {strange}"))
+    elif stated is not None and stated.explains:
+        taken, doubts = stated.difference, stated.doubts
+        own = with_floor(with_kinds(names), taken.floor, doubts)
+        found = answer(own, names if stated.lacks else (), lambda b, offer: road(taken.off(b), offer, stated.decided), step)
+        found = replace(found, which=replace(found.which, text=f"{found.which.text} {stated.said()}".strip()))
+        notes.append(taken.said(plain))
     else:
-        found = answer(wide, names, search, step)
-    if not strange and found.which.verdict == "unknown" and alike and between is not None:
-        # No effect is borne out, and what two simulators of the file as it stands differ by accounts for what is left.
-        plain = with_floor(bind(model, dataset, without=without), between.size, doubts)
-        again = answer(plain, (), lambda bench, offer: decided(bench, offer, [], None)[:2], step)
-        if again.which.verdict == "none":
-            text = (
-                f"{again.which.text} Its noise is what MuJoCo and jaxid make of the same file; no effect explains what is nearer."
-            )
-            found = replace(again, which=replace(again.which, text=text, ranking=found.which.ranking))
+        wide, limit = with_floor(with_kinds(names), apart, doubts), Limit()
+        found = answer(wide, names, lambda bench, offer: road(bench, offer, with_sets(sets, limit), series), step)
+        if found.which.verdict == "unknown" and limit.reached and between is not None:
+            # No effect is borne out, and what two simulators of the file as it stands differ by accounts for what is left.
+            again = with_floor(plain, between.size, doubts)
+            nothing = answer(again, (), lambda bench, offer: road(bench, offer, with_sets([])), step)
+            if nothing.which.verdict == "none":
+                text = f"{nothing.which.text} {THEIRS}"
+                found = replace(nothing, which=replace(nothing.which, text=text, ranking=found.which.ranking))
     if doubts:
         notes.append(MEANING)
     if study.of("validation"):
@@ -154,23 +158,53 @@ def diagnose_led(
     return replace(found, notes=(*found.notes, *notes), wall_time_s=time.perf_counter() - began)
 
 
-def _decided(
-    bench: Bench, names: Sequence[str], bare: Proposal, sets: Sequence[Proposal], between: Sequence[np.ndarray] | None, seed: int,
-    began: float, progress: Progress | None, offer: Offer,
-) -> tuple[Fit, Search, bool]:  # fmt: skip
-    """The nominal fit, what was chosen, and whether what two simulators differ by accounts for what the nominal model leaves."""
-    decider = Decider(bench, names, between, progress, 0, 1 + len(sets))
-    theta, _ = as_vector(bench.binding, names, bare)
-    nominal = decider.refit((), theta)
+@dataclass
+class Limit:
+    """Whether what two simulators differ by accounts for what the nominal model leaves."""
 
-    def fitted(path: Path = nominal.path) -> Fit:
-        minimum = Minimum(path.z, path.loss, path.converged, path.stopped, decider.evaluations, [])
-        spent = time.perf_counter() - began
-        return assemble(bench, path.problem, minimum, OutputError(), "lm", seed, bench.compile_time(), spent)
+    reached: bool = False
 
-    offer(fitted, Search(nominal, nominal))
-    limit = decider.with_their_difference(nominal)
-    search = decider.with_what_the_file_lacks(decider.decided(nominal, sets, limit))
-    plain = decider.settled(search.nominal)
-    search.settled = plain, decider.settled(search.chosen) if search.chosen.effects else plain
-    return fitted(plain.path), search, limit <= level(nominal.path.count)
+
+#: From the nominal model what is chosen.
+Decide = Callable[[Decider, Hypothesis], Search]
+
+
+def with_sets(sets: Sequence[Proposal], limit: Limit | None = None) -> Decide:
+    """What simulations bear out of some sets of effects, beside numbers that are re-tuned."""
+
+    def decide(decider: Decider, nominal: Hypothesis) -> Search:
+        most = decider.with_their_difference(nominal)
+        if limit is not None:
+            limit.reached = most <= level(nominal.path.count)
+        return decider.with_what_the_file_lacks(decider.decided(nominal, sets, most))
+
+    return decide
+
+
+@dataclass
+class _Road:
+    """From a bench to the re-tuned nominal model and what is chosen."""
+
+    names: Sequence[str]
+    bare: Proposal
+    seed: int
+    began: float
+    progress: Progress | None
+
+    def __call__(
+        self, bench: Bench, offer: Offer, decide: Decide, between: Sequence[np.ndarray] | None = None
+    ) -> tuple[Fit, Search]:
+        decider = Decider(bench, self.names, between, self.progress)
+        theta = as_vector(bench.binding, self.names, self.bare)
+        nominal = decider.refit((), theta)
+
+        def fitted(path: Path = nominal.path) -> Fit:
+            minimum = Minimum(path.z, path.loss, path.converged, path.stopped, decider.evaluations, [])
+            spent = time.perf_counter() - self.began
+            return assemble(bench, path.problem, minimum, OutputError(), "lm", self.seed, bench.compile_time(), spent)
+
+        offer(fitted, Search(nominal, nominal))
+        search = decide(decider, nominal)
+        plain = decider.settled(search.nominal)
+        search.settled = plain, decider.settled(search.chosen) if search.chosen.effects else plain
+        return fitted(plain.path), search

@@ -8,8 +8,8 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from jaxid.diagnosis.evidence import held_out, knowledge
-from jaxid.diagnosis.goals.propose import as_vector, Proposal
-from jaxid.diagnosis.hypothesis import Candidate, candidates, Hypothesis, Search
+from jaxid.diagnosis.goals.propose import as_vector, candidates_of, Proposal
+from jaxid.diagnosis.hypothesis import Candidate, Hypothesis, Search
 from jaxid.diagnosis.selection import indistinct, significant
 from jaxid.diagnosis.thresholds import LIMITS
 from jaxid.diagnosis.verdict import judge, level
@@ -57,7 +57,16 @@ class Decider:
             own[[i for c in effects for i in c.index]] = theta[[i for c in effects for i in c.index]]
             path, _, spent = descend_on_secants(p, [p.z(theta, starts), p.z(own, starts)], self.slopes, *NEAR)
         self.done, self.evaluations = self.done + 1, self.evaluations + spent
-        theta = p.theta(path.z)
+        return self._judged(effects, path)
+
+    def polished(self, h: Hypothesis) -> Hypothesis:
+        """The same from where its descent ended, with slopes of its own: those of another model lead only so far."""
+        path, _, spent = descend_on_secants(h.path.problem, [h.path.z], None, *NEAR)
+        self.evaluations += spent
+        return self._judged(h.effects, path)
+
+    def _judged(self, effects: Sequence[Candidate], path: Path) -> Hypothesis:
+        theta = path.problem.theta(path.z)
         splits = [held_out(self.bench, "validation", [theta], OutputError(), [knowledge(path)])]
         return Hypothesis(tuple(effects), theta, path, splits[0][0])
 
@@ -78,20 +87,18 @@ class Decider:
         None is asked where the re-tuned model reaches the noise: what two simulators differ by is coloured, and is no effect."""
         if not sets or judge(Search(nominal, nominal)).name == "none":
             return Search(nominal, nominal)
-        pool = {(c.effect, c.location): c for c in candidates(self.bench, [u.effect for s in sets for u in s.units])}
         self.total = self.done + len(sets)
         tried: list[Hypothesis] = []
         for s in sets:
-            theta, places = as_vector(self.bench.binding, self.names, s)
-            own = [pool[p] for p in places if p in pool]
-            if own:
+            theta = as_vector(self.bench.binding, self.names, s)
+            if own := candidates_of(self.bench, s):
                 tried.append(self.refit(own, theta, nominal.path))
         good = [h for h in tried if np.isfinite(h.fit_loss) and significant(nominal, h) and h.fit_loss < limit]
         if not good:
             return Search(nominal, nominal, tried)
-        enough = [h for h in good if self._at_noise(h)]
+        enough = [h for h in good if self.at_noise(h)]
         chosen = min(enough, key=lambda h: h.size) if enough else min(good, key=lambda h: h.validation.loss)
-        chosen = self._thinned(nominal, chosen, tried)
+        chosen = self.thinned(nominal, chosen, tried)
         mates = [c for h in tried if h is not chosen and len(h.effects) <= len(chosen.effects) and indistinct(chosen, h)
                  for c in h.effects if c not in chosen.effects]  # fmt: skip
         return Search(nominal, chosen, tried, mates, None, len({c.effect for c in chosen.effects}) > 1)
@@ -115,7 +122,7 @@ class Decider:
         if not np.isfinite(nominal.fit_loss) or not significant(nominal, whole):
             self.asked = frozenset()
             return search
-        whole = self._thinned(nominal, whole, tried)
+        whole = self.thinned(nominal, whole, tried)
         several = len({c.effect for c in whole.effects}) > 1
         found = Search(nominal, whole, [*tried, whole], search.confusable, search.rivals, several)
         if judge(found).name == "named":
@@ -140,10 +147,10 @@ class Decider:
         left = at.r + A @ by
         return float(left @ left) / nominal.path.count
 
-    def _at_noise(self, h: Hypothesis) -> bool:
+    def at_noise(self, h: Hypothesis) -> bool:
         return h.validation.loss <= level(h.validation.count) and h.fit_loss <= level(h.path.count)
 
-    def _thinned(self, nominal: Hypothesis, chosen: Hypothesis, tried: list[Hypothesis]) -> Hypothesis:
+    def thinned(self, nominal: Hypothesis, chosen: Hypothesis, tried: list[Hypothesis]) -> Hypothesis:
         """Without what is not missed, place by place."""
         for c in chosen.effects:
             left = [e for e in chosen.effects if e is not c]
@@ -156,7 +163,7 @@ class Decider:
             self.total += 1
             less = self.refit(left, theta, chosen.path)
             tried.append(less)
-            if self._at_noise(less) or not significant(less, chosen):
+            if self.at_noise(less) or not significant(less, chosen):
                 chosen = less
         return chosen
 

@@ -14,7 +14,7 @@ from jaxid.diagnosis.goals.loop import FINE, LoopRun, mean_input, RawRun, refine
 from jaxid.diagnosis.goals.plant import CHANGED, Drive, LedPlant
 from jaxid.diagnosis.goals.probes import at_levels, is_level, LEVELS, probes_of, scaled
 from jaxid.diagnosis.torque.algebra import gram, Solution, solve, weighted, Weights
-from jaxid.diagnosis.torque.library import Unit, units
+from jaxid.diagnosis.torque.library import MOMENT, Unit, units
 from jaxid.diagnosis.torque.plant import inverse_of
 from jaxid.diagnosis.torque.rows import read_runs, Run, turning_speeds
 from jaxid.diagnosis.torque.study import Rows, SHARPER, STEPS, Study
@@ -28,6 +28,10 @@ from jaxid.simulation.sample_buffers import columns
 
 #: A shift of readings over which gravity's derivative is taken: what an encoder that is off does.
 OFF = 1e-4
+#: Distance (m) over which the derivative by where a load sits is taken: exact, for it is quadratic.
+ARM = 1e-2
+#: A place of a load that shows by less than this share of another one shows by rounding alone.
+UNSEEN = 1e-8
 #: Damping of the descent to the nominal model (Marquardt's, a share of each number's own curvature): at first, by how much less
 #: and more it is after a step that led down and one that did not, and where it ends.
 FIRST, EASIER, HARDER, LAST = 1e-2, 5.0, 4.0, 1e3
@@ -64,21 +68,34 @@ class LedStudy(Study):
         """What positions [samples n] in each of the fit runs change in the numbers that are fitted to them, by name, and the root
         mean square [n] of what these leave of them; with `clocks` beside what rows know no better (delays within a sample, the
         width of a reversal), which no simulation has."""
-        rows, n = self.made(self.theta, []), self.binding.chain.nq
-        size = rows.size if clocks else self.plant.size
+        rows = self.made(self.theta, [])
+        numbers, left = self._fitted_to(series, rows, np.arange(rows.size if clocks else self.plant.size))
+        names = [self.binding.layout.names[i] for i in self.plant.free]
+        return dict(zip(names, map(float, numbers[: len(names)]), strict=True)), np.sqrt(np.mean(left**2, 0))
+
+    def inertia_taken_up(self, series: Sequence[np.ndarray], theta: np.ndarray) -> dict[str, float]:
+        """What positions [samples n] in each of the fit runs change in the armatures that are fitted to them, beside clocks, of
+        the model with numbers theta."""
+        rows, n = self.made(theta, []), self.binding.chain.nq
+        names = [self.binding.layout.names[i] for i in self.plant.free]
+        own = [k for k, name in enumerate(names) if name.startswith("armature@")]
+        numbers, _ = self._fitted_to(series, rows, np.array([*own, *range(rows.size - n, rows.size)], int))
+        return {names[k]: float(x) for k, x in zip(own, numbers, strict=False)}
+
+    def _fitted_to(self, series: Sequence[np.ndarray], rows: Rows, at: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """How much more of the columns' numbers makes these positions of the fit runs, and what that leaves [rows n]: columns are
+        those of what readings are off by."""
         own, target = [], []
         for k, x in zip(self.of("fit"), series, strict=True):
             run = self.runs[k]
             e = next(e for e in self.binding.dataset.experiments if e.name == run.experiment.name)
             fine = np.stack([np.interp(run.experiment.t, e.t, c) for c in x.T], 1)
-            own.append(rows.rows[k][:, :, :size].reshape(-1, size))
+            own.append(rows.rows[k][:, :, at].reshape(-1, len(at)))
             target.append(run.sampled(fine).reshape(-1))  # type: ignore[attr-defined]
         A, b = np.concatenate(own), np.concatenate(target)
         norm = np.maximum(np.linalg.norm(A, axis=0), 1e-300)
         numbers = np.linalg.lstsq(A / norm, b, rcond=1e-10)[0] / norm
-        names = [self.binding.layout.names[i] for i in self.plant.free]
-        left = (b - A @ numbers).reshape(-1, n)
-        return dict(zip(names, map(float, numbers[: len(names)]), strict=True)), np.sqrt(np.mean(left**2, 0))
+        return -numbers, (b - A @ numbers).reshape(-1, self.binding.chain.nq)
 
     def weights(self, rows: Rows) -> Weights:
         """Weights by what the re-tuned model leaves."""
@@ -300,29 +317,35 @@ class LedStudy(Study):
         return out
 
     def _bodies(self, kind: Any, theta: np.ndarray) -> list[Unit]:
-        """What changes the mechanism, to first order in each of its numbers."""
-        b, out, own = self.binding, [], specs(kind)
+        """What changes the mechanism, to first order in each of its numbers, or in a mass times where it sits."""
+        b, out, places = self.binding, [], self.binding.chain.places(kind)
+        moments = getattr(kind, "moments", ())
+        own = {f: s for f, s in specs(kind).items() if f not in moments}
         mechanism = b.layout.form.model(theta).mechanism
         for place in b.chain.offers(kind):
-            j = b.chain.places(kind).index(place)
+            j = places.index(place)
             reference = b.reference(kind, j)
-            size = {f: CHANGED * float(resolve(s.scale, reference)) for f, s in own.items()}
+            force = lambda r, **numbers: inverse_of(_with_body(kind, len(places), j, numbers)(mechanism), r)  # noqa: B023
+            steps = {f: CHANGED * float(resolve(s.scale, reference)) for f, s in own.items()}
             columns = []
             for r in self.free:
-                made = []
-                for f in own:
-                    ends = [
-                        inverse_of(_with_body(kind, len(b.chain.places(kind)), f, j, v)(mechanism), r) for v in (0.0, size[f])
-                    ]
-                    made.append((ends[1] - ends[0]) / size[f])
+                made = [(force(r, **{f: h}) - force(r)) / h for f, h in steps.items()]
+                for f in moments:
+                    low, high = (force(r, mass=1.0, **{f: h}) for h in (-ARM, ARM))
+                    made.append((high - low) / (2 * ARM))
                 columns.append(np.stack(made, 2))
+            size = np.max([np.linalg.norm(c, axis=(0, 1)) for c in columns], 0)
+            first = len(own)
+            # Where all axes are alike, a load may sit anywhere along them.
+            kept = [k for k in range(len(size)) if k < first or size[k] > UNSEEN * size[first:].max()]
+            fields = tuple(name for k, name in enumerate((*own, *(f"{MOMENT}{f}" for f in moments))) if k in kept)
             low, high = (np.array([resolve(getattr(s, k), reference) for s in own.values()]) for k in ("lower", "upper"))
+            free = np.full(len(fields) - first, np.inf)
             if any(np.any(c) for c in columns):
-                out.append(
-                    Unit(
-                        kind.name, place, tuple(own), low, high, np.full(len(own), np.inf), {}, tuple(range(b.chain.nq)), columns
-                    )
-                )
+                bounds = np.concatenate([low, -free]), np.concatenate([high, free])
+                infinite = np.full(len(fields), np.inf)
+                shown = [c[:, :, kept] for c in columns]
+                out.append(Unit(kind.name, place, fields, *bounds, infinite, {}, tuple(range(b.chain.nq)), shown))
         return out
 
     def _off(self, theta: np.ndarray) -> list[Unit]:
@@ -356,11 +379,12 @@ def _settled(e: Experiment) -> Experiment:
     return replace(e, past=e.past.piece(len(e.past.t) - len(e.t), len(e.past.t), name=e.past.name, split=e.past.split))
 
 
-def _with_body(kind: Any, n: int, field: str, place: int, value: float) -> Any:
-    """A body effect with one number at one place."""
+def _with_body(kind: Any, n: int, place: int, numbers: dict[str, float]) -> Any:
+    """A body effect with some numbers at one place."""
     effect = neutral(kind)
     own = {f: np.full(n, float(s.value)) for f, s in specs(effect).items()}
-    own[field][place] += value
+    for field, value in numbers.items():
+        own[field][place] += value
     return with_fields(effect, own)
 
 

@@ -26,6 +26,8 @@ from jaxid.problem.binding import Binding
 DRIVES = ("torque_scale", "input_delay")
 #: What a body at a link adds: a mass, then its first moments and inertia about the origin of the link's frame.
 BODY = ("mass", "mx", "my", "mz", *INERTIA[:6])
+#: What a field of a unit begins with that is a mass times where it sits.
+MOMENT = "mass "
 #: Tilt (rad) over which the derivative of gravity is taken, and inertia (kg m^2, kg) over which that of a load.
 TILT = 1e-3
 
@@ -257,7 +259,7 @@ def _derivatives(
     """What changes the mechanism, to first order in each of its numbers."""
     b, out = plant.binding, []
     joints = b.chain.signature.joints
-    fields = list(specs(kind))
+    fields = [f for f in specs(kind) if f not in getattr(kind, "moments", ())]  # where there is no mass they do nothing
     with float64():
         mechanism = b.layout.form.model(theta).mechanism
         structure = jax.tree.structure(mechanism)

@@ -218,7 +218,7 @@ def _saturation(sheet: Sheet, effect: Named) -> None:
 
 
 def _payload(sheet: Sheet, effect: Named) -> None:
-    """A point mass where `Robot.loaded` has it: at the next joint, else at the link's centre of mass."""
+    """A point mass where `Robot.loaded` has it: beyond the next joint, else the link's centre of mass."""
     joint, tree = sheet.joint(effect.location), sheet.tree
     if tree is None or not joint:
         return
@@ -228,8 +228,11 @@ def _payload(sheet: Sheet, effect: Named) -> None:
     link, ends = tree.links[k], [i for i, up in enumerate(tree.parent) if up == k]
     before, after = sheet.bodies.get(link, (body_before(tree, link),) * 2)
     at = tree.anchor[k] + tree.place[ends[0]][:3, 3] if ends else after.com
+    beyond = np.array([effect.value(name) if name in effect.numbers else 0.0 for name in ("dx", "dy", "dz")])
+    at = at + beyond
     sheet.bodies[link] = before, with_point(after, effect.value("mass"), at)
     where = "where the next joint is" if ends else "at the link's centre of mass"
+    where = f"at {np.round(at, 6).tolist()} m in its frame" if beyond.any() else where
     sheet.record([_change(effect, "inertial", link, "mass", f"a point mass of {effect.value('mass'):.4g} kg {where}", "kg")])
 
 

@@ -1,0 +1,338 @@
+"""The shortest account: a robot's file as it stands, with one number or one effect changed and nothing re-tuned.
+
+Numbers that are free to move take up what is missing: centres of mass an encoder that is off, dampings a late goal. Where
+MuJoCo's run of the file explains a recording but for one thing, that one is named before any number of the file is doubted. What
+MuJoCo makes of the file and jaxid does not is taken off the readings: the file is judged as its owner runs it.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from jaxid.data.dataset import Experiment
+from jaxid.diagnosis.goals.floor import Between, between_simulators
+from jaxid.diagnosis.goals.propose import as_vector, candidates_of, Proposal
+from jaxid.diagnosis.goals.search import Decider
+from jaxid.diagnosis.goals.study import LedStudy
+from jaxid.diagnosis.hypothesis import Candidate, Hypothesis, Search
+from jaxid.diagnosis.selection import indistinct, joint_loss
+from jaxid.diagnosis.thresholds import LIMITS
+from jaxid.diagnosis.torque.algebra import gram, Known, solve, Weights
+from jaxid.diagnosis.torque.library import Unit
+from jaxid.diagnosis.verdict import level
+from jaxid.dynamics.effect import Effect
+from jaxid.fitting.fitter import Progress
+from jaxid.fitting.problem_builder import Bench
+from jaxid.problem.binding import Binding
+from jaxid.problem.residual import OutputError
+from jaxid.wording import listed
+
+
+#: So many effects, half as many numbers, and as many by other weights, are simulated: where dry friction turns about, first order
+#: is rough.
+FIRST = 4
+TAKEN_OFF = (
+    "the recording is compared with the file as MuJoCo runs it: what that and jaxid's run of the same file differ by is taken "
+    "off the readings, rms"
+)
+
+
+@dataclass(frozen=True)
+class Difference:
+    """What MuJoCo's free runs of the file are apart from jaxid's at the numbers theta, by split."""
+
+    by_split: dict[str, Between]
+    theta: np.ndarray
+    floor: np.ndarray  # what an effect changes of the difference itself, rms [n]
+
+    def accounts(self, binding: Binding) -> bool:
+        """Whether MuJoCo's run of the file is the recording, down to the noise."""
+        sigma = np.hypot(binding.sigma, self.floor)
+        count = lambda split: len(sigma) * sum(len(e.t) for e in binding.experiments(split))
+        left = {split: np.mean((between.left / sigma) ** 2) for split, between in self.by_split.items() if split != "report"}
+        return all(loss <= level(count(split)) for split, loss in left.items())
+
+    def said(self, binding: Binding) -> str:
+        names = [name for name, _ in binding.chain.signature.outputs]
+        every = [
+            f"{name} {size:.2g} {binding.noise[name].unit}" for name, size in zip(names, self.by_split["fit"].size, strict=True)
+        ]
+        return f"{TAKEN_OFF} {listed(every)}"
+
+    def off(self, bench: Bench) -> Bench:
+        """The bench with readings as jaxid's simulation of the file would have them."""
+        for split, between in self.by_split.items():
+            runs = bench.runs(OutputError(), split)
+            defect = np.zeros_like(runs.targets)
+            for record, x in zip(runs.records, between.apart, strict=True):
+                defect[runs.record(record).samples] = x
+            bench.take_off(OutputError(), split, defect)
+        return bench
+
+
+def difference(bench: Bench, known: Mapping[str, Between], theta: np.ndarray | None = None) -> Difference | None:
+    """None where MuJoCo has no run of some split; what is `known` already by split, and the numbers of jaxid's runs."""
+    b, found = bench.binding, dict(known)
+    for split in ("fit", "validation", "report"):
+        if b.experiments(split) and split not in found:
+            between = between_simulators(bench, split, theta)
+            if between is None:
+                return None
+            found[split] = between
+    share = _changed(b, found["fit"])
+    return Difference(found, b.theta if theta is None else theta, share * found["fit"].size)
+
+
+def _changed(b: Binding, of_fit: Between) -> np.ndarray:
+    """By how much of itself [n] the motion is not MuJoCo's: what two simulators make of it changes by as much."""
+    moved = np.std(np.concatenate([e.y[:, b.chain.joint_outputs] for e in b.experiments("fit")]), axis=0)
+    return np.minimum(1.0, of_fit.left / np.maximum(moved, 1e-300))
+
+
+def by_its_steps(bench: Bench, study: LedStudy, plain: Difference) -> Difference | None:
+    """The same with what first-order steps of h do to any motion of the model: they add h / 2 of the dampings to the inertias and
+    see the motion h / 2 early. The first goes into the numbers, the second into the readings by their own speed; what is left
+    of the difference hardly depends on what the file lacks."""
+    b, theta = bench.binding, plain.theta.copy()
+    for name, more in study.inertia_taken_up(plain.by_split["fit"].apart, plain.theta).items():
+        i = b.layout.index(name)
+        theta[i] = np.clip(theta[i] + more, b.lower[i], b.upper[i])
+    found = difference(bench, {}, theta)
+    if found is None:
+        return None
+    speeds = {
+        split: [np.gradient(x, e.t, axis=0) for e, x in zip(b.experiments(split), between.theirs, strict=True)]
+        for split, between in found.by_split.items()
+    }
+    v, x = np.concatenate(speeds["fit"]), np.concatenate(found.by_split["fit"].apart)
+    early = np.sum(v * x, 0) / np.maximum(np.sum(v * v, 0), 1e-300)
+    by_split = {}
+    for split, between in found.by_split.items():
+        own = [b.motions[e.name].qd[-len(e.t) :] for e in b.experiments(split)]
+        apart = [d + early * (now - then) for d, now, then in zip(between.apart, own, speeds[split], strict=True)]
+        by_split[split] = replace(between, apart=apart)
+    left = np.sqrt(np.mean((x - early * v) ** 2, 0))
+    return Difference(by_split, theta, _changed(b, found.by_split["fit"]) * left)
+
+
+@dataclass(frozen=True, eq=False)
+class Change:
+    """What alone is different from the model as it stands: effects of one kind, or numbers of the model (`index`, in its layout);
+    with the values of both."""
+
+    proposal: Proposal
+    index: tuple[int, ...] = ()
+
+    @property
+    def place(self) -> tuple[object, ...]:
+        return self.index or tuple(u.place for u in self.proposal.units)
+
+
+def changes(binding: Binding, kinds: Sequence[type[Effect]], taken: Difference) -> list[Change]:
+    """Single changes of a model whose other numbers stand as they are, likeliest first: an effect at one of its places or at all
+    of them, a number of the model, one of all its joints, or the centre of mass of a link."""
+    runs = [_without(e, x) for e, x in zip(binding.experiments("fit"), taken.by_split["fit"].apart, strict=True)]
+    theta = taken.theta.copy()
+    b = replace(binding, dataset=replace(binding.dataset, experiments=tuple(runs)), theta=theta)
+    study = LedStudy(b, kinds, begin=theta.copy())  # not re-tuned
+    rows, by_left = study.rows_with_effects(theta)
+    p = study.plant.size
+    stands = np.arange(p), theta[study.plant.free]
+    every = [
+        np.concatenate([x[:, :, :p], x[:, :, rows.size : -1], rows.residual(k, *stands)[:, :, None]], 2)
+        for k, x in enumerate(rows.rows)
+    ]
+    out: dict[tuple[object, ...], Change] = {}
+    for white in (Weights(study.noise, np.ones(len(study.noise))), by_left):
+        g = gram(study.runs, every, study.unsure, white, 1).total
+        for found, most in ((_of_numbers(g, study), FIRST // 2), (_of_effects(g, study, rows.units, p), FIRST)):
+            likeliest = sorted(found, key=lambda pair: pair[0])[:most]
+            out |= {c.place: c for _, c in likeliest if c.place not in out}
+    return list(out.values())
+
+
+def _without(e: Experiment, apart: np.ndarray) -> Experiment:
+    y = e.y.copy()
+    y[:, : apart.shape[1]] -= apart
+    return replace(e, y=y)
+
+
+def _of_numbers(g: np.ndarray, study: LedStudy) -> list[tuple[float, Change]]:
+    """What is left by the best value of each number or group of numbers, and that."""
+    b, free = study.binding, study.plant.free
+    groups: dict[tuple[str, str], list[int]] = {}
+    for k, i in enumerate(free):
+        kind, _, place = b.layout.names[i].partition("@")
+        groups.setdefault((kind, place), []).append(k)
+        groups.setdefault(("com", place) if kind.startswith("com_") else (kind, ""), []).append(k)
+    out = []
+    for at in dict.fromkeys(map(tuple, groups.values())):
+        index = [free[k] for k in at]
+        cost, moved = _alone(g, at, b.lower[index] - b.theta[index], b.upper[index] - b.theta[index])
+        theta = b.theta.copy()
+        theta[index] += moved
+        out.append((cost, Change(Proposal((), (), theta), tuple(index))))
+    return out
+
+
+def _of_effects(g: np.ndarray, study: LedStudy, every: Sequence[Unit], first: int) -> list[tuple[float, Change]]:
+    """The same of effects, each with the best of its shapes."""
+    ends = first + np.cumsum([0, *(len(u.fields) for u in every)])
+    best: dict[tuple[str, str], tuple[float, int, np.ndarray]] = {}
+    for k, u in enumerate(every):
+        cost, numbers = _alone(g, range(ends[k], ends[k + 1]), u.least, u.most)
+        if np.any(numbers != 0) and not cost >= best.get(u.place, (np.inf,))[0]:
+            best[u.place] = cost, k, numbers
+    theta = study.binding.theta
+    out = [(cost, Change(Proposal((every[k],), (numbers,), theta))) for cost, k, numbers in best.values()]
+    for effect in dict.fromkeys(e for e, _ in best):
+        own = [k for (e, _), (_, k, _) in best.items() if e == effect]
+        if len(own) > 1:
+            at = [range(ends[k], ends[k + 1]) for k in own]
+            low, high = (np.concatenate([getattr(every[k], side) for k in own]) for side in ("least", "most"))
+            cost, numbers = _alone(g, np.concatenate(at), low, high)
+            parts = np.split(numbers, np.cumsum([len(x) for x in at])[:-1])
+            out.append((cost, Change(Proposal(tuple(every[k] for k in own), tuple(parts), theta))))
+    return out
+
+
+def _alone(g: np.ndarray, at: Sequence[int] | np.ndarray, low: np.ndarray, high: np.ndarray) -> tuple[float, np.ndarray]:
+    """What the columns `at` alone leave, and their numbers."""
+    size = len(g) - 1
+    low_, high_ = np.full(size, -np.inf), np.full(size, np.inf)
+    low_[list(at)], high_[list(at)] = low, high
+    s = solve(g, np.asarray(at, int), Known(np.zeros((size, size)), np.zeros(size)), np.zeros(size), low_, high_)
+    return s.cost, s.theta
+
+
+class Alone:
+    """Single changes by simulation: each fitted by itself, with all else as it stands."""
+
+    def __init__(self, decider: Decider, plain: Binding, theta: np.ndarray):
+        """`plain`: the binding without candidates, whose free numbers stand as they are in theta."""
+        wide = decider.bench.binding
+        self.decider, self.names, self.theta = decider, plain.layout.names, wide.theta.copy()
+        self.stated = dict(zip(plain.layout.names, plain.theta, strict=True))
+        for name, value in zip(plain.layout.names, theta, strict=True):
+            self.theta[wide.layout.index(name)] = value
+        self.own = frozenset(wide.layout.index(plain.layout.names[i]) for i in plain.free)
+        decider.asked = self.own
+        self.stands = decider.refit((), self.theta)
+        self.tried: list[Hypothesis] = []
+
+    def enough(self, found: Sequence[Change]) -> list[Hypothesis]:
+        """Those that leave no more than the noise: the fewest numbers that leave next to nothing more than any, by the evidence
+        for each; a number of the model stands before an effect that the data do not tell from it."""
+        wide, out = self.decider.bench.binding, []
+        for change in found:
+            theta = as_vector(wide, self.names, change.proposal)
+            own = candidates_of(self.decider.bench, change.proposal)
+            for i in change.index:
+                kind, _, place = self.names[i].partition("@")
+                own.append(Candidate(kind, place, (wide.layout.index(self.names[i]),)))
+            if own:
+                out.append(self.decider.refit(own, theta, self.stands.path))
+        out = [h for h in out if np.isfinite(h.fit_loss)]
+        if out and not any(map(self.decider.at_noise, out)):
+            nearest = min(out, key=joint_loss)
+            out = [self.decider.polished(h) if h is nearest else h for h in out]
+        self.tried = [h for h in out if not self.of_numbers(h)]
+        good = [h for h in out if self.decider.at_noise(h)]
+        least = min(map(joint_loss, good), default=0.0)
+        near = [h for h in good if joint_loss(h) < LIMITS.alike * max(1.0, least)]
+        few = [h for h in near if h.size == min(h.size for h in near)]
+        told = min(map(evidence, few), default=0.0) + LIMITS.decisive  # what is as likely
+        order = lambda h: (h not in few, h not in near, not (self.of_numbers(h) and evidence(h) < told), evidence(h))
+        return sorted(good, key=order)
+
+    def of_numbers(self, h: Hypothesis) -> bool:
+        return any(i in self.own for c in h.effects for i in c.index)
+
+    def searched(self, nominal: Hypothesis, enough: Sequence[Hypothesis]) -> Search:
+        """The first of those that are enough, with what passes for it; `nominal` is re-tuned without it."""
+        tried = list(self.tried)
+        chosen = self.decider.thinned(self.stands, enough[0], tried)
+        others = [h for h in enough[1:] if h.size <= chosen.size and not self.of_numbers(h) and indistinct(chosen, h)]
+        mates = [c for h in others for c in h.effects if c not in chosen.effects]
+        return Search(nominal, chosen, tried, mates, None, len({c.effect for c in chosen.effects}) > 1, stands=self.stands)
+
+    def said(self, enough: Sequence[Hypothesis]) -> str:
+        """What other single changes do as much as the first: those that a verdict does not name by itself."""
+        layout, first = self.decider.bench.binding.layout, enough[0]
+        stated = lambda i: self.stated[layout.names[i]]
+        value = lambda i, h: (
+            f"{layout.names[i]} {h.theta[i] - self.theta[i] + stated(i):.3g} {layout.entries[i].unit} (stated {stated(i):.3g})"
+        )
+        numbers = [h for h in enough if self.of_numbers(h) and h.size <= first.size][:1]
+        if self.of_numbers(first):
+            own = listed([value(i, first) for c in first.effects for i in c.index])
+            alike = [h for h in enough if not self.of_numbers(h) and h.size <= first.size and indistinct(first, h)]
+            more = f" So would {' or '.join(' and '.join(map(str, h.effects)) for h in alike)}." if alike else ""
+            return f"One change of the file accounts for the gap: {own}.{more}"
+        text = "All numbers of the file stand as they are."
+        told = [listed([value(i, h) for c in h.effects for i in c.index]) for h in numbers]
+        return f"{text} Without it {' or '.join(told)} would come to the noise too, but not as near." if told else text
+
+
+class AsStated:
+    """What the file explains as MuJoCo runs it: by itself, or with a single change."""
+
+    def __init__(self, bench: Bench, study: LedStudy, kinds: Sequence[type[Effect]], between: Between):
+        """`bench` of the model without candidates, `between` of its fit runs."""
+        self.plain = bench.binding
+        self.taken = difference(bench, {"fit": between})
+        #: Whether it explains the recording by itself.
+        self.stands = self.taken is not None and self.taken.accounts(self.plain)
+        self.stepped = None if self.stands or self.taken is None else by_its_steps(bench, study, self.taken)
+        self.changes = [] if self.stepped is None else changes(self.plain, kinds, self.stepped)
+        self.alone: Alone | None = None
+        self.enough: list[Hypothesis] = []
+
+    def ask(self, made: Callable[[np.ndarray], Bench], progress: Progress | None) -> None:
+        """Simulates the changes; `made(floor)` makes a bench with their effects as candidates."""
+        if self.stepped is not None and self.changes:
+            bench = self.stepped.off(made(self.stepped.floor))
+            decider = Decider(bench, self.plain.layout.names, None, progress, 0, 1 + len(self.changes))
+            self.alone = Alone(decider, self.plain, self.stepped.theta)
+            self.enough = self.alone.enough(self.changes)
+
+    @property
+    def explains(self) -> bool:
+        return self.stands or bool(self.enough)
+
+    @property
+    def lacks(self) -> bool:
+        """Whether an effect is what it lacks, and not another value of a number."""
+        return self.alone is not None and bool(self.enough) and not self.alone.of_numbers(self.enough[0])
+
+    @property
+    def difference(self) -> Difference:
+        """What is taken off the readings."""
+        found = self.stepped if self.enough else self.taken
+        assert found is not None
+        return found
+
+    @property
+    def doubts(self) -> dict[str, float]:
+        """What steps of the simulation make of numbers that are re-tuned."""
+        moved = self.difference.theta - self.plain.theta
+        return {name: float(d) for name, d in zip(self.plain.layout.names, moved, strict=True) if d}
+
+    def decided(self, decider: Decider, nominal: Hypothesis) -> Search:
+        """From the re-tuned model: the effect that alone is lacking, or none where numbers account for it."""
+        if self.alone is not None and self.lacks:
+            return self.alone.searched(nominal, self.enough)
+        found = decider.with_what_the_file_lacks(decider.decided(nominal, [], np.inf))
+        return found if self.alone is None else replace(found, stands=self.alone.stands)
+
+    def said(self) -> str:
+        return self.alone.said(self.enough) if self.alone is not None and self.enough else ""
+
+
+def evidence(h: Hypothesis) -> float:
+    """Sum of squares of fit and validation runs over the noise, and what its numbers cost (Schwarz 1978)."""
+    count = h.path.count + h.validation.count
+    return joint_loss(h) * count + h.size * float(np.log(count))
