@@ -122,7 +122,9 @@ def diagnose_led(
     left = sorted(k.name for k in library if not shown(k))
     notes.append(f"{asked}; not asked, for they have a motion of their own: {listed(left) or 'none'}")
 
-    stated = None if strange or between is None else AsStated(bench, study, kinds, between)
+    # Where the dataset asks for numbers of the law, or knows others only so well, nobody says that they stand.
+    doubted = plain.priors or any(plain.layout.names[i] in plain.chain.mechanism.known() for i in plain.free)
+    stated = None if strange or between is None or doubted else AsStated(bench, study, kinds, between)
     by_itself = strange or (stated is not None and stated.stands)
     bare, sets = (Proposal((), (), plain.theta), []) if by_itself else proposals(study, max_effects)
     names = kinds_of([*sets, *(c.proposal for c in (stated.changes if stated else ()))])
