@@ -38,7 +38,7 @@ from jaxid.fitting.assemble import assemble
 from jaxid.fitting.fitter import Minimum, Progress
 from jaxid.fitting.least_squares import descend
 from jaxid.fitting.lost_runs import by_torque, by_windows, decays, DIVERGES, growth, SENSITIVE
-from jaxid.fitting.per_joint import with_effects
+from jaxid.fitting.per_joint import per_joint, with_effects
 from jaxid.fitting.problem_builder import Bench, default_residual, start_values
 from jaxid.fitting.result import EffectEstimate, Fit
 from jaxid.problem.binding import bind, Binding, JITTER, resolve_model
@@ -236,6 +236,9 @@ def _diagnosed(question: Question, scatter: timing.Scatter | None = None) -> tup
     if against:
         verdict = verdict if len(against) < len(estimates) else verdict.unclaimed()
         verdict = verdict.but("partly", NotBelievable(tuple(dict.fromkeys(against.values()))))
+    if search.stands is not None:
+        by_joint = per_joint(bench, nominal_fit.scores, before=search.stands.theta)
+        nominal_fit = dataclasses.replace(nominal_fit, per_joint=by_joint)
     how_far = dataclasses.replace(how_far, per_joint=with_effects(nominal_fit.per_joint, final_fit.per_joint))
     mates = search.confusable if named else []
     findings, pictures, rows = where_it_lies(

@@ -113,10 +113,11 @@ class Bench:
         runs = self.runs(residual, split)
         priors = b.priors if "fit" in split.split("+") else None  # they count once
         p = Problem(runs, theta, free, b.lower, b.upper, records, loss, b.scale, self.differences, priors)
-        defect = self._defect(residual, split)
+        defect = self.defect(residual, split)
         return p if defect is None else p.with_targets(runs.targets - defect)
 
-    def _defect(self, residual: Residual, split: str) -> np.ndarray | None:
+    def defect(self, residual: Residual, split: str) -> np.ndarray | None:
+        """What is taken off the targets of a split [samples columns]; None where nothing is."""
         parts = [self.defects.get((repr(residual), name)) for name in split.split("+")]
         if len(parts) == 1 or all(part is None for part in parts):
             return parts[0]

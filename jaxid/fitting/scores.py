@@ -19,13 +19,16 @@ from jaxid.wording import listed, times
 
 
 def free_runs(bench: Bench, split: str, thetas: Sequence[np.ndarray], starts: np.ndarray) -> list[list[np.ndarray]]:
-    """Free runs of several parameter vectors: per theta and experiment the outputs at the samples [samples ny]."""
+    """Free runs of several parameter vectors: per theta and experiment the outputs at the samples [samples ny], with what the
+    bench takes off its targets."""
     runs = bench.runs(OutputError(), split)
     n = len(runs.records)
     theta = np.repeat(np.array(thetas), n, 0)
     record = np.tile(np.array(runs.records), len(thetas))
     y = runs.engine.outputs(theta, starts.reshape(len(theta), -1), record)
     out = [runs.sample_prediction(r, row) for r, row in zip(record, y, strict=True)]
+    if (more := bench.defect(OutputError(), split)) is not None:
+        out = [x + more[runs.record(r).samples] for r, x in zip(record, out, strict=True)]
     return [out[k * n : (k + 1) * n] for k in range(len(thetas))]
 
 
