@@ -535,3 +535,52 @@ def test_ur10e_recordings():
     assert r.law == "linear"
     richer = next(t for t in r.laws if t.law == "stribeck")
     assert richer.fit < r.laws[0].fit and richer.held_out[1] > r.laws[0].held_out[1]
+
+
+# ---- near the file
+
+
+def test_rows_beside_what_is_known_are_a_ridge():
+    """Weights as they end, rows as many as are independent: the minimum of both sums of squares."""
+    from jaxid.identification.estimators import _independent, Triangles, weighted
+
+    rng = np.random.default_rng(1)
+    W, true, known = rng.normal(size=(400, 2, 3)), np.array([1.0, -2.0, 0.5]), np.array([1.2, -1.5, 0.0])
+    W[:, :, 2] *= 1e-3  # hardly shown
+    blocks = [(W, W @ true + rng.normal(size=(400, 2)) * np.array([0.1, 0.5]))]
+    spread = np.array([0.1, 0.1, 0.1])
+    theta, (w,) = weighted(blocks, known, spread=spread)
+    H = np.einsum("tji,j,tjk->ik", W, w**2, W) + np.diag(spread**-2)
+    b = np.einsum("tji,j,tj->i", W, w**2, blocks[0][1]) + known / spread**2
+    assert np.allclose(theta, np.linalg.solve(H, b), rtol=1e-8)
+    assert abs(theta[0] - 1.0) < 0.02 and abs(theta[2]) < 0.05, "what the rows show is theirs, the rest is known"
+    share = _independent(blocks, theta)[0]
+    assert np.all(share > 0.7) and np.allclose(w, share * Triangles.made(blocks).joint_weights(theta)[0], rtol=0.02)
+
+
+@pytest.mark.parametrize(("trust", "kept"), [(0.5, True), (1.5, False)])
+def test_a_file_is_trusted_only_where_every_validation_run_is_predicted_better(trust, kept):
+    from jaxid.identification.trust import nearer_the_file, TRUST
+
+    found = nearer_the_file(lambda t: t, lambda t: np.array([0.3, 0.4 * (trust if t == 0.3 else 2.0)]), 10.0, 0.01)
+    free = nearer_the_file(lambda t: t, lambda t: np.array([]), 1.0, 0.01)
+    assert free is None and 0.3 in TRUST
+    assert found is None, "one run is predicted as well without"
+    errors = {0.3: np.array([0.2, 0.4 * trust]), 7.0: np.array([0.3, 0.4])}
+    near = nearer_the_file(lambda t: t, lambda t: errors.get(t, np.array([9.0, 9.0])), 7.0, 0.01)
+    assert (near == (0.3, 0.3)) == kept
+
+
+@pytest.mark.slow
+def test_what_short_recordings_leave_open_stays_near_the_file():
+    """Seven joints, 4.7 s that are fitted: by that alone another recording is predicted worse than by nothing."""
+    if not (DATA / "kinova_gen3").is_dir():
+        pytest.skip(f"{DATA / 'kinova_gen3'} is not here; set JAXID_DATA")
+    found = identify(None, jaxid.load_dataset(DATA / "kinova_gen3"), friction="linear")
+    assert "count as known to within" in " ".join(found.notes)
+    rows = {(r["experiment"], r["joint"]): r for r in found.per_joint}
+    moving = rows["joint_2_trapez", "q2"]  # neither fitted nor chosen on; the one joint that moves in it
+    assert moving["retuned"] < 0.5 * moving["as_it_stands"]
+    others = [rows["RunTrajectory1", f"q{k}"] for k in range(1, 8)]
+    assert all(r["retuned"] < r["as_it_stands"] for r in others)
+    assert sum(r["retuned"] < 0.5 * r["as_it_stands"] for r in others) >= 6

@@ -37,16 +37,17 @@ from jaxid.fitters import LevenbergMarquardt
 from jaxid.fitting.assemble import assemble
 from jaxid.fitting.fitter import Minimum, Progress
 from jaxid.fitting.least_squares import descend
-from jaxid.fitting.lost_runs import by_torque, by_windows, decays, DIVERGES, growth, SENSITIVE
+from jaxid.fitting.lost_runs import AN_ARM, by_torque, by_windows, decays, DIVERGES, FOLLOWS, growth, LOST, SENSITIVE
 from jaxid.fitting.per_joint import per_joint, with_effects
 from jaxid.fitting.problem_builder import Bench, default_residual, start_values
 from jaxid.fitting.result import EffectEstimate, Fit
+from jaxid.fitting.scores import free_runs, scores
 from jaxid.problem.binding import bind, Binding, JITTER, resolve_model
 from jaxid.problem.residual import InverseDynamics, MultipleShooting, OutputError, Residual
 from jaxid.runtime import Interrupted
 from jaxid.simulation.sample_buffers import STEP
 from jaxid.storage.interim import Interim
-from jaxid.wording import times
+from jaxid.wording import percent, times
 
 
 #: Verdict by free runs that are not trusted -> verdicts by windows that take its place.
@@ -96,7 +97,7 @@ def run_diagnosis(
             raise
         torque = InverseDynamics()
         found = run_diagnosis(model, dataset, max_effects, asked, without, torque, seed, progress, reference)
-        return dataclasses.replace(found, notes=(*found.notes, DIVERGES))
+        return dataclasses.replace(found, notes=(*found.notes, error.note))
     except KeyboardInterrupt as stop:  # what is finished is a result too
         raise Interrupted(known.latest()) from stop
 
@@ -289,7 +290,10 @@ def _search(question: Question) -> tuple[Bench, Fit, Search, float]:
         raise Diverged(
             "the nominal model cannot be fitted: the simulation diverges at every candidate; give other start values or bounds",
             by_torque(binding),
+            DIVERGES,
         )
+    if residual.free_run and not nominal.converged and by_torque(binding) and binding.chain.nq >= AN_ARM:
+        _check_followed(bench, problem.theta(nominal.z), problem.starts(nominal.z))
     converged, stopped = nominal.converged, nominal.stopped
     nominal = descend([(problem, nominal.z)], 3, 1e-9)[0]
 
@@ -312,6 +316,15 @@ def _search(question: Question) -> tuple[Bench, Fit, Search, float]:
     spent = time.perf_counter() - began
     found = minimum(path.z, search.nominal.fit_loss)
     return bench, assemble(bench, path.problem, found, residual, fitter.name, seed, compile_time, spent), search, compile_time
+
+
+def _check_followed(bench: Bench, theta: np.ndarray, starts: np.ndarray) -> None:
+    """Raises `Diverged` where a descent that did not end left free runs that do not follow the recording: no effect can be seen
+    beside that."""
+    off = max(s.nrmse for s in scores(bench, "fit", free_runs(bench, "fit", [theta], starts[None])[0]).values())
+    if not off <= FOLLOWS:
+        note = LOST.format(percent(off))
+        raise Diverged(f"{note}; give other start values or bounds", True, note)
 
 
 def _so_far(question: Question, bench: Bench, nominal: Fit, search: Search, began: float) -> Diagnosis:

@@ -42,11 +42,12 @@ from jaxid.wording import placed
 
 
 class Diverged(UsageError):
-    """No free run of the nominal model stays finite; `by_torque` says whether it can be compared without one."""
+    """No free run of the nominal model stays finite, or near the recording; `by_torque` says whether it can be compared without
+    one, and `note` why that was done."""
 
-    def __init__(self, message: str, by_torque: bool):
+    def __init__(self, message: str, by_torque: bool, note: str):
         super().__init__(message)
-        self.by_torque = by_torque
+        self.by_torque, self.note = by_torque, note
 
 
 @dataclass(frozen=True)

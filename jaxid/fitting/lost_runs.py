@@ -27,6 +27,8 @@ SENSITIVE, DIFFERENCE = 50.0, 1e-7
 #: A free run follows what was measured with an error of so much of the signal's standard deviation; beyond the other it does not,
 #: and a search that ended there is not trusted to have found the best one.
 FOLLOWS, ASTRAY = 0.05, 0.3
+#: Joints from which on torques are asked at once where a free run does not follow: fewer joints' runs are compared over windows.
+AN_ARM = 3
 #: Mean square over the noise that a free run which has nothing wrong with it may leave.
 AT_NOISE = 2.0
 #: A decay of at least so many turning points is one of several amplitudes.
@@ -36,6 +38,11 @@ TURNS = 8
 DIVERGES = (
     "the free run diverges at every candidate, as that of an arm does which was recorded under position control: the torque that "
     "the measured motion needs is compared instead (inverse_dynamics)"
+)
+
+LOST = (
+    "no numbers were found with which the free run follows the recording (off by {} of the motion's standard deviation), as "
+    "for an arm recorded under position control: the torque that the measured motion needs is compared instead (inverse_dynamics)"
 )
 
 #: (residual, None for the free run; numbers to begin with, None for guesses; evaluations spent before) -> fit

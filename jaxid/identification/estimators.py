@@ -87,19 +87,39 @@ class Triangles:
         return [1 / np.maximum(np.sqrt(square), 1e-9) for square in left]
 
 
-def weighted(blocks: Blocks, prior: np.ndarray, rounds: int = 8) -> tuple[np.ndarray, list[np.ndarray]]:
-    """Weighted least squares and its weights, repeated until the weights stand still."""
+def weighted(
+    blocks: Blocks, prior: np.ndarray, rounds: int = 8, spread: np.ndarray | None = None
+) -> tuple[np.ndarray, list[np.ndarray]]:
+    """Weighted least squares and its weights, repeated until the weights stand still. `spread`: standard deviations [p] with
+    which the prior is known; rows then count as many as are independent."""
     rows = Triangles.made(blocks)
     weights = [np.ones(W.shape[1]) for W, _ in blocks]
+    known = np.zeros((0, len(prior))) if spread is None else np.diag(1 / spread)
+
+    def solved(weights: Sequence[np.ndarray]) -> np.ndarray:
+        W, b = rows.stacked(weights)
+        return least_squares(np.concatenate([W, known]), np.concatenate([b, known @ prior]), prior)
+
     theta = least_squares(*rows.stacked(weights), prior)
+    share = [np.ones(W.shape[1]) for W, _ in blocks] if spread is None else _independent(blocks, theta)
     for _ in range(rounds):
-        new = rows.joint_weights(theta)
+        new = [w * s for w, s in zip(rows.joint_weights(theta), share, strict=True)]
         still = all(np.allclose(a, b, rtol=1e-3) for a, b in zip(new, weights, strict=True))
         weights = new
-        theta = least_squares(*rows.stacked(weights), prior)
+        theta = solved(weights)
         if still:
             break
     return theta, weights
+
+
+def _independent(blocks: Blocks, theta: np.ndarray) -> list[np.ndarray]:
+    """Root of the share of the rows of each joint of each run that are independent, by what theta leaves of them."""
+    out = []
+    for W, tau in blocks:
+        left = tau - W @ theta
+        memory = whiteness(list(left.T))[1]
+        out.append(1 / np.sqrt([_correlation_time(r, memory) for r in left.T]))
+    return out
 
 
 def total(W: np.ndarray, b: np.ndarray, noise: np.ndarray, prior: np.ndarray) -> np.ndarray:
@@ -139,8 +159,9 @@ def estimate(
     theta: np.ndarray,
     by: Blocks | None = None,
     slopes: Sequence[np.ndarray] | None = None,
+    spread: np.ndarray | None = None,
 ) -> Estimate:
-    """Covariance at theta; `by` are instruments.
+    """Covariance at theta; `by` are instruments, `spread` [p] what is known beforehand.
 
     Rows that follow each other hold the same noise, so each joint counts with the long-run variance of its own residual, over
     the freedom that the parameters leave it. Where the sandwich of Newey and West (1987) is wider, its standard deviations
@@ -182,6 +203,10 @@ def estimate(
             s, w = series[n * k + j], weights[k][j]
             A = C[:, j] * w / scale
             middle += float(np.mean(s**2)) * times[n * k + j] / freedom * (A.T @ A)
+    if spread is not None:
+        told = np.zeros(len(scale))
+        told[: len(spread)] = (spread * scale[: len(spread)]) ** -2.0
+        G, middle = G + np.diag(told), middle + np.diag(told)
     inverse = np.linalg.pinv(G, rcond=WEAK**2)
     cov = inverse @ middle @ inverse.T
     wide = np.diag(inverse @ long_run(scores, len(index), memory) @ inverse.T) * count / max(1, count - len(index))

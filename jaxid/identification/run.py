@@ -40,6 +40,7 @@ from jaxid.identification.regression import (
 )
 from jaxid.identification.result import Identification, LawTrial, RunScore
 from jaxid.identification.stated import answered
+from jaxid.identification.trust import NEAR_THE_FILE, nearer_the_file, spread_of
 from jaxid.problem.binding import resolve_model
 from jaxid.problem.torque_filter import drive_gains
 from jaxid.robots.arms import as_arm
@@ -115,6 +116,7 @@ def identify(
     known = unloaded(before, method, base, chain.nq) if method in PAPER else None
     met: float | None = None
     solved: dict[str, Any]
+    trusted: dict[str, Any] = {}
     if known is not None and method == "paper001":  # the friction law of the unloaded arm, its exponents kept
         tried = [known[0].name]
         theta, P, met = as_printed(runs, *known, base)
@@ -123,6 +125,10 @@ def identify(
         solved = {known[0].name: (theta, known[1], plain[2], None, replace(plain[4], theta=theta, covariance=P))}
     else:
         solved = {name: _solve(LAWS[name], runs, by, method, chain, base) for name in tried}
+        if robot and method == "wls" and before is None:
+            near = {name: _nearer_the_file(LAWS[name], solved[name], runs, chain, base) for name in tried}
+            trusted = {name: found for name, found in near.items() if found is not None}
+            solved |= {name: own for name, (own, _) in trusted.items()}
     scores, predicted = _scored(runs, [(LAWS[name], *solved[name][:2]) for name in tried])
     trials = [_trial(LAWS[name], own) for name, own in zip(tried, scores, strict=True)]
     chosen = _choose(trials)
@@ -149,6 +155,7 @@ def identify(
             *data.notes, *_notes(found, names, method, law),
             *(["a part of a period has no Fourier series: no run was cut for validation"] if fourier and not held_out else ()),
             *regression.held_joints(runs),
+            *([NEAR_THE_FILE.format(trusted[law.name][1])] if law.name in trusted else ()),
         ),
         wall_time_s=time.perf_counter() - began, labels=names_of_joints(arm, data, len(arm.prismatic)),
         traces=tuple((r.name, r.split, r.t, r.tau, own[chosen]) for r, own in zip(runs, predicted, strict=True)),
@@ -189,26 +196,28 @@ def _solve(
     chain: Chain,
     base: BaseParameters,
     kept: np.ndarray | None = None,
+    trust: float | None = None,
 ):
     """(theta, exponents, weights per run, standard parameters or None, covariance and condition) of one law; `kept` exponents
-    are not searched."""
+    are not searched. `trust`: to within how many times their size the model's own numbers are known (see `spread_of`)."""
     arm: Any = chain.mechanism
     n = len(arm.prismatic)
     fit = [r for r in runs if r.split == "fit"]
     exponent = np.ones(n) if kept is None else kept
     phi0 = np.array([float(np.asarray(getattr(arm, name.rstrip("0123456789")))[int(name[-1]) - 1]) for name in base.standard])
     prior = np.concatenate([base.values(phi0), np.zeros(len(law.parameters) * n)])
+    spread = None if trust is None else trust * spread_of(base, prior, law, fit)
 
     def blocks_of(which: Sequence[Run], exponent: np.ndarray) -> list[tuple[np.ndarray, np.ndarray]]:
         return [(full_rows(r, law, exponent) * r.moves[:, None], r.tau[:: spacing(r)] * r.moves) for r in which]
 
     blocks = blocks_of(fit, exponent)
-    theta, weights = solve.weighted(blocks, prior)
+    theta, weights = solve.weighted(blocks, prior, spread=spread)
     if law.nonlinear and kept is None:
         for _ in range(3):
             old, exponent = exponent, _exponents(fit, law, blocks, weights, len(base.kept), n, exponent, method == "constrained")
             blocks = blocks_of(fit, exponent)
-            theta, weights = solve.weighted(blocks, prior)
+            theta, weights = solve.weighted(blocks, prior, spread=spread)
             if np.abs(exponent - old).max() < 1e-3:
                 break
     if method == "ls":
@@ -228,7 +237,13 @@ def _solve(
     slopes = None
     if law.nonlinear and kept is None:
         slopes = [exponent_slopes(r, law, theta, exponent) for r in fit]
-    return theta, exponent, weights, phi, solve.estimate(blocks, weights, theta, instrument, slopes)
+    return theta, exponent, weights, phi, solve.estimate(blocks, weights, theta, instrument, slopes, spread)
+
+
+def _nearer_the_file(law: Law, free: Any, runs: Sequence[Run], chain: Chain, base: BaseParameters) -> Any:
+    by = [r for r in runs if r.split == "validation"]
+    error = lambda s: np.array([_errors(r.tau, next(iter(torques(r, [(law, *s[:2])])))[0])[0] for r in by])
+    return nearer_the_file(lambda t: _solve(law, runs, None, "wls", chain, base, trust=t), error, free, BETTER)
 
 
 def recursive(fit: Sequence[Run], law: Law, exponent: np.ndarray, weights: Sequence[np.ndarray], prior: np.ndarray) -> np.ndarray:
