@@ -31,8 +31,8 @@ from jaxid.problem.residual import OutputError
 from jaxid.wording import listed
 
 
-#: So many effects, half as many numbers, and as many by other weights, are simulated: where dry friction turns about, first order
-#: is rough.
+#: So many effects at one place, half as many at all of their places, half as many numbers, and as many by other weights, are
+#: simulated: where dry friction turns about, first order is rough.
 FIRST = 4
 TAKEN_OFF = (
     "the recording is compared with the file as MuJoCo runs it: what that and jaxid's run of the same file differ by is taken "
@@ -148,7 +148,9 @@ def changes(binding: Binding, kinds: Sequence[type[Effect]], taken: Difference) 
     out: dict[tuple[object, ...], Change] = {}
     for white in (Weights(study.noise, np.ones(len(study.noise))), by_left):
         g = gram(study.runs, every, study.unsure, white, 1).total
-        for found, most in ((_of_numbers(g, study), FIRST // 2), (_of_effects(g, study, rows.units, p), FIRST)):
+        effects = _of_effects(g, study, rows.units, p)
+        single, several = ([pair for pair in effects if (len(pair[1].proposal.units) > 1) == many] for many in (False, True))
+        for found, most in ((_of_numbers(g, study), FIRST // 2), (single, FIRST), (several, FIRST // 2)):
             likeliest = sorted(found, key=lambda pair: pair[0])[:most]
             out |= {c.place: c for _, c in likeliest if c.place not in out}
     return list(out.values())
