@@ -375,8 +375,7 @@ class Robot(Staged):
     # ---- where effects of the mechanism act
 
     def loaded(self, mass: Float[Array, " nq"], beyond: Float[Array, "nq 3"] | None = None) -> Robot:
-        """The same with a point mass at the far end of each joint's link, at the next joint or at the link's centre of mass, or
-        `beyond` that in the link's frame."""
+        """The same with a point mass `beyond` the end of each joint's link: the next joint, else the link's centre of mass."""
         added = jnp.zeros((len(self.joints), 10))
         for k, joint in enumerate(self.signatures[0].joints):
             node = self.joints.index(joint)

@@ -18,25 +18,24 @@ from jaxid.fitting.scores import free_runs
 from jaxid.problem.binding import bind
 
 
-NOISE = 1e-4  # rad
 ARM = Arm(
     ["0 1 0", "0 1 0"], np.array([0.25, 0.2]), np.array([0.5, 0.4]), np.array([0.04, 0.02]), np.array([0.8, 0.5]),
     np.array([0.1, 0.05]), np.array([60.0, 30.0]), np.array([1.2, 0.6]), np.array([48.0, 24.0]),
 )  # fmt: skip
 
 
-def case(seconds: float, beside: dict[str, Any] | None = None, **more: Any) -> tuple[dict[str, Any], np.ndarray]:
-    """A case of the blind benchmark with a changed arm, and its goals; the effect is at the last joint."""
+def case(seconds: float, beside: dict[str, Any] | None = None, **more: Any) -> dict[str, Any]:
+    """A case of the blind benchmark with a changed arm; the effect is at the last joint."""
     rng = np.random.default_rng(7)
     u = goals(2, seconds, rng)
     real = replace(ARM, **more)
     q = recorded(real, "", 1, beside or {}, u, rng)
-    return {"arm": ARM, "u": u, "q": q}, u
+    return {"arm": ARM, "u": u, "q": q}
 
 
-def written(folder: Path, arm: Arm = ARM) -> str:
+def written(folder: Path) -> str:
     path = folder / "arm.xml"
-    path.write_text(arm.xml())
+    path.write_text(ARM.xml())
     return str(path)
 
 
@@ -49,7 +48,7 @@ def test_what_mujoco_makes_of_a_file_is_known_whatever_the_file_lacks(tmp_path):
     """Its first-order steps are 5e-4 rad from jaxid's run here; less than a twentieth of that is left of a recording that a load
     moves by 0.05 rad."""
     load = (0.2, np.array([0.2, 0.0, 0.03]))
-    c, _ = case(6.0, more={"payload": {1: load}})
+    c = case(6.0, more={"payload": {1: load}})
     data = dataset(c)
     b = bind(written(tmp_path), data)
     step = loop_step(b)
@@ -95,7 +94,7 @@ CHANGES = {
 )
 def test_the_one_thing_that_is_different_is_named_with_all_else_as_it_stands(kind, tmp_path):
     beside, more, lacking = CHANGES[kind]
-    c, _ = case(10.0, beside, **more)
+    c = case(10.0, beside, **more)
     found = jaxid.diagnose(written(tmp_path), dataset(c))
     told = {(r.parameter, r.joint) for r in found.nominal.stated if r.deviation and abs(r.deviation) > 3}
     if lacking is None:

@@ -558,17 +558,14 @@ def test_rows_beside_what_is_known_are_a_ridge():
     assert np.all(share > 0.7) and np.allclose(w, share * Triangles.made(blocks).joint_weights(theta)[0], rtol=0.02)
 
 
-@pytest.mark.parametrize(("trust", "kept"), [(0.5, True), (1.5, False)])
-def test_a_file_is_trusted_only_where_every_validation_run_is_predicted_better(trust, kept):
-    from jaxid.identification.trust import nearer_the_file, TRUST
+@pytest.mark.parametrize(("second", "kept"), [(0.2, True), (0.6, False)])
+def test_a_file_is_trusted_only_where_every_validation_run_is_predicted_better(second, kept):
+    from jaxid.identification.trust import nearer_the_file
 
-    found = nearer_the_file(lambda t: t, lambda t: np.array([0.3, 0.4 * (trust if t == 0.3 else 2.0)]), 10.0, 0.01)
-    free = nearer_the_file(lambda t: t, lambda t: np.array([]), 1.0, 0.01)
-    assert free is None and 0.3 in TRUST
-    assert found is None, "one run is predicted as well without"
-    errors = {0.3: np.array([0.2, 0.4 * trust]), 7.0: np.array([0.3, 0.4])}
-    near = nearer_the_file(lambda t: t, lambda t: errors.get(t, np.array([9.0, 9.0])), 7.0, 0.01)
+    errors = {0.3: np.array([0.2, second]), "free": np.array([0.3, 0.4])}
+    near = nearer_the_file(lambda t: t, lambda s: errors.get(s, np.array([9.0, 9.0])), "free", 0.01)
     assert (near == (0.3, 0.3)) == kept
+    assert nearer_the_file(lambda t: t, lambda s: np.array([]), "free", 0.01) is None, "nothing to choose by"
 
 
 @pytest.mark.slow

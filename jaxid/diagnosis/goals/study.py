@@ -10,17 +10,16 @@ from typing import Any
 import numpy as np
 
 from jaxid.data.dataset import Experiment
+from jaxid.diagnosis.goals.bodies import body_units
 from jaxid.diagnosis.goals.loop import FINE, LoopRun, mean_input, RawRun, refined
-from jaxid.diagnosis.goals.plant import CHANGED, Drive, LedPlant
+from jaxid.diagnosis.goals.plant import Drive, LedPlant
 from jaxid.diagnosis.goals.probes import at_levels, is_level, LEVELS, probes_of, scaled
 from jaxid.diagnosis.torque.algebra import gram, Solution, solve, weighted, Weights
-from jaxid.diagnosis.torque.library import MOMENT, Unit, units
-from jaxid.diagnosis.torque.plant import inverse_of
+from jaxid.diagnosis.torque.library import Unit, units
 from jaxid.diagnosis.torque.rows import read_runs, Run, turning_speeds
 from jaxid.diagnosis.torque.study import Rows, SHARPER, STEPS, Study
-from jaxid.dynamics.effect import Effect, InputEffect, neutral
+from jaxid.dynamics.effect import Effect, InputEffect
 from jaxid.dynamics.joint_readings import joint_readings
-from jaxid.dynamics.parameter import resolve, specs, with_fields
 from jaxid.numerics.pool import Pool
 from jaxid.problem.binding import Binding
 from jaxid.simulation.sample_buffers import columns
@@ -28,10 +27,6 @@ from jaxid.simulation.sample_buffers import columns
 
 #: A shift of readings over which gravity's derivative is taken: what an encoder that is off does.
 OFF = 1e-4
-#: Distance (m) over which the derivative by where a load sits is taken: exact, for it is quadratic.
-ARM = 1e-2
-#: A place of a load that shows by less than this share of another one shows by rounding alone.
-UNSEEN = 1e-8
 #: Damping of the descent to the nominal model (Marquardt's, a share of each number's own curvature): at first, by how much less
 #: and more it is after a step that led down and one that did not, and where it ends.
 FIRST, EASIER, HARDER, LAST = 1e-2, 5.0, 4.0, 1e3
@@ -282,7 +277,7 @@ class LedStudy(Study):
         if kind.name == "sensor_bias":
             return self._off(theta)
         if kind.name in ("payload", "gravity_offset"):
-            return self._bodies(kind, theta)
+            return body_units(self.binding, self.free, kind, theta)
         return units(self.plant, [kind], raw, theta, False)
 
     def _as_rows(self, found: Sequence[Unit]) -> list[Unit]:
@@ -316,38 +311,6 @@ class LedStudy(Study):
                     out.append(scaled(kind, place, own[k], j, [-(c * np.eye(n)[j])[:, :, None] for c in change]))
         return out
 
-    def _bodies(self, kind: Any, theta: np.ndarray) -> list[Unit]:
-        """What changes the mechanism, to first order in each of its numbers, or in a mass times where it sits."""
-        b, out, places = self.binding, [], self.binding.chain.places(kind)
-        moments = getattr(kind, "moments", ())
-        own = {f: s for f, s in specs(kind).items() if f not in moments}
-        mechanism = b.layout.form.model(theta).mechanism
-        for place in b.chain.offers(kind):
-            j = places.index(place)
-            reference = b.reference(kind, j)
-            force = lambda r, **numbers: inverse_of(_with_body(kind, len(places), j, numbers)(mechanism), r)  # noqa: B023
-            steps = {f: CHANGED * float(resolve(s.scale, reference)) for f, s in own.items()}
-            columns = []
-            for r in self.free:
-                made = [(force(r, **{f: h}) - force(r)) / h for f, h in steps.items()]
-                for f in moments:
-                    low, high = (force(r, mass=1.0, **{f: h}) for h in (-ARM, ARM))
-                    made.append((high - low) / (2 * ARM))
-                columns.append(np.stack(made, 2))
-            size = np.max([np.linalg.norm(c, axis=(0, 1)) for c in columns], 0)
-            first = len(own)
-            # Where all axes are alike, a load may sit anywhere along them.
-            kept = [k for k in range(len(size)) if k < first or size[k] > UNSEEN * size[first:].max()]
-            fields = tuple(name for k, name in enumerate((*own, *(f"{MOMENT}{f}" for f in moments))) if k in kept)
-            low, high = (np.array([resolve(getattr(s, k), reference) for s in own.values()]) for k in ("lower", "upper"))
-            free = np.full(len(fields) - first, np.inf)
-            if any(np.any(c) for c in columns):
-                bounds = np.concatenate([low, -free]), np.concatenate([high, free])
-                infinite = np.full(len(fields), np.inf)
-                shown = [c[:, :, kept] for c in columns]
-                out.append(Unit(kind.name, place, fields, *bounds, infinite, {}, tuple(range(b.chain.nq)), shown))
-        return out
-
     def _off(self, theta: np.ndarray) -> list[Unit]:
         """An encoder that is off within the loop: the law sees what it reads, gravity acts where the joint is."""
         b, n = self.binding, self.binding.chain.nq
@@ -377,15 +340,6 @@ def _settled(e: Experiment) -> Experiment:
     if e.past is None or len(e.past.t) <= len(e.t):
         return e
     return replace(e, past=e.past.piece(len(e.past.t) - len(e.t), len(e.past.t), name=e.past.name, split=e.past.split))
-
-
-def _with_body(kind: Any, n: int, place: int, numbers: dict[str, float]) -> Any:
-    """A body effect with some numbers at one place."""
-    effect = neutral(kind)
-    own = {f: np.full(n, float(s.value)) for f, s in specs(effect).items()}
-    for field, value in numbers.items():
-        own[field][place] += value
-    return with_fields(effect, own)
 
 
 def _moved(run: Run, x: np.ndarray) -> Run:
