@@ -150,11 +150,11 @@ def diagnose(
 
     if len(limbs := limbs_of(model, dataset)) > 1:
         asked = None if effects is None else tuple(effects)
-        work = lambda robot, data, words: diagnose(
+        work = lambda robot, data, tell: diagnose(
             robot, data, max_effects=max_effects, effects=asked, without=without, residual=residual, seed=seed,
-            progress=_of_limb(progress, words), as_recorded=as_recorded,
+            progress=tell, as_recorded=as_recorded,
         )  # fmt: skip
-        return diagnose_each(limbs, work, dataset)
+        return diagnose_each(limbs, work, dataset, progress)
     if max_effects < 1:
         raise UsageError(f"max_effects is {max_effects}; a diagnosis needs at least 1")
     without = tuple(without)
@@ -171,11 +171,6 @@ def diagnose(
         partial = None if stop.partial is None else replace(stop.partial, data=checked.findings)
         raise Interrupted(partial) from stop
     return replace(found, data=checked.findings)
-
-
-def _of_limb(progress: Progress | None, words: str) -> Progress | None:
-    """The progress with what is worked on in front."""
-    return None if progress is None else lambda stage, done, total, text: progress(f"{words}: {stage}", done, total, text)
 
 
 def check(model: object, dataset: Dataset, *, without: Iterable[str] = (), as_recorded: bool = False) -> Checked:

@@ -13,7 +13,7 @@ import pytest
 from jaxid import Dataset, UsageError
 from jaxid.data.dataset import Controller, ModelSpec
 from jaxid.diagnosis.goals.loop import loop_of, mean_input
-from jaxid.diagnosis.limbs import joined
+from jaxid.diagnosis.limbs import diagnose_each, joined
 from jaxid.dynamics.chain import Chain
 from jaxid.dynamics.effect import Command, Signals
 from jaxid.excitation.bounds import bounds_of
@@ -29,6 +29,7 @@ from jaxid.robots.beside import left_out as without_channels, rides
 from jaxid.robots.drives import stated_law
 from jaxid.robots.match import prepared, spec_of_file
 from jaxid.robots.yardstick import stated
+from jaxid.runtime import Interrupted
 from report_sample import sample_diagnosis
 
 
@@ -225,6 +226,25 @@ def test_limbs_that_were_diagnosed_one_by_one_are_one_answer(verdicts, whole):
     assert (found.how_far.shrinkage is None) == (whole in ("none", "unknown"))
     assert "a1 and a2: " in found.which.text and "limbs" in found.notes[-1]
     assert found.to_dict()["which"]["verdict"] == whole
+
+
+def test_limbs_that_are_finished_are_kept_when_the_others_are_stopped():
+    model = Robot.from_mjcf("arm.xml", text=ARM)
+    limbs = [(model, recording(pd(), name=name)) for name in ("finished", "half", "endless", "never")]
+    sample = sample_diagnosis(200)
+    told = []
+
+    def work(_, data, tell):
+        if data.name == "half":
+            raise Interrupted(sample)
+        while data.name == "endless":
+            tell("simulated", 0, 1, "")
+        return sample
+
+    with pytest.raises(Interrupted) as stopped:
+        diagnose_each(limbs, work, limbs[0][1], lambda *words: told.append(words))
+    assert 2 <= stopped.value.partial.which.text.count("lift and turn: ") <= 3  # the last one may have been begun or not
+    assert all(words == ("limb 3 of 4 (lift, turn): simulated", 0, 1, "") for words in told)
 
 
 def test_a_robots_file_is_a_model_for_designs_and_lists(tmp_path):

@@ -1,8 +1,11 @@
-"""Limbs on a base that does not move are diagnosed one by one: what one lacks moves no other. The answers are put together."""
+"""Limbs on a base that does not move are diagnosed each by itself: what one lacks moves no other. The answers become one."""
 
 from __future__ import annotations
 
+import re
+import time
 from collections.abc import Callable, Sequence
+from concurrent.futures import CancelledError
 from dataclasses import replace
 from typing import Any
 
@@ -12,7 +15,9 @@ from jaxid.data.dataset import Dataset
 from jaxid.diagnosis.breakdown import Share
 from jaxid.diagnosis.how_far import shrink
 from jaxid.diagnosis.result import Diagnosis, HowFar, Which
+from jaxid.fitting.fitter import Progress
 from jaxid.fitting.limbs import together
+from jaxid.numerics.side_by_side import side_by_side
 from jaxid.runtime import Interrupted
 from jaxid.wording import listed, times
 
@@ -21,18 +26,35 @@ Limb = tuple[Any, Dataset]
 NO_INTERVAL = "limbs were diagnosed one by one: how they scatter together in a further run is not known"
 
 
-def diagnose_each(limbs: Sequence[Limb], work: Callable[[Any, Dataset, str], Diagnosis], dataset: Dataset) -> Diagnosis:
-    """The diagnoses of all limbs, `work(robot, data, words for the progress)`, as one. On Ctrl-C `Interrupted` carries those that
-    are finished."""
-    done: list[Diagnosis] = []
+def diagnose_each(
+    limbs: Sequence[Limb], work: Callable[[Any, Dataset, Progress], Diagnosis], dataset: Dataset, progress: Progress | None
+) -> Diagnosis:
+    """The diagnoses of all limbs, `work(robot, data, progress)`, as one, made side by side. On Ctrl-C `Interrupted` carries those
+    that are finished."""
+    began = time.perf_counter()
     names = [robot.signatures[0].joints for robot, _ in limbs]
-    for k, (robot, data) in enumerate(limbs):
-        try:
-            done.append(work(robot, data, f"limb {k + 1} of {len(limbs)} ({', '.join(names[k])})"))
-        except Interrupted as stop:
-            done += [stop.partial] if stop.partial is not None else []
-            raise Interrupted(joined(done, names[: len(done)], dataset) if done else None) from stop
-    return joined(done, names, dataset)
+    words = [f"limb {k + 1} of {len(limbs)} ({', '.join(own)})" for k, own in enumerate(names)]
+    of = lambda k, tell: lambda stage, done, total, text: tell(f"{words[k]}: {stage}", done, total, text)
+    jobs = [lambda tell, k=k, r=robot, d=data: work(r, d, of(k, tell)) for k, (robot, data) in enumerate(limbs)]
+    made = side_by_side(jobs, progress)
+    done: list[tuple[Diagnosis, tuple[str, ...]]] = []
+    stop: BaseException | None = None
+    for own, b in zip(names, made, strict=True):
+        fault = CancelledError() if b.cancelled() else b.exception()
+        if fault is None:
+            done.append((b.result(), own))
+        elif not isinstance(fault, KeyboardInterrupt | CancelledError):
+            raise fault
+        elif (part := getattr(fault, "partial", None)) is not None:
+            done.append((part, own))
+        stop = stop or fault
+    if not done:
+        raise Interrupted() from stop
+    whole = joined([d for d, _ in done], [own for _, own in done], dataset)
+    whole = replace(whole, wall_time_s=time.perf_counter() - began)
+    if stop is not None:
+        raise Interrupted(whole) from stop
+    return whole
 
 
 def joined(parts: Sequence[Diagnosis], names: Sequence[tuple[str, ...]], dataset: Dataset) -> Diagnosis:
@@ -48,7 +70,7 @@ def joined(parts: Sequence[Diagnosis], names: Sequence[tuple[str, ...]], dataset
         where=tuple(sorted(every("where"), key=lambda f: -f.times_noise_floor)),
         which=which,
         how_far=_how_far(parts, which.verdict),
-        next_experiment=" ".join(dict.fromkeys(d.next_experiment for d in parts)),
+        next_experiment=" ".join(dict.fromkeys(said for d in parts for said in re.split(r"(?<=[.?!]) ", d.next_experiment))),
         wall_time_s=sum(d.wall_time_s for d in parts),
         nominal=together([d.nominal for d in parts], dataset),
         final=together([d.final for d in parts], dataset),

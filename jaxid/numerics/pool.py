@@ -27,10 +27,10 @@ def default_platform() -> str:
 
 
 class Pool:
-    """One thread per core; jobs run in float64 on the device that is the default where they are handed in."""
+    """Threads, one per core or so many; jobs run in float64 on the device that is the default where they are handed in."""
 
-    def __init__(self, name: str):
-        self._threads = ThreadPoolExecutor(max_workers=os.cpu_count() or 1, thread_name_prefix=f"jaxid-{name}")
+    def __init__(self, name: str, size: int | None = None):
+        self._threads = ThreadPoolExecutor(max_workers=size or os.cpu_count() or 1, thread_name_prefix=f"jaxid-{name}")
 
     def submit(self, job: Callable[..., T], *args: Any) -> Future[T]:
         return self._threads.submit(_on, default_device(), job, *args)
@@ -39,6 +39,10 @@ class Pool:
         """Results in the items' order; all are handed in at once."""
         begun = [self.submit(job, item) for item in items]
         return (b.result() for b in begun)
+
+    def close(self) -> None:
+        """Waits for jobs that have begun; none is handed in any more."""
+        self._threads.shutdown(wait=True)
 
 
 def _on(device: Any, job: Callable[..., T], *args: Any) -> T:

@@ -61,7 +61,12 @@ class Programs(NamedTuple):
     tangent_windows: Traced
     begins: Callable[..., Any]
     losses: dict[Any, Any]
-    ready: dict[tuple[str, int], Future | None]  # which are there, by width; what another thread makes ready, as its task
+    ready: dict[tuple[str, int], Future]  # by width, which are there or being made ready: done once they can be called
+
+    def claim(self, name: str, width: int) -> Future | None:
+        """To be done by who makes a program ready; None where another thread has, or is about to."""
+        claim = Future()
+        return claim if self.ready.setdefault((name, width), claim) is claim else None
 
 
 def programs_for(layout: Layout, lane: Lane, length: int, reach: int, burn: bool) -> Programs:
@@ -321,8 +326,8 @@ class Engine:
         along = (np.zeros_like(point[0]), point[1]) if name == "tangents" else ()
         args = *point, *along, np.repeat(self.where[:1], width, 0), self.samples, np.int32(0)
         program = getattr(programs, name)
-        if also_compile or program.kept(*args):
-            programs.ready[name, width] = _COMPILERS.submit(program, *args)
+        if (also_compile or program.kept(*args)) and (claim := programs.claim(name, width)):
+            _COMPILERS.submit(program, *args).add_done_callback(lambda _: claim.set_result(None))
 
     def _call(self, name: str, numbers, states, record: np.ndarray, share: float) -> list[np.ndarray]:
         results: list[np.ndarray] = []
@@ -341,6 +346,8 @@ class Engine:
         width = FEW if self._narrow or record.size <= SMALL * FEW else LANES  # on any number of cores
         jobs: list[Callable[[], tuple[np.ndarray, tuple]]] = []
         first: list[Callable[[], tuple[np.ndarray, tuple]]] = []
+        claimed: list[Future] = []
+        awaited: list[Future] = []
         for kept, lanes in self._at_work(busy).items():
             programs, index = self._programs_of(kept)
             program, own = getattr(programs, name), [a[:, index] for a in numbers]
@@ -349,19 +356,25 @@ class Engine:
                 partial(self._block, program, own, states, where, lanes[k : k + width], steps[lanes[k]], width)
                 for k in range(0, lanes.size, width)
             ]
-            if (name, width) not in programs.ready:
+            if claim := programs.claim(name, width):
                 first.append(blocks.pop(0))
-            elif (begun := programs.ready[name, width]) is not None:
-                waited = time.perf_counter()
-                begun.result()
-                self.compile_time_s += time.perf_counter() - waited
-            programs.ready[name, width] = None
+                claimed.append(claim)
+            else:
+                awaited.append(programs.ready[name, width])
             jobs += blocks
         if first:  # the first call of a program compiles it
             began = time.perf_counter()
-            done = list(_COMPILERS.map(lambda job: job(), first))
+            try:
+                done = list(_COMPILERS.map(lambda job: job(), first))
+            finally:
+                for claim in claimed:
+                    claim.set_result(None)
             self.compile_time_s += time.perf_counter() - began
             yield from done
+        for begun in awaited:  # by others, who may wait for what was claimed here
+            waited = time.perf_counter()
+            begun.result()
+            self.compile_time_s += time.perf_counter() - waited
         yield from ahead(jobs)
 
     def _block(self, program: Callable, numbers, states, where: np.ndarray, lanes: np.ndarray, steps: Any, width: int):
