@@ -72,8 +72,8 @@ class Arm:
     more: dict[str, Any] = field(default_factory=dict)  # what the recorded arm has beyond its file
 
     @classmethod
-    def drawn(cls, rng: np.random.Generator) -> Arm:
-        n = int(rng.integers(2, 4))
+    def drawn(cls, rng: np.random.Generator, n: int | None = None) -> Arm:
+        n = n or int(rng.integers(2, 4))
         axes = [str(rng.choice(["0 1 0", "0 1 0", "1 0 0", "0 0 1"])) for _ in range(n)]
         axes[0], axes[1] = "0 1 0", axes[1] if n > 2 else "0 1 0"
         between = lambda low, high: rng.uniform(low, high, n)
@@ -157,9 +157,9 @@ def withheld(arm: Arm, kind: str, rng: np.random.Generator) -> tuple[Arm, int, d
     return real, j, beside
 
 
-def goals(n: int, seconds: float, rng: np.random.Generator) -> np.ndarray:
+def goals(n: int, seconds: float, rng: np.random.Generator, rate: float = RATE) -> np.ndarray:
     """[time n] sums of sines up to 2 Hz that begin at 0."""
-    t = np.arange(round(seconds * RATE)) / RATE
+    t = np.arange(round(seconds * rate)) / rate
     out = np.zeros((len(t), n))
     for k in range(n):
         f = rng.uniform(0.1, 2.0, 5)
@@ -168,7 +168,9 @@ def goals(n: int, seconds: float, rng: np.random.Generator) -> np.ndarray:
     return out * np.minimum(1.0, t[:, None])
 
 
-def recorded(arm: Arm, kind: str, j: int, beside: dict[str, Any], u: np.ndarray, rng: np.random.Generator) -> np.ndarray:
+def recorded(
+    arm: Arm, kind: str, j: int, beside: dict[str, Any], u: np.ndarray, rng: np.random.Generator, rate: float = RATE
+) -> np.ndarray:
     """What the encoders read [time n] under goals [time n]."""
     import mujoco
 
@@ -180,19 +182,19 @@ def recorded(arm: Arm, kind: str, j: int, beside: dict[str, Any], u: np.ndarray,
     bias = np.zeros(arm.n)
     bias[j] = beside.get("bias", 0.0)
     if "clip" in beside:  # the drive gives less than the file says: a share of what this motion asks for
-        free = recorded(arm, "none", j, {}, u, rng)
-        asked = arm.kp[j] * (u[:, j] - free[:, j]) - arm.kv[j] * np.gradient(free[:, j], 1 / RATE)
+        free = recorded(arm, "none", j, {}, u, rng, rate)
+        asked = arm.kp[j] * (u[:, j] - free[:, j]) - arm.kv[j] * np.gradient(free[:, j], 1 / rate)
         top = beside["clip"] * float(np.abs(asked).max())
         m.actuator_forcerange[j] = -top, top
     late = beside.get("delay", 0.0)
-    t = np.arange(len(u)) / RATE
-    per, out = round(1 / RATE / STEP), np.empty_like(u)
+    t = np.arange(len(u)) / rate
+    per, out = round(1 / rate / STEP), np.empty_like(u)
     for k in range(len(u)):
         for part in range(per):
             goal = u[k].copy()
             if late:
                 now = t[k] + part * STEP - late
-                goal[j] = u[max(0, int(np.floor(now * RATE + 1e-9))), j] if now >= 0 else u[0, j]
+                goal[j] = u[max(0, int(np.floor(now * rate + 1e-9))), j] if now >= 0 else u[0, j]
             d.ctrl[:] = goal - bias  # the law sees what the encoder reads
             if "torque" in beside:
                 d.qfrc_applied[dof[j]] = beside["torque"]
@@ -222,7 +224,7 @@ def case(seed: int, number: int, seconds: float, off: float = 0.0) -> dict[str, 
 
 def dataset(c: dict[str, Any]) -> jaxid.Dataset:
     n = c["arm"].n
-    t = np.arange(len(c["u"])) / RATE
+    t = np.arange(len(c["u"])) / c.get("rate", RATE)
     joints = [f"j{k + 1}" for k in range(n)]
     return jaxid.Dataset.from_arrays(
         t, {f"{j}_cmd": c["u"][:, k] for k, j in enumerate(joints)}, {j: c["q"][:, k] for k, j in enumerate(joints)},

@@ -9,7 +9,7 @@ from typing import NamedTuple
 import numpy as np
 
 from jaxid.errors import UsageError
-from jaxid.fitting.least_squares import descend
+from jaxid.fitting.least_squares import descend, Path
 from jaxid.fitting.scale_free import shrinking
 from jaxid.problem.binding import Binding
 from jaxid.problem.frequency_response import FrequencyResponseError
@@ -190,30 +190,30 @@ def _begun(bench: Bench, split: str, thetas: Sequence[np.ndarray]) -> list[Begun
     fine encoder a wrong friction law would else bend the start within a tenth of a second.
     """
     runs = bench.runs(OutputError(), split)
-    jobs = []
+    jobs, groups = [], []
     for theta in thetas:
         for heads in runs.heads:
+            groups.append(range(len(jobs), len(jobs) + len(heads)))  # longest first
             for head in heads:
                 p = bench.problem(OutputError(), split, [], theta, [head])
                 jobs.append((p, p.z(theta)))
-    unknown = [k for k, (p, _) in enumerate(jobs) if p.size]
-    paths = dict(zip(unknown, descend([jobs[k] for k in unknown], 8, 1e-8), strict=True)) if unknown else {}
+    paths: dict[int, Path] = {}
+
+    def descended(asked: Sequence[int]) -> None:
+        unknown = [k for k in asked if jobs[k][0].size]
+        if unknown:
+            paths.update(zip(unknown, descend([jobs[k] for k in unknown], 8, 1e-8), strict=True))
+
+    follows = lambda n: n in paths and 2 * paths[n].cost <= 2 * max(1, paths[n].count - jobs[n][0].size)
+    descended([own[0] for own in groups])
+    descended([n for own in groups if not follows(own[0]) for n in own[1:]])
     starts = np.zeros((len(thetas), len(runs.heads), jobs[0][0].start0.shape[1]))
-    out: list[Begun] = []
-    k = 0
-    for i in range(len(thetas)):
-        out.append(Begun(starts[i], []))
-        for j, heads in enumerate(runs.heads):
-            own = range(k, k + len(heads))  # longest first
-            k += len(heads)
-            best = own[-1]
-            for n in own:
-                if n in paths and 2 * paths[n].cost <= 2 * max(1, paths[n].count - jobs[n][0].size):
-                    best = n
-                    break
-            p, z = jobs[best]
-            z = paths[best].z if best in paths else z
-            starts[i, j] = p.starts(z)[0]
-            hessian = paths[best].hessian if best in paths else None
-            out[-1].information.append(np.zeros((p.size, p.size)) if hessian is None else hessian)
+    out = [Begun(starts[i], []) for i in range(len(thetas))]
+    for k, own in enumerate(groups):
+        best = next(filter(follows, own), own[-1])
+        p, z = jobs[best]
+        z = paths[best].z if best in paths else z
+        starts[divmod(k, len(runs.heads))] = p.starts(z)[0]
+        hessian = paths[best].hessian if best in paths else None
+        out[k // len(runs.heads)].information.append(np.zeros((p.size, p.size)) if hessian is None else hessian)
     return out

@@ -69,6 +69,13 @@ class Runs:
     def record(self, number: int) -> Record:
         return self.engine.records[number]
 
+    def before(self, k: int) -> np.ndarray:
+        """Buffer positions of the samples before the k-th experiment by which its start is told, where it was cut from a longer
+        one."""
+        first = self.record(self.records[k]).samples[0]
+        known = self.record(self.heads[k][0]).samples
+        return known[known < first]
+
     def residual(self, number: int, prediction: np.ndarray) -> np.ndarray:
         """Weighted residual [samples columns] of one record from a lane's prediction [length columns]."""
         at = self.record(number).samples

@@ -13,7 +13,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from jaxid.data.dataset import Experiment
-from jaxid.diagnosis.goals.floor import Between, between_simulators
+from jaxid.diagnosis.goals.floor import Between, between_simulators, seen_early
 from jaxid.diagnosis.goals.propose import as_vector, candidates_of, Proposal
 from jaxid.diagnosis.goals.search import Decider
 from jaxid.diagnosis.goals.study import LedStudy
@@ -67,8 +67,9 @@ class Difference:
         for split, between in self.by_split.items():
             runs = bench.runs(OutputError(), split)
             defect = np.zeros_like(runs.targets)
-            for record, x in zip(runs.records, between.apart, strict=True):
-                defect[runs.record(record).samples] = x
+            for k, (x, earlier) in enumerate(zip(between.apart, between.before, strict=True)):
+                defect[runs.record(runs.records[k]).samples] = x
+                defect[runs.before(k)] = earlier
             bench.take_off(OutputError(), split, defect)
         return bench
 
@@ -103,18 +104,14 @@ def by_its_steps(bench: Bench, study: LedStudy, plain: Difference) -> Difference
     found = difference(bench, {}, theta)
     if found is None:
         return None
-    speeds = {
-        split: [np.gradient(x, e.t, axis=0) for e, x in zip(b.experiments(split), between.theirs, strict=True)]
-        for split, between in found.by_split.items()
-    }
-    v, x = np.concatenate(speeds["fit"]), np.concatenate(found.by_split["fit"].apart)
-    early = np.sum(v * x, 0) / np.maximum(np.sum(v * v, 0), 1e-300)
+    speeds = {split: between.speeds(b.experiments(split)) for split, between in found.by_split.items()}
+    early = seen_early(found.by_split["fit"].apart, speeds["fit"])
     by_split = {}
     for split, between in found.by_split.items():
         own = [b.motions[e.name].qd[-len(e.t) :] for e in b.experiments(split)]
         apart = [d + early * (now - then) for d, now, then in zip(between.apart, own, speeds[split], strict=True)]
         by_split[split] = replace(between, apart=apart)
-    left = np.sqrt(np.mean((x - early * v) ** 2, 0))
+    left = np.sqrt(np.mean(np.concatenate(found.by_split["fit"].at_once(b.experiments("fit"))) ** 2, 0))
     return Difference(by_split, theta, _changed(b, found.by_split["fit"]) * left)
 
 

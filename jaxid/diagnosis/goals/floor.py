@@ -18,9 +18,8 @@ from jaxid.diagnosis.verdict import level
 from jaxid.errors import UsageError
 from jaxid.fitting.problem_builder import Bench, estimate_starts
 from jaxid.fitting.replay import in_mujoco
-from jaxid.fitting.scores import free_runs
 from jaxid.problem.binding import Binding
-from jaxid.problem.residual import run_up
+from jaxid.problem.residual import OutputError, run_up
 from jaxid.robots import stops
 from jaxid.robots.tree import Tree
 from jaxid.robots.yardstick import as_it_stands
@@ -42,14 +41,33 @@ class Between:
     apart: list[np.ndarray]
     left: np.ndarray
     theirs: list[np.ndarray] = field(default_factory=list)  # MuJoCo's runs themselves
+    #: The same as `apart` in the samples before a run by which its start is told.
+    before: list[np.ndarray] = field(default_factory=list)
 
     @property
     def size(self) -> np.ndarray:
         return _rms(self.apart)
 
+    def speeds(self, runs: Sequence[Experiment]) -> list[np.ndarray]:
+        """Of MuJoCo's runs, [samples n] of each of `runs`."""
+        return [np.gradient(x, e.t, axis=0) for e, x in zip(runs, self.theirs, strict=True)]
+
+    def at_once(self, runs: Sequence[Experiment]) -> list[np.ndarray]:
+        """What the two differ by but for the moment at which they see a motion."""
+        speeds = self.speeds(runs)
+        early = seen_early(self.apart, speeds)
+        return [x - early * v for x, v in zip(self.apart, speeds, strict=True)]
+
 
 def _rms(series: Sequence[np.ndarray]) -> np.ndarray:
     return np.sqrt(np.mean(np.concatenate(series) ** 2, 0))
+
+
+def seen_early(apart: Sequence[np.ndarray], speeds: Sequence[np.ndarray]) -> np.ndarray:
+    """Seconds [n] by which one simulator sees each joint's motion before the other, from what they differ by and how fast joints
+    are: steps of first order see a motion half a step early."""
+    x, v = np.concatenate(apart), np.concatenate(speeds)
+    return np.sum(v * x, 0) / np.maximum(np.sum(v * v, 0), 1e-300)
 
 
 def between_simulators(bench: Bench, split: str = "fit", theta: np.ndarray | None = None) -> Between | None:
@@ -71,13 +89,19 @@ def between_simulators(bench: Bench, split: str = "fit", theta: np.ndarray | Non
     for k, (e, y) in enumerate(zip(runs, theirs, strict=True)):
         if e.past is not None:  # jaxid's run begins a little before the cut, where MuJoCo's is by then
             starts[0][k] = np.concatenate([y[run_up(e)], np.gradient(y, e.whole.t, axis=0)[run_up(e)]])
-    ours = free_runs(bench, split, [theta], starts)[0]
+    made = bench.runs(OutputError(), split)
+    lanes = made.engine.outputs(np.repeat(theta[None], len(runs), 0), starts[0], np.array(made.records))
+    apart, before = [], []
+    for k, (e, y, lane) in enumerate(zip(runs, theirs, lanes, strict=True)):
+        own, first = made.record(made.records[k]), made.before(k)
+        cut = len(y) - len(e.t)
+        apart.append(y[cut:] - lane[own.samples - own.offset, :n])
+        before.append(y[cut - len(first) : cut] - lane[first - own.offset, :n])
     theirs = [y[-len(e.t) :] for e, y in zip(runs, theirs, strict=True)]
-    apart = [y - x[:, :n] for x, y in zip(ours, theirs, strict=True)]
-    if not all(np.isfinite(x).all() for x in apart) or b.chain.joint_outputs != list(range(len(b.sigma))):
+    if not all(np.isfinite(x).all() for x in (*apart, *before)) or b.chain.joint_outputs != list(range(len(b.sigma))):
         return None
     left = [e.y[:, b.chain.joint_outputs] - y for e, y in zip(runs, theirs, strict=True)]
-    return Between(apart, _rms(left), theirs)
+    return Between(apart, _rms(left), theirs, before)
 
 
 def _measured(e: Experiment, b: Binding) -> np.ndarray:

@@ -113,9 +113,10 @@ def diagnose_led(
     plain = study.binding
     between = between_simulators(bench := made(plain))  # the program that is there
     series = None if between is None else between.apart
-    doubts, simulated = ({}, None) if series is None else study.taken_up(series, clocks=False)
-    apart = None if series is None else study.taken_up(series)[1]
-    strange = not_this_file(plain, between, simulated)
+    doubts, apart, simulated = {}, None, None
+    if between is not None and series is not None:
+        doubts, apart = study.taken_up(series, clocks=False)[0], study.taken_up(series)[1]
+        simulated = study.taken_up(between.at_once(plain.experiments("fit")), clocks=False)[1]
     study = study.with_binding(with_floor(plain, apart))
     say("along the motion", 2, 3, f"effects, {len(kinds)} kinds")
     asked = f"asked along the measured motion: {listed(sorted(k.name for k in kinds))}"
@@ -124,7 +125,8 @@ def diagnose_led(
 
     # Where the dataset asks for numbers of the law, or knows others only so well, nobody says that they stand.
     doubted = plain.priors or any(plain.layout.names[i] in plain.chain.mechanism.known() for i in plain.free)
-    stated = None if strange or between is None or doubted else AsStated(bench, study, kinds, between)
+    stated = None if between is None or doubted else AsStated(bench, study, kinds, between)
+    strange = not_this_file(plain, between, simulated)
     by_itself = strange or (stated is not None and stated.stands)
     bare, sets = (Proposal((), (), plain.theta), []) if by_itself else proposals(study, max_effects)
     names = kinds_of([*sets, *(c.proposal for c in (stated.changes if stated else ()))])
@@ -132,15 +134,15 @@ def diagnose_led(
     if stated is not None:
         stated.ask(lambda floor: made(with_floor(with_kinds(names), floor)), progress)
 
-    if strange:  # what is left is judged by the readings' own noise, and nothing is asked
-        found = answer(plain, (), lambda bench, offer: road(bench, offer, with_sets([])), step)
-        found = replace(found, which=replace(found.which, text=f"{found.which.text} {strange}"))
-    elif stated is not None and stated.explains:
+    if stated is not None and stated.explains:
         taken, doubts = stated.difference, stated.doubts
         own = with_floor(with_kinds(names), taken.floor, doubts)
         found = answer(own, names if stated.lacks else (), lambda b, offer: road(taken.off(b), offer, stated.decided), step)
         found = replace(found, which=replace(found.which, text=f"{found.which.text} {stated.said()}".strip()))
         notes.append(taken.said(plain))
+    elif strange:  # what is left is judged by the readings' own noise, and nothing is asked
+        found = answer(plain, (), lambda bench, offer: road(bench, offer, with_sets([])), step)
+        found = replace(found, which=replace(found.which, text=f"{found.which.text} {strange}"))
     else:
         wide, limit = with_floor(with_kinds(names), apart, doubts), Limit()
         found = answer(wide, names, lambda bench, offer: road(bench, offer, with_sets(sets, limit), series), step)
