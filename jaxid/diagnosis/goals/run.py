@@ -114,8 +114,8 @@ def diagnose_led(
     between = between_simulators(bench := made(plain))  # the program that is there
     series = None if between is None else between.apart
     doubts, apart, simulated = {}, None, None
-    if between is not None and series is not None:
-        doubts, apart = study.taken_up(series, clocks=False)[0], study.taken_up(series)[1]
+    if between is not None:
+        doubts, apart = study.taken_up(between.apart, clocks=False)[0], study.taken_up(between.apart)[1]
         simulated = study.taken_up(between.at_once(plain.experiments("fit")), clocks=False)[1]
     study = study.with_binding(with_floor(plain, apart))
     say("along the motion", 2, 3, f"effects, {len(kinds)} kinds")
