@@ -1,5 +1,6 @@
 """Programs of the engine: a process that simulates model after model keeps those it used last."""
 
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
 
 import jax.numpy as jnp
@@ -41,8 +42,27 @@ def test_the_width_of_a_block_changes_no_bit(model):
     theta *= 1 + np.linspace(0.0, 0.2, len(theta))[:, None]
     many, few = run.outputs(theta), run.outputs(theta[:3])
     programs, _ = run.engine._programs_of(frozenset(run.engine._families))
-    assert programs.ready.keys() >= {("outputs", engine.FEW), ("outputs", engine.LANES)}
+    assert programs.ready >= {("outputs", engine.FEW), ("outputs", engine.LANES)}
     assert np.array_equal(many[:3], few) and np.ptp(many[:, -1]) > 0
+
+
+def test_a_program_is_compiled_once_also_where_the_first_call_was_interrupted():
+    """Two threads that need it at once wait for one another; what an interrupt leaves undone, the next call does."""
+    t = np.arange(200) / 200
+    run = Simulator(Chain(Pendulum()), t, 0.3 * np.sin(7 * t)[:, None], step=5e-3, size=1024)
+    programs, _ = run.engine._programs_of(frozenset())
+    name = "outputs", engine.FEW
+    programs.ready.clear()
+    with pytest.raises(KeyboardInterrupt), programs.first_call(*name):
+        assert programs.in_hand(*name)
+        raise KeyboardInterrupt
+    assert not programs.in_hand(*name) and name not in programs.ready
+    with ThreadPoolExecutor(2) as threads:
+        one, other = threads.map(lambda _: run.outputs([{}]), range(2))
+    assert name in programs.ready and np.array_equal(one, other)
+    before = run.engine.compile_time_s
+    run.outputs([{}])
+    assert run.engine.compile_time_s == before > 0
 
 
 def test_only_what_remembers_follows_the_motion_before_a_record():

@@ -13,8 +13,10 @@ import time
 from collections import deque
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import Future
+from contextlib import contextmanager
 from functools import partial
-from typing import Any, NamedTuple
+from threading import Lock
+from typing import Any, NamedTuple, TypeVar
 
 import jax
 import jax.numpy as jnp
@@ -32,6 +34,8 @@ from jaxid.simulation.rollout import Lane, reach_of, WINDOWED
 from jaxid.simulation.sample_buffers import BLOCK, bucket, LONG, Record, Samples
 from jaxid.simulation.windows import windowed, Windows
 
+
+T = TypeVar("T")
 
 #: Lanes of one block: enough for vector code, few enough to stay in the cache; and of each block of a call that has few of them.
 LANES, FEW = 48, 16
@@ -61,12 +65,19 @@ class Programs(NamedTuple):
     tangent_windows: Traced
     begins: Callable[..., Any]
     losses: dict[Any, Any]
-    ready: dict[tuple[str, int], Future]  # by width, which are there or being made ready: done once they can be called
+    ready: set[tuple[str, int]]  # name and width of those that can be called
+    making: dict[tuple[str, int], Lock]
 
-    def claim(self, name: str, width: int) -> Future | None:
-        """To be done by who makes a program ready; None where another thread has, or is about to."""
-        claim = Future()
-        return claim if self.ready.setdefault((name, width), claim) is claim else None
+    @contextmanager
+    def first_call(self, name: str, width: int) -> Iterator[None]:
+        """Around a call that may be the first of a program, and so compiles it: others wait for its end."""
+        with self.making.setdefault((name, width), Lock()):
+            yield
+            self.ready.add((name, width))
+
+    def in_hand(self, name: str, width: int) -> bool:
+        """Whether some thread compiles a program just now."""
+        return (lock := self.making.get((name, width))) is not None and lock.locked()
 
 
 def programs_for(layout: Layout, lane: Lane, length: int, reach: int, burn: bool) -> Programs:
@@ -90,7 +101,7 @@ def _programs(form: Form, lane: Lane, length: int, reach: int, burn: bool) -> Pr
     whole = traced(batch, "outputs"), traced(tangents, "tangents")
     parts = windowed(form, lane, reach, burn)
     part = traced(parts.outputs, "output windows"), traced(parts.tangents, "tangent windows")
-    return Programs(predict, *whole, *part, parts.begins, {}, {})
+    return Programs(predict, *whole, *part, parts.begins, {}, set(), {})
 
 
 def families(layout: Layout) -> dict[str, np.ndarray]:
@@ -320,14 +331,19 @@ class Engine:
         if self.long:
             return
         programs, index = self._programs_of(kept)
-        if (name, width) in programs.ready:
+        if (name, width) in programs.making:
             return
         point = np.repeat(self._neutral[None, index], width, 0), np.zeros((width, 2 * self.layout.chain.nq))
         along = (np.zeros_like(point[0]), point[1]) if name == "tangents" else ()
         args = *point, *along, np.repeat(self.where[:1], width, 0), self.samples, np.int32(0)
         program = getattr(programs, name)
-        if (also_compile or program.kept(*args)) and (claim := programs.claim(name, width)):
-            _COMPILERS.submit(program, *args).add_done_callback(lambda _: claim.set_result(None))
+        if also_compile or program.kept(*args):
+            _COMPILERS.submit(self._first, programs, name, width, partial(program, *args))
+
+    @staticmethod
+    def _first(programs: Programs, name: str, width: int, call: Callable[[], T]) -> T:
+        with programs.first_call(name, width):
+            return call()
 
     def _call(self, name: str, numbers, states, record: np.ndarray, share: float) -> list[np.ndarray]:
         results: list[np.ndarray] = []
@@ -346,8 +362,7 @@ class Engine:
         width = FEW if self._narrow or record.size <= SMALL * FEW else LANES  # on any number of cores
         jobs: list[Callable[[], tuple[np.ndarray, tuple]]] = []
         first: list[Callable[[], tuple[np.ndarray, tuple]]] = []
-        claimed: list[Future] = []
-        awaited: list[Future] = []
+        awaited: list[Callable[[], tuple[np.ndarray, tuple]]] = []
         for kept, lanes in self._at_work(busy).items():
             programs, index = self._programs_of(kept)
             program, own = getattr(programs, name), [a[:, index] for a in numbers]
@@ -356,25 +371,15 @@ class Engine:
                 partial(self._block, program, own, states, where, lanes[k : k + width], steps[lanes[k]], width)
                 for k in range(0, lanes.size, width)
             ]
-            if claim := programs.claim(name, width):
-                first.append(blocks.pop(0))
-                claimed.append(claim)
-            else:
-                awaited.append(programs.ready[name, width])
+            if (name, width) not in programs.ready:
+                calls = awaited if programs.in_hand(name, width) else first
+                calls.append(partial(self._first, programs, name, width, blocks.pop(0)))
             jobs += blocks
-        if first:  # the first call of a program compiles it
+        if first or awaited:  # the first call of a program compiles it
             began = time.perf_counter()
-            try:
-                done = list(_COMPILERS.map(lambda job: job(), first))
-            finally:
-                for claim in claimed:
-                    claim.set_result(None)
+            done = [*_COMPILERS.map(lambda call: call(), first), *(call() for call in awaited)]
             self.compile_time_s += time.perf_counter() - began
             yield from done
-        for begun in awaited:  # by others, who may wait for what was claimed here
-            waited = time.perf_counter()
-            begun.result()
-            self.compile_time_s += time.perf_counter() - waited
         yield from ahead(jobs)
 
     def _block(self, program: Callable, numbers, states, where: np.ndarray, lanes: np.ndarray, steps: Any, width: int):

@@ -103,15 +103,11 @@ class Windows:
         for at in range(0, int(self._steps.max()), WINDOW):
             going = [b for b in blocks if at < self._steps[b.lanes[0]]]
             first = []
-            began = time.perf_counter()
-            if claim := self._programs.claim(self._name, WIDTH):  # the first call compiles
-                try:
+            if (self._name, WIDTH) not in self._programs.ready:  # the first call compiles
+                began = time.perf_counter()
+                with self._programs.first_call(self._name, WIDTH):
                     first = [self._run(going.pop(0), at)]
-                finally:
-                    claim.set_result(None)
-            else:
-                self._programs.ready[self._name, WIDTH].result()
-            self._engine.compile_time_s += time.perf_counter() - began
+                self._engine.compile_time_s += time.perf_counter() - began
             for lanes, out in (*first, *_POOL.map(lambda b, at=at: self._run(b, at), going)):
                 made = made or [np.zeros((order.size, *o.shape[1:])) for o in out]
                 for whole, part in zip(made, out, strict=True):
