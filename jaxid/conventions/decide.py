@@ -30,11 +30,13 @@ from jaxid.conventions.readings import (
 from jaxid.conventions.samples import Shown
 from jaxid.conventions.timing import timed, whole_rows_tell
 from jaxid.conventions.unsigned import unsigned
+from jaxid.numerics.pool import Pool
 from jaxid.problem.binding import Binding
 from jaxid.wording import listed
 
 
 MOST = 4  # findings, one after another
+_POOL = Pool("readings")
 
 
 @dataclass(frozen=True)
@@ -175,7 +177,7 @@ def _beyond(fit: ForceFit, changed: Motion, recorded: Fitted, left: Fitted, know
 
 def _tried(fit: ForceFit, m: Motion, readings: list[Reading], before: float, laws: bool) -> list[Judged]:
     """What readings of a motion leave, the least first; what cannot come near what is decisive is given up."""
-    found = (Judged(r, fit.fit(r.change(m), laws, hopeless=ALIKE * GONE * before)) for r in readings)
+    found = _POOL.map(lambda r: Judged(r, fit.fit(r.change(m), laws, hopeless=ALIKE * GONE * before)), readings)
     return sorted((t for t in found if np.isfinite(t.left)), key=lambda t: t.left)
 
 

@@ -82,10 +82,11 @@ class Forces:
         """Of a linear model: the force [rows nq] at the binding's numbers, without the drive where that is but added, and its
         columns [rows nq free]. They are kept: a reading of the inputs alone leaves them as they are."""
         key = (m.q, m.qd, m.qdd) if self.additive else (m.q, m.qd, m.qdd, m.u)
-        if not self._known or any(a is not b for a, b in zip(self._known[0], key, strict=True)):
+        known = self._known  # several threads ask
+        if not known or any(a is not b for a, b in zip(known[0], key, strict=True)):
             here, slopes = self._with_slopes(m, 0 * m.u if self.additive else m.u)
-            self._known = key, (here - slopes @ self._steps[0, self.free], slopes)
-        return self._known[1]
+            known = self._known = key, (here - slopes @ self._steps[0, self.free], slopes)
+        return known[1]
 
     @cached_property
     def linear(self) -> bool:

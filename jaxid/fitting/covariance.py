@@ -9,13 +9,13 @@ least-squares intervals are too narrow there by large factors.
 
 from __future__ import annotations
 
+import os
 from dataclasses import dataclass
 
 import numpy as np
 
 from jaxid.fitting.noise_model import Autoregression, autoregressions, Part, score_covariance, student, transform_length
 from jaxid.problem.problem import Problem, rows
-from jaxid.simulation.sample_buffers import LONG
 
 
 #: A direction of the scaled Gauss-Newton matrix with an eigenvalue below this share of the largest is not determined.
@@ -194,17 +194,18 @@ def whiteness(series: list[np.ndarray], lags: int = 20) -> tuple[bool, int]:
 
 def long_run(scores: list[tuple[list[int], np.ndarray]], n: int, memory: int) -> np.ndarray:
     """Long-run covariance of the summed scores: Bartlett weights over four times the residual's memory."""
+    from scipy.fft import rfft
+
     S = np.zeros((n, n))
     for columns, s in scores:
         bandwidth = int(min(4 * memory, len(s) // 3))
-        window = np.maximum(0.0, 1 - np.arange(bandwidth + 1) / (bandwidth + 1))
-        length, k = transform_length(len(s)), s.shape[1]
-        f = np.fft.rfft(s, length, axis=0)
-        groups = [slice(b, b + 1) for b in range(k)] if len(s) > LONG else [slice(0, k)]
-        for a, group in ((a, group) for a in range(k) for group in groups):
-            lagged = np.fft.irfft(f[:, a : a + 1] * np.conj(f[:, group]), length, axis=0)
-            both = lagged[: bandwidth + 1] * window[:, None]
-            negative = lagged[-bandwidth:][::-1] * window[1:, None] if bandwidth else np.zeros((0, lagged.shape[1]))
-            S[columns[a], columns[group]] += both.sum(0) + negative.sum(0)
+        length = transform_length(len(s))
+        lags = np.zeros(length)  # the weights of all lags, whose products are summed as those of spectra
+        lags[: bandwidth + 1] = 1 - np.arange(bandwidth + 1) / (bandwidth + 1)
+        lags[length - bandwidth :] = lags[bandwidth:0:-1]
+        weights = np.real(rfft(lags)) / length
+        weights[1 : (length + 1) // 2] *= 2  # those of negative frequencies
+        f = rfft(s, length, axis=0, workers=os.cpu_count() or 1)
+        S[np.ix_(columns, columns)] += sum(part.T @ (weights[:, None] * part) for part in (f.real, f.imag))
     values, vectors = np.linalg.eigh((S + S.T) / 2)
     return (vectors * np.maximum(values, 0.0)) @ vectors.T

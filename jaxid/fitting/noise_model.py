@@ -7,6 +7,7 @@ projection off the Jacobian), which is solved for it; an autoregression (Yule an
 
 from __future__ import annotations
 
+import os
 from collections.abc import Sequence
 from dataclasses import dataclass
 
@@ -156,29 +157,39 @@ def _no_larger(noise: Autoregression, variance: float) -> Autoregression:
 
 def _products(a: np.ndarray, b: np.ndarray, order: int) -> np.ndarray:
     """sum_t a_(t - i) . b_(t - j) for i, j = 0 to order, over the samples that have all of them."""
-    n, a, b = len(a), np.ascontiguousarray(a), np.ascontiguousarray(b)
+    n, a, b = len(a), np.ascontiguousarray(a).reshape(len(a), -1), np.ascontiguousarray(b).reshape(len(b), -1)
     lag = lambda x, k: x[order - k : n - k].reshape(-1)  # of one piece of memory: no copies
-    return np.array([[float(lag(a, i) @ lag(b, j)) for j in range(order + 1)] for i in range(order + 1)])
+    found = np.zeros((order + 1, order + 1))
+    found[0] = [lag(a, 0) @ lag(b, j) for j in range(order + 1)]
+    found[1:, 0] = [lag(a, i) @ lag(b, 0) for i in range(1, order + 1)]
+    backwards = lambda x: x[::-1]
+    more = backwards(a[:order]) @ backwards(b[:order]).T  # both lagged once more: a sample more in front, one less at the end
+    less = backwards(a[n - order :]) @ backwards(b[n - order :]).T
+    for i in range(order):
+        found[i + 1, 1:] = found[i, :-1] + (more - less)[i]
+    return found
 
 
 def transform_length(n: int) -> int:
-    """A length of Fourier transforms that holds a series of n samples and all its lags: short where a series is long."""
+    """A short length of Fourier transforms that holds a series of n samples and all its lags."""
     from scipy.fft import next_fast_len
 
-    return 1 << int(np.ceil(np.log2(2 * n + 1))) if n <= LONG else int(next_fast_len(2 * n + 1, real=True) or 0)
+    return int(next_fast_len(2 * n + 1, real=True) or 0)
 
 
 def _correlated(covariance: np.ndarray, x: np.ndarray) -> np.ndarray:
     """The Toeplitz matrix of an autocovariance times x [samples columns]; for memory's sake column by column if long."""
+    from scipy.fft import irfft, rfft
+
     n = len(x)
     if n > LONG and x.shape[1] > 1:
         out = np.empty_like(x)
         for k in range(x.shape[1]):
             out[:, k : k + 1] = _correlated(covariance, x[:, k : k + 1])
         return out
-    length = 1 << int(np.ceil(np.log2(2 * n))) if n <= LONG else transform_length(n)
+    length, cores = transform_length(n), os.cpu_count() or 1
     circle = np.zeros(length)
     circle[:n] = covariance[:n]
     circle[length - n + 1 :] = covariance[1:n][::-1]
-    spectrum = np.fft.rfft(circle)[:, None]
-    return np.fft.irfft(spectrum * np.fft.rfft(x, length, axis=0), length, axis=0)[:n]
+    spectrum = rfft(circle)[:, None] * rfft(x, length, axis=0, workers=cores)
+    return irfft(spectrum, length, axis=0, workers=cores)[:n]

@@ -1,4 +1,4 @@
-"""Threads that compute as their caller would: JAX's settings belong to a thread, and a pool's threads begin without them."""
+"""Threads that compute as their caller would: JAX's and NumPy's settings belong to a thread."""
 
 from __future__ import annotations
 
@@ -8,6 +8,7 @@ from concurrent.futures import Future, ThreadPoolExecutor
 from typing import Any, TypeVar
 
 import jax
+import numpy as np
 
 from jaxid.numerics.precision import float64
 
@@ -27,13 +28,14 @@ def default_platform() -> str:
 
 
 class Pool:
-    """Threads, one per core or so many; jobs run in float64 on the device that is the default where they are handed in."""
+    """Threads, one per core or so many; jobs run in float64, with the default device and NumPy's warnings as they are set where
+    they are handed in."""
 
     def __init__(self, name: str, size: int | None = None):
         self._threads = ThreadPoolExecutor(max_workers=size or os.cpu_count() or 1, thread_name_prefix=f"jaxid-{name}")
 
     def submit(self, job: Callable[..., T], *args: Any) -> Future[T]:
-        return self._threads.submit(_on, default_device(), job, *args)
+        return self._threads.submit(_on, default_device(), np.geterr(), job, *args)
 
     def map(self, job: Callable[..., T], items: Iterable[Any]) -> Iterator[T]:
         """Results in the items' order; all are handed in at once."""
@@ -45,6 +47,6 @@ class Pool:
         self._threads.shutdown(wait=True)
 
 
-def _on(device: Any, job: Callable[..., T], *args: Any) -> T:
-    with float64(), jax.default_device(device):
+def _on(device: Any, warnings: Any, job: Callable[..., T], *args: Any) -> T:
+    with float64(), jax.default_device(device), np.errstate(**warnings):
         return job(*args)
