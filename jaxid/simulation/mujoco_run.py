@@ -47,6 +47,7 @@ class MujocoRobot:
         spec = self._of_tree(tree, law) if path.suffix.lower() == ".urdf" else self._of_file(path)
         for joint in held:
             spec.joint(joint).armature = HELD
+        self.spec = spec
         self.continuous = law is not None and law.period <= 0 and law.kind == "pd"
         if law is not None and self.continuous:
             self._drive(spec, joints, law)

@@ -128,14 +128,14 @@ def diagnose_led(
     stated = None if between is None or doubted else AsStated(bench, study, kinds, between)
     strange = not_this_file(plain, between, simulated)
     by_itself = strange or (stated is not None and stated.stands)
-    bare, sets = (Proposal((), (), plain.theta), []) if by_itself else proposals(study, max_effects)
-    names = kinds_of([*sets, *(c.proposal for c in (stated.changes if stated else ()))])
-    road = _Road(plain.layout.names, bare, seed, began, progress)
+    near = plain.theta if by_itself else study.theta
+    road = _Road(plain.layout.names, Proposal((), (), near), seed, began, progress)
+    alone = kinds_of([c.proposal for c in stated.changes]) if stated is not None else []
     if stated is not None:
-        stated.ask(lambda floor: made(with_floor(with_kinds(names), floor)), progress)
+        stated.ask(lambda floor: made(with_floor(with_kinds(alone), floor)), progress)
 
     if stated is not None and stated.explains:
-        taken, doubts = stated.difference, stated.doubts
+        names, taken, doubts = alone, stated.difference, stated.doubts
         own = with_floor(with_kinds(names), taken.floor, doubts)
         found = answer(own, names if stated.lacks else (), lambda b, offer: road(taken.off(b), offer, stated.decided), step)
         found = replace(found, which=replace(found.which, text=f"{found.which.text} {stated.said()}".strip()))
@@ -144,7 +144,9 @@ def diagnose_led(
         found = answer(plain, (), lambda bench, offer: road(bench, offer, with_sets([])), step)
         found = replace(found, which=replace(found.which, text=f"{found.which.text} {strange}"))
     else:
-        wide, limit = with_floor(with_kinds(names), apart, doubts), Limit()
+        road.bare, sets = proposals(study, max_effects)
+        names, limit = kinds_of(sets), Limit()
+        wide = with_floor(with_kinds(names), apart, doubts)
         found = answer(wide, names, lambda bench, offer: road(bench, offer, with_sets(sets, limit), series), step)
         if found.which.verdict == "unknown" and limit.reached and between is not None:
             # No effect is borne out, and what two simulators of the file as it stands differ by accounts for what is left.
