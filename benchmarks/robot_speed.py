@@ -209,9 +209,9 @@ def in_processes(dataset: Path, file: Path | None, cache: Path) -> tuple[dict[st
     one = [sys.executable, __file__, "one", str(dataset), *([str(file)] if file else [])]
     runs = [subprocess.run(one, env=environment, capture_output=True, text=True, check=True) for _ in range(2)]
     cold, warm = (json.loads(r.stdout.splitlines()[-1]) for r in runs)
-    command = [sys.executable, "-m", "jaxid", "diagnose", str(dataset), *(["--model", str(file)] if file else [])]
+    command = [sys.executable, "-m", "jaxid.cli.app", "diagnose", str(dataset), *(["--model", str(file)] if file else [])]
     began = time.perf_counter()
-    subprocess.run([*command, "--out", str(cache / "page")], env=environment, capture_output=True, check=False)
+    subprocess.run([*command, "--out", str(cache / "page")], env=environment, capture_output=True, check=True)
     return cold, warm, time.perf_counter() - began
 
 
