@@ -3,7 +3,7 @@
 Arms of `benchmarks/blind_robots.py` with Stribeck friction withheld at one joint, three joints for 20 s at 500 Hz and seven for
 60 s at 250 Hz, and two real recordings. Each diagnosis runs in a process of its own: with no compiled programs on disk, with
 them, and as the whole command with its page. `mujoco.sysid` gets the file's numbers that jaxid re-tunes (centres of mass,
-armature, damping, dry friction, and the law's gains where they are asked for), jaxid's bounds, the same runs and no effect.
+armature, damping, dry friction, and the law's gains where they are asked for), jaxid's bounds, the same fit runs and no effect.
 
     python benchmarks/robot_speed.py [NAME ...]
 """
@@ -38,7 +38,7 @@ import jaxid  # noqa: E402
 DATA = Path(os.environ.get("JAXID_DATA", Path(__file__).resolve().parents[2] / "shared" / "data"))
 #: Joints, seconds, rate in Hz.
 ARMS = {"arm of 3 joints": (3, 20.0, 500.0), "arm of 7 joints": (7, 60.0, 250.0)}
-REAL = {"go2_chirp": "12 joints, 23.5 s at 500 Hz", "so101_chirps": "6 joints, 120 s at 50 Hz"}
+REAL = {"go2_chirp": "12 joints, 23.5 s at 200 Hz", "so101_chirps": "6 joints, 120 s at 50 Hz"}
 LONGEST_S = 600.0
 
 
@@ -140,7 +140,7 @@ def by_mujoco(dataset: Path, file: Path | None, longest_s: float = LONGEST_S) ->
     def series(e: Any) -> tuple[Any, Any, Any]:
         state = robot.mj.MjData(model)
         y = e.y[:, b.chain.joint_outputs]
-        first = slice(0, max(2, len(y) // 100))
+        first = slice(0, 5)
         at, dof = map(np.array, zip(*(robot.address(j) for j in joints), strict=True))
         state.qpos[at], state.qvel[dof] = y[0], 0.0 if e.at_rest else np.polyfit(e.t[first], y[first], 1)[0]
         u = np.zeros((len(e.t), model.nu))
@@ -161,7 +161,7 @@ def by_mujoco(dataset: Path, file: Path | None, longest_s: float = LONGEST_S) ->
         parameters.add(sysid.Parameter(name, nominal=start, min_value=low, max_value=high, modifier=modifier))
         told.append(name)
     parameters.move_off_bounds()
-    fitted = [*b.experiments("fit"), *b.experiments("validation")]
+    fitted = b.experiments("fit")
     begins, controls, seen = zip(*(series(e) for e in fitted), strict=True)
     names = [f"run {k}" for k in range(len(fitted))]
     sequences = sysid.ModelSequences("robot", spec, names, list(begins), list(controls), list(seen), allow_missing_sensors=True)
@@ -192,13 +192,13 @@ def by_mujoco(dataset: Path, file: Path | None, longest_s: float = LONGEST_S) ->
         change[kind](spec, place, float(value))
     robot.model = spec.compile()
     drive, left = Driven("goal" if law is None else "law", law, robot), []
-    for e in b.experiments("report"):
+    for cut, e in ((len(e.t), e.whole) for e in b.experiments("report")):  # from where a recording begins, at rest if it can be
         begin, _, _ = series(e)
         state = robot.mj.MjData(robot.model)
         state.qpos[:], state.qvel[:] = begin[1 : 1 + robot.model.nq], begin[1 + robot.model.nq :][: robot.model.nv]
         at, dof = map(np.array, zip(*(robot.address(j) for j in joints), strict=True))
         y = robot.run(joints, e.t, e.u[:, columns], linear, drive, state.qpos[at], state.qvel[dof])
-        left.append(e.y[:, b.chain.joint_outputs] - y)
+        left.append((e.y[:, b.chain.joint_outputs] - y)[-cut:])
     rms = float(np.sqrt(np.mean(np.concatenate(left) ** 2)))
     return {"seconds": seconds, "numbers": len(told), "rms": rms, "stopped": stopped}
 

@@ -203,9 +203,9 @@ def long_run(scores: list[tuple[list[int], np.ndarray]], n: int, memory: int) ->
         lags = np.zeros(length)  # the weights of all lags, whose products are summed as those of spectra
         lags[: bandwidth + 1] = 1 - np.arange(bandwidth + 1) / (bandwidth + 1)
         lags[length - bandwidth :] = lags[bandwidth:0:-1]
-        weights = np.real(rfft(lags)) / length
+        weights = np.real(np.asarray(rfft(lags))) / length
         weights[1 : (length + 1) // 2] *= 2  # those of negative frequencies
-        f = rfft(s, length, axis=0, workers=os.cpu_count() or 1)
-        S[np.ix_(columns, columns)] += sum(part.T @ (weights[:, None] * part) for part in (f.real, f.imag))
+        f = np.asarray(rfft(s, length, axis=0, workers=os.cpu_count() or 1))
+        S[np.ix_(columns, columns)] += sum(part.T @ (weights[:, None] * part) for part in (np.real(f), np.imag(f)))
     values, vectors = np.linalg.eigh((S + S.T) / 2)
     return (vectors * np.maximum(values, 0.0)) @ vectors.T

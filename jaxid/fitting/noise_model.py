@@ -191,5 +191,5 @@ def _correlated(covariance: np.ndarray, x: np.ndarray) -> np.ndarray:
     circle = np.zeros(length)
     circle[:n] = covariance[:n]
     circle[length - n + 1 :] = covariance[1:n][::-1]
-    spectrum = rfft(circle)[:, None] * rfft(x, length, axis=0, workers=cores)
-    return irfft(spectrum, length, axis=0, workers=cores)[:n]
+    spectrum = np.asarray(rfft(circle))[:, None] * np.asarray(rfft(x, length, axis=0, workers=cores))
+    return np.asarray(irfft(spectrum, length, axis=0, workers=cores))[:n]

@@ -57,6 +57,8 @@ SETTLED = (
 WORDS = {"zero": "held", "linear": "along straight lines"}
 
 
+#: So many refits, about, tell what single change of a file explains a recording.
+REFITS = 20
 #: Steps of all free runs of one linearisation beyond which simulations are not worth their time.
 DEAR = 4e6
 
@@ -72,6 +74,13 @@ def led(chain: Chain) -> bool:
     """Whether goals drive a model through a law, with every joint measured."""
     law = getattr(chain.mechanism, "drive_law", None)
     return law is not None and law.kind != "pid" and not chain.mechanism.hidden_states and all_read(chain)
+
+
+def stands(chain: Chain, dataset: Dataset) -> bool:
+    """Whether the numbers of a model stand until they are doubted: the dataset asks for none of its law, and knows none of the
+    others only so well."""
+    stated = dataset.model.parameters.values() if dataset.model is not None else ()
+    return not chain.mechanism.known() and all(p.prior is None for p in stated)
 
 
 def begin_simulations(binding: Binding) -> float:
@@ -123,9 +132,7 @@ def diagnose_led(
     left = sorted(k.name for k in library if not shown(k))
     notes.append(f"{asked}; not asked, for they have a motion of their own: {listed(left) or 'none'}")
 
-    # Where the dataset asks for numbers of the law, or knows others only so well, nobody says that they stand.
-    doubted = plain.priors or any(plain.layout.names[i] in plain.chain.mechanism.known() for i in plain.free)
-    stated = None if between is None or doubted else AsStated(bench, study, kinds, between)
+    stated = AsStated(bench, study, kinds, between) if between is not None and stands(plain.chain, dataset) else None
     strange = not_this_file(plain, between, simulated)
     by_itself = strange or (stated is not None and stated.stands)
     near = plain.theta if by_itself else study.theta
