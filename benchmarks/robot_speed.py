@@ -172,7 +172,7 @@ def by_mujoco(dataset: Path, file: Path | None, longest_s: float = LONGEST_S) ->
     def residual(x: np.ndarray, p: Any, **more: Any) -> Any:
         found = plain(x, p, **more)
         points = np.asarray(x).reshape(len(told), -1)
-        cost = sum(np.sum(np.asarray(r).reshape(-1, points.shape[1]) ** 2, 0) for r in found[0])
+        cost = np.sum([np.sum(np.asarray(r).reshape(-1, points.shape[1]) ** 2, 0) for r in found[0]], axis=0)
         k = int(np.argmin(np.where(np.isfinite(cost), cost, np.inf)))
         if cost[k] < best[0]:
             best[:] = cost[k], points[:, k].copy()
