@@ -31,6 +31,7 @@ LAYERS = (
     ("api",),
     ("hardware", "study"),
     ("cli",),
+    ("__main__",),
 )
 LEVEL = {name: level for level, names in enumerate(LAYERS) for name in names}
 #: Methods by which a result shows, exports and saves itself, and those by which a dataset is made: a class is where a user looks

@@ -249,3 +249,9 @@ def test_what_is_built(tmp_path):
     assert result.returncode == 0, result.stderr
     package, models, entries = result.stdout.split()
     assert package.startswith(str(installed)) and models.startswith(str(installed)) and entries == "1"
+
+
+def test_the_module_is_the_command():
+    """`python -m jaxid`, where the script is not on the path."""
+    run = subprocess.run([sys.executable, "-m", "jaxid", "--version"], capture_output=True, text=True, check=True)
+    assert run.stdout.strip() == f"jaxid, version {jaxid.__version__}"
