@@ -3,7 +3,8 @@
 Arms of `benchmarks/blind_robots.py` with Stribeck friction withheld at one joint, three joints for 20 s at 500 Hz and seven for
 60 s at 250 Hz, and two real recordings. Each diagnosis runs in a process of its own: with no compiled programs on disk, with
 them, and as the whole command with its page. `mujoco.sysid` gets the file's numbers that jaxid re-tunes (centres of mass,
-armature, damping, dry friction, and the law's gains where they are asked for), jaxid's bounds, the same fit runs and no effect.
+armature, damping, dry friction, and the law's gains where they are asked for), jaxid's bounds, the fit runs and those
+validation runs that are recordings of their own, and no effect.
 
     python benchmarks/robot_speed.py [NAME ...]
 """
@@ -161,7 +162,7 @@ def by_mujoco(dataset: Path, file: Path | None, longest_s: float = LONGEST_S) ->
         parameters.add(sysid.Parameter(name, nominal=start, min_value=low, max_value=high, modifier=modifier))
         told.append(name)
     parameters.move_off_bounds()
-    fitted = b.experiments("fit")
+    fitted = [*b.experiments("fit"), *(e for e in b.experiments("validation") if e.past is None)]
     begins, controls, seen = zip(*(series(e) for e in fitted), strict=True)
     names = [f"run {k}" for k in range(len(fitted))]
     sequences = sysid.ModelSequences("robot", spec, names, list(begins), list(controls), list(seen), allow_missing_sensors=True)
