@@ -1,6 +1,6 @@
 """Robots under goals: how long a diagnosis takes, and `mujoco.sysid` beside it, fitting the same numbers to the same log.
 
-Arms of `benchmarks/blind_robots.py` with Stribeck friction withheld at one joint, three joints for 20 s at 500 Hz and seven for
+Arms of `benchmarks/robot_arms.py` with Stribeck friction withheld at one joint, three joints for 20 s at 500 Hz and seven for
 60 s at 250 Hz, and two real recordings. Each diagnosis runs in a process of its own: with no compiled programs on disk, with
 them, and as the whole command with its page. `mujoco.sysid` gets the file's numbers that jaxid re-tunes (centres of mass,
 armature, damping, dry friction, and the law's gains where they are asked for), jaxid's bounds, the fit runs and those
@@ -46,15 +46,15 @@ LONGEST_S = 600.0
 
 def twin(name: str, folder: Path) -> tuple[Path, Path]:
     """Dataset and file of an arm that lacks Stribeck friction at one joint."""
-    from benchmarks import blind_robots as blind
+    from benchmarks import robot_arms as arms
 
     n, seconds, rate = ARMS[name]
     rng = np.random.default_rng([7, n])
-    arm = blind.Arm.drawn(rng, n)
-    real, j, beside = blind.withheld(arm, "stribeck_friction", rng)
-    u = blind.goals(n, seconds, rng, rate)
-    q = blind.recorded(real, "stribeck_friction", j, beside, u, rng, rate)
-    jaxid.save_dataset(blind.dataset({"arm": arm, "u": u, "q": q, "rate": rate}), folder / "log")
+    arm = arms.Arm.drawn(rng, n)
+    real, j, beside = arms.withheld(arm, "stribeck_friction", rng)
+    u = arms.goals(n, seconds, rng, rate)
+    q = arms.recorded(real, "stribeck_friction", j, beside, u, rng, rate)
+    jaxid.save_dataset(arms.dataset({"arm": arm, "u": u, "q": q, "rate": rate}), folder / "log")
     (folder / "arm.xml").write_text(arm.xml())
     return folder / "log", folder / "arm.xml"
 

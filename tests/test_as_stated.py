@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 import jaxid
-from benchmarks.blind_robots import Arm, dataset, goals, RATE, recorded
+from benchmarks.robot_arms import Arm, dataset, goals, RATE, recorded
 from jaxid.diagnosis.goals.as_stated import by_its_steps, Difference, difference
 from jaxid.diagnosis.goals.floor import between_simulators
 from jaxid.diagnosis.goals.run import loop_step

@@ -149,25 +149,29 @@ def interval_of_further_run(before: HeldOut, after: HeldOut) -> tuple[tuple[floa
 
     Student's prediction interval. Eight runs or more are its samples: now and then a run goes where errors grow a thousandfold,
     which shows between runs and not within one, so shares left are taken as the inverse hyperbolic sine, whose linear part is
-    what noise alone scatters. Of fewer runs it is blocks; a free run drifts, its error is one slow curve, so they are twice as
-    long as the residual's memory (the longer of both).
+    what noise alone scatters. Of fewer runs it is blocks of what each sample moves the share by (its influence); a free run
+    drifts, its error is one slow curve, so they are twice as long as the memory of that and of the residual with the effect.
+    What the model had left before may be slower than both: where nothing of it is left that says nothing.
     """
     if len(after.residual) >= BLOCKS:
         squares = lambda held: np.array([np.mean(r**2) for r in held.residual])
         return _from_runs(squares(before), squares(after), after.count), "runs", ""
-    length = 2 * max(memory(before.residual), memory(after.residual))
-    blocks = np.array([
-        (np.mean(a[k : k + length] ** 2), np.mean(b[k : k + length] ** 2))
-        for a, b in zip(before.residual, after.residual, strict=True)
-        for k in range(0, len(a) - length + 1, length)
-    ])  # fmt: skip
-    if len(blocks) < BLOCKS:
+    above = lambda held: [np.mean(r**2, axis=1, keepdims=True) - 1 for r in held.residual]
+    a, b = above(before), above(after)
+    gap = max(float(np.mean(np.concatenate(a))), 1e-9)
+    left = float(np.mean(np.concatenate(b))) / gap
+    own = [(y - left * x) / gap for x, y in zip(a, b, strict=True)]
+    length = 2 * max(memory(own), memory(after.residual))
+    blocks = np.array([np.mean(x[k : k + length]) for x in own for k in range(0, len(x) - length + 1, length)])
+    n = len(blocks)
+    if n < BLOCKS:
         reason = (
             f"no interval: residuals remember themselves for {length // 2} samples, so the report data hold only "
-            f"{len(blocks)} independent {'block' if len(blocks) == 1 else 'blocks'} and {BLOCKS} are needed"
+            f"{n} independent {'block' if n == 1 else 'blocks'} and {BLOCKS} are needed"
         )
         return None, "", reason
-    return _from_blocks(blocks[:, 0], blocks[:, 1], len(blocks) / len(after.residual)), "blocks", ""
+    reach = float(stdtrit(n - 1, 0.975) * np.sqrt(len(own) / n + 1 / n) * blocks.std(ddof=1))
+    return (1 - left - reach, 1 - left + reach), "blocks", ""
 
 
 def _from_runs(before: np.ndarray, after: np.ndarray, samples: int) -> tuple[float, float]:
@@ -180,12 +184,3 @@ def _from_runs(before: np.ndarray, after: np.ndarray, samples: int) -> tuple[flo
     reach = stdtrit(n - 1, 0.975) * np.sqrt(1 + 1 / n) * left.std(ddof=1)
     low, high = np.sinh(np.clip([left.mean() - reach, left.mean() + reach], -300.0, 300.0)) * scale
     return float(1 - high), float(1 - low)
-
-
-def _from_blocks(before: np.ndarray, after: np.ndarray, per_run: float) -> tuple[float, float]:
-    """From mean squares of blocks, for a run of so many of them."""
-    n, gap = len(after), max(float(np.mean(before - 1)), 1e-9)
-    left = float(np.mean(after - 1)) / gap
-    own = ((after - 1) - left * (before - 1)) / gap
-    reach = float(stdtrit(n - 1, 0.975) * np.sqrt(1 / per_run + 1 / n) * own.std(ddof=1))
-    return 1 - left - reach, 1 - left + reach

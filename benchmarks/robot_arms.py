@@ -1,0 +1,235 @@
+"""Arms of random MJCF files with one effect that the file has not, simulated by MuJoCo under position goals."""
+
+from __future__ import annotations
+
+from copy import deepcopy
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+
+import jaxid
+
+
+RATE, STEP = 500, 1e-3
+NOISE = 1e-4  # of an encoder, rad
+KINDS = (
+    "none", "frictionloss", "armature", "input_delay", "torque_scale", "stribeck_friction", "payload", "sensor_bias",
+    "constant_torque", "saturation", "gravity_offset", "backlash",
+)  # fmt: skip
+
+
+@dataclass
+class Arm:
+    """An arm as its file states it: one row for each joint."""
+
+    axes: list[str]
+    length: np.ndarray
+    mass: np.ndarray
+    armature: np.ndarray
+    damping: np.ndarray
+    frictionloss: np.ndarray
+    kp: np.ndarray
+    kv: np.ndarray
+    limit: np.ndarray
+    more: dict[str, Any] = field(default_factory=dict)  # what the recorded arm has beyond its file
+
+    @classmethod
+    def drawn(cls, rng: np.random.Generator, n: int | None = None) -> Arm:
+        n = n or int(rng.integers(2, 4))
+        axes = [str(rng.choice(["0 1 0", "0 1 0", "1 0 0", "0 0 1"])) for _ in range(n)]
+        axes[0], axes[1] = "0 1 0", axes[1] if n > 2 else "0 1 0"
+        between = lambda low, high: rng.uniform(low, high, n)
+        outer = np.arange(n)[::-1] + 1.0
+        kp = between(20, 40) * outer
+        return cls(axes, between(0.15, 0.3), between(0.2, 0.6), between(0.01, 0.04) * outer, between(0.3, 0.8) * outer,
+                   between(0.03, 0.1) * outer, kp, 0.02 * kp, 0.8 * kp)  # fmt: skip
+
+    @property
+    def n(self) -> int:
+        return len(self.axes)
+
+    def xml(self, play: int | None = None) -> str:
+        """`play`: the joint that has a second hinge with play."""
+        tilt = self.more.get("tilt", (0.0, 0.0))
+        open_, close = "", ""
+        for k in range(self.n):
+            m, c = self.mass[k], np.array([self.length[k] / 2, 0.0, 0.0])
+            load, at = self.more.get("payload", {}).get(k, (0.0, np.zeros(3)))
+            total = m + load
+            com = (m * c + load * np.asarray(at)) / total
+            I = m * self.length[k] ** 2 / 12
+            apart = [(m, c - com), (load, np.asarray(at) - com)]
+            inertia = np.diag([0.1 * I + 1e-5, I, I]) + sum(w * (d @ d * np.eye(3) - np.outer(d, d)) for w, d in apart)
+            full = [inertia[0, 0], inertia[1, 1], inertia[2, 2], inertia[0, 1], inertia[0, 2], inertia[1, 2]]
+            place = f"{self.length[k - 1]} 0 0" if k else "0 0 0.2"
+            numbers = " ".join(f"{v:.9g}" for v in full)
+            own = (f'<joint name="j{k + 1}" axis="{self.axes[k]}" armature="{self.armature[k]}" damping="{self.damping[k]}" '
+                   f'frictionloss="{self.frictionloss[k]}"/>')  # fmt: skip
+            body = f'<inertial pos="{" ".join(f"{v:.9g}" for v in com)}" mass="{total}" fullinertia="{numbers}"/>'
+            if play == k:
+                open_ += (f'<body name="r{k + 1}" pos="{place}">{own}'
+                          '<inertial pos="0 0 0" mass="1e-3" diaginertia="1e-6 1e-6 1e-6"/>'
+                          f'<body name="l{k + 1}"><joint name="play" axis="{self.axes[k]}" limited="true" '
+                          f'range="-{self.more["play"]} {self.more["play"]}" damping="0.01" armature="1e-4"/>{body}')  # fmt: skip
+                close = "</body></body>" + close
+            else:
+                open_ += f'<body name="l{k + 1}" pos="{place}">{own}{body}'
+                close = "</body>" + close
+        acts = "".join(f'<position name="a{k + 1}" joint="j{k + 1}" kp="{self.kp[k]}" kv="{self.kv[k]}" '
+                       f'forcerange="-{self.limit[k]} {self.limit[k]}"/>' for k in range(self.n))  # fmt: skip
+        g = 9.81 * np.array([np.sin(tilt[1]), -np.sin(tilt[0]) * np.cos(tilt[1]), -np.cos(tilt[0]) * np.cos(tilt[1])])
+        option = f'<option timestep="{STEP}" integrator="implicitfast" gravity="{" ".join(f"{v:.9g}" for v in g)}"/>'
+        firm = f'<default><joint solreffriction="{2 * STEP} 1" solimpfriction=".99 .9999 .001"/></default>'
+        return (f'<mujoco model="arm"><compiler angle="radian"/>{option}{firm}<worldbody>{open_}{close}</worldbody>'
+                f"<actuator>{acts}</actuator></mujoco>")  # fmt: skip
+
+
+def withheld(arm: Arm, kind: str, rng: np.random.Generator) -> tuple[Arm, int, dict[str, Any]]:
+    """The arm that is recorded, the joint of the effect, and what acts beside MuJoCo's own model."""
+    real, j = deepcopy(arm), int(rng.integers(arm.n))
+    beside: dict[str, Any] = {}
+    if kind == "frictionloss":
+        real.frictionloss[j] *= 2
+    elif kind == "armature":
+        real.armature[j] *= 2
+    elif kind == "torque_scale":
+        real.kp[j] *= 0.85
+        real.kv[j] *= 0.85
+        real.limit[j] *= 0.85
+    elif kind == "saturation":
+        beside["clip"] = rng.uniform(0.5, 0.7)
+    elif kind == "payload":
+        j = arm.n - 1
+        real.more["payload"] = {j: (0.5 * arm.mass[j], np.array([arm.length[j], 0.0, 0.0]))}
+    elif kind == "gravity_offset":
+        j = 0
+        real.more["tilt"] = (0.0, float(rng.choice([-1, 1]) * rng.uniform(0.04, 0.08)))
+    elif kind == "input_delay":
+        beside["delay"] = rng.uniform(0.006, 0.015)
+    elif kind == "stribeck_friction":
+        beside["extra"], beside["speed"] = float(2 * arm.frictionloss[j]), rng.uniform(0.1, 0.3)
+    elif kind == "sensor_bias":
+        beside["bias"] = float(rng.choice([-1, 1]) * rng.uniform(0.04, 0.08))
+    elif kind == "constant_torque":
+        beside["torque"] = float(rng.choice([-1, 1]) * rng.uniform(0.5, 1.0) * 0.03 * arm.kp[j])
+    elif kind == "backlash":
+        real.more["play"] = 0.01
+    return real, j, beside
+
+
+def goals(n: int, seconds: float, rng: np.random.Generator, rate: float = RATE) -> np.ndarray:
+    """[time n] sums of sines up to 2 Hz that begin at 0."""
+    t = np.arange(round(seconds * rate)) / rate
+    out = np.zeros((len(t), n))
+    for k in range(n):
+        f = rng.uniform(0.1, 2.0, 5)
+        out[:, k] = sum(a * (np.sin(2 * np.pi * x * t + p) - np.sin(p))
+                        for x, a, p in zip(f, 0.25 / np.sqrt(1 + (2 * f) ** 2), rng.uniform(0, 6.3, 5), strict=True))  # fmt: skip
+    return out * np.minimum(1.0, t[:, None])
+
+
+def recorded(
+    arm: Arm,
+    kind: str,
+    j: int,
+    beside: dict[str, Any],
+    u: np.ndarray,
+    rng: np.random.Generator,
+    rate: float = RATE,
+    noise: float = NOISE,
+) -> np.ndarray:
+    """What the encoders read [time n] under goals [time n]."""
+    import mujoco
+
+    mj: Any = mujoco
+    m = mj.MjModel.from_xml_string(arm.xml(j if kind == "backlash" else None))
+    d = mj.MjData(m)
+    adr = [int(m.joint(f"j{k + 1}").qposadr[0]) for k in range(arm.n)]
+    dof = [int(m.joint(f"j{k + 1}").dofadr[0]) for k in range(arm.n)]
+    bias = np.zeros(arm.n)
+    bias[j] = beside.get("bias", 0.0)
+    if "top" in beside:
+        m.actuator_forcerange[j] = -beside["top"], beside["top"]
+    late = beside.get("delay", 0.0)
+    t = np.arange(len(u)) / rate
+    per, out = round(1 / rate / STEP), np.empty_like(u)
+    for k in range(len(u)):
+        for part in range(per):
+            goal = u[k].copy()
+            if late:
+                now = t[k] + part * STEP - late
+                goal[j] = u[max(0, int(np.floor(now * rate + 1e-9))), j] if now >= 0 else u[0, j]
+            d.ctrl[:] = goal - bias  # the law sees what the encoder reads
+            if "torque" in beside:
+                d.qfrc_applied[dof[j]] = beside["torque"]
+            if "extra" in beside:
+                v = d.qvel[dof[j]] / beside["speed"]
+                m.dof_frictionloss[dof[j]] = arm.frictionloss[j] + beside["extra"] * np.exp(-(v**2))
+            if part == 0:
+                out[k] = d.qpos[adr] + bias
+            mj.mj_step(m, d)
+    return out + noise * rng.standard_normal(out.shape)
+
+
+def limited(arm: Arm, j: int, beside: dict[str, Any], u: np.ndarray, rng: np.random.Generator) -> dict[str, Any]:
+    """`beside` with the most torque that a drive gives which gives less than the file says: a share of what a motion asks for."""
+    if "clip" not in beside:
+        return beside
+    free = recorded(arm, "none", j, {}, u, rng)
+    asked = arm.kp[j] * (u[:, j] - free[:, j]) - arm.kv[j] * np.gradient(free[:, j], 1 / RATE)
+    return beside | {"top": beside["clip"] * float(np.abs(asked).max())}
+
+
+def case(seed: int, number: int, seconds: float, off: float = 0.0, more: float = 0.0) -> dict[str, Any]:
+    """A case with its key: file, goals, readings. `off`: the share by which armature, damping and dry friction of the file are
+    wrong at most; `more` seconds of the motion that goes on."""
+    rng = np.random.default_rng([seed, number])
+    kind = KINDS[number % len(KINDS)]
+    arm = Arm.drawn(rng)
+    real, j, beside = withheld(arm, kind, rng)
+    wrong = np.random.default_rng([seed, number, 1])
+    for numbers in (real.armature, real.damping, real.frictionloss):
+        numbers *= 1 + off * wrong.uniform(-1, 1, arm.n)
+    u = goals(arm.n, seconds + more, rng)
+    beside = limited(real, j, beside, u[: round(seconds * RATE)], rng)
+    return {"kind": kind, "joint": f"j{j + 1}", "beside": beside, "arm": arm, "u": u,
+            "q": recorded(real, kind, j, beside, u, rng)}  # fmt: skip
+
+
+def dataset(c: dict[str, Any]) -> jaxid.Dataset:
+    n = c["arm"].n
+    t = np.arange(len(c["u"])) / c.get("rate", RATE)
+    joints = [f"j{k + 1}" for k in range(n)]
+    return jaxid.Dataset.from_arrays(
+        t, {f"{j}_cmd": c["u"][:, k] for k, j in enumerate(joints)}, {j: c["q"][:, k] for k, j in enumerate(joints)},
+        units={x: "rad" for j in joints for x in (j, f"{j}_cmd")}, check_model=False,
+    )  # fmt: skip
+
+
+def as_named(arm: Arm, found: Any) -> tuple[Arm, str, int, dict[str, Any]] | None:
+    """The arm with the one effect that a diagnosis names written into it, as `withheld` gives it; None where it names none or
+    several, or what the simulation of this benchmark has not."""
+    if found.which.verdict != "named" or len(found.which.effects) != 1:
+        return None
+    e, real = found.which.effects[0], deepcopy(arm)
+    p = {name: x.value for name, x in e.parameters.items()}
+    j = 0 if e.effect == "gravity_offset" else int(e.location.split("_")[0][1:]) - 1
+    beside: dict[str, Any] = {}
+    if e.effect == "torque_scale":
+        for numbers in (real.kp, real.kv, real.limit):
+            numbers[j] *= 1 + p["gain"]
+    elif e.effect == "payload":
+        end = arm.length[j] * (0.5 if j == arm.n - 1 else 1.0)  # from the next joint, else from the link's centre of mass
+        real.more["payload"] = {j: (p["mass"], np.array([end + p.get("dx", 0.0), p.get("dy", 0.0), p.get("dz", 0.0)]))}
+    elif e.effect == "gravity_offset":
+        real.more["tilt"] = (0.0, p["tilt"])
+    elif e.effect in ("input_delay", "sensor_bias", "constant_torque", "stribeck_friction", "saturation"):
+        beside = {"top" if name == "limit" else name: value for name, value in p.items()}
+        if "torque" in p:
+            beside["torque"] = -p["torque"]  # as friction, against the motion
+        if "delay" in p:  # goals wait for a step to begin
+            beside["delay"] = round(p["delay"] / STEP) * STEP
+    else:
+        return None
+    return real, e.effect, j, beside
