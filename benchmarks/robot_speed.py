@@ -4,8 +4,8 @@ Arms of `benchmarks/robot_arms.py` with Stribeck friction withheld at one joint,
 60 s at 250 Hz, and two real recordings. Each diagnosis runs in a process of its own: with no compiled programs on disk, with
 them, and as the whole command with its page. `mujoco.sysid` gets the file's numbers that jaxid re-tunes (centres of mass,
 armature, damping, dry friction, and the law's gains where they are asked for), jaxid's bounds, the fit runs and those
-validation runs that are recordings of their own, and no effect. How the samples of its rollout lie against those of the log was
-not checked: a step of 1 ms passes for about what it leaves of the arms, so that column is no verdict on the tool.
+validation runs that are recordings of their own, and no effect; times of the log one step later, for its rollout gives what a
+sensor reads as a step begins the time at which the step ends.
 
     python benchmarks/robot_speed.py [NAME ...]
 """
@@ -149,7 +149,8 @@ def by_mujoco(dataset: Path, file: Path | None, longest_s: float = LONGEST_S) ->
         u[:, acts] = e.u[:, columns]
         t, u = (e.t - e.t[0], u) if any(linear) else _held(e.t, u, model.opt.timestep)
         begin = sysid.create_initial_state(model, state.qpos, state.qvel, state.act)
-        return begin, sysid.TimeSeries(t, u), sysid.TimeSeries.from_names(e.t - e.t[0], y, model, list(joints))
+        seen = e.t - e.t[0] + model.opt.timestep  # what it reads as a step begins it gives the time at which that ends
+        return begin, sysid.TimeSeries(t, u), sysid.TimeSeries.from_names(seen, y, model, list(joints))
 
     change, parameters, told = _changes(robot, tree), sysid.ParameterDict(), []
     for i in b.free:

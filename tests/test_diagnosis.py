@@ -479,8 +479,34 @@ def test_an_interval_needs_blocks():
     interval, made_of, reason = interval_of_further_run(HeldOut([10 * white], [white], 100.0, 4000), held)
     assert (made_of, reason) == ("blocks", "") and interval is not None
     assert interval[0] < shrink(100.0 * float(np.mean(white**2)), float(np.mean(white**2))) < interval[1]
-    interval, made_of, reason = interval_of_further_run(HeldOut([slow[:300]], [slow[:300]], 1.0, 300), held)
+    short = HeldOut([slow[:300]], [slow[:300]], 1.0, 300)
+    interval, made_of, reason = interval_of_further_run(HeldOut([10 * slow[:300]], [slow[:300]], 100.0, 300), short)
     assert interval is None and not made_of and "blocks" in reason
+
+
+@pytest.mark.parametrize("left", [0.0, 0.3])
+def test_an_interval_holds_where_the_model_before_is_wrong_for_long(left):
+    """What was left before is one slow curve of which a report run holds few independent parts. Where the effect leaves none of
+    it the interval knows enough; where it leaves a share, that is as slow, and there may be none."""
+    rng = np.random.default_rng(5)
+    kernel = np.ones(100) / 10
+
+    def run() -> tuple[np.ndarray, np.ndarray]:
+        curve = np.convolve(rng.normal(size=1500), kernel, "valid")[:, None]
+        noise = rng.normal(size=curve.shape)
+        return 30 * curve + noise, left * 30 * curve + noise
+
+    hits, none = [], 0
+    for _ in range(40):
+        before, after = run()
+        held = lambda r: HeldOut([r], [r], float(np.mean(r**2)), len(r))
+        interval, _, _ = interval_of_further_run(held(before), held(after))
+        none += interval is None
+        if interval is not None:
+            square = lambda r: float(np.mean(r**2))
+            hits += [interval[0] <= shrink(*map(square, run())) <= interval[1] for _ in range(20)]
+    assert none == 0 if left == 0.0 else 5 < none < 35
+    assert 0.9 < np.mean(hits) < 0.99
 
 
 @pytest.mark.slow

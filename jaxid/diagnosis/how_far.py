@@ -151,7 +151,8 @@ def interval_of_further_run(before: HeldOut, after: HeldOut) -> tuple[tuple[floa
     which shows between runs and not within one, so shares left are taken as the inverse hyperbolic sine, whose linear part is
     what noise alone scatters. Of fewer runs it is blocks of what each sample moves the share by (its influence); a free run
     drifts, its error is one slow curve, so they are twice as long as the memory of that and of the residual with the effect.
-    What the model had left before may be slower than both: where nothing of it is left that says nothing.
+    What the model had left before may be slower than both: where nothing of it is left that says no more than how much a further
+    run's gap may be smaller, by which the interval widens (a logarithmic normal of as much scatter).
     """
     if len(after.residual) >= BLOCKS:
         squares = lambda held: np.array([np.mean(r**2) for r in held.residual])
@@ -170,7 +171,11 @@ def interval_of_further_run(before: HeldOut, after: HeldOut) -> tuple[tuple[floa
             f"{n} independent {'block' if n == 1 else 'blocks'} and {BLOCKS} are needed"
         )
         return None, "", reason
-    reach = float(stdtrit(n - 1, 0.975) * np.sqrt(len(own) / n + 1 / n) * blocks.std(ddof=1))
+    further = (len(a) + 1) / sum(
+        map(len, a)
+    )  # of a mean over a further run about that over these, in units of a sample's variance
+    smaller = float(np.var(np.concatenate(a))) / gap**2 * memory(a) * further
+    reach = float(stdtrit(n - 1, 0.975) * np.sqrt((len(own) + 1) / n) * blocks.std(ddof=1)) * (1 + smaller) ** 1.5
     return (1 - left - reach, 1 - left + reach), "blocks", ""
 
 
