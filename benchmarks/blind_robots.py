@@ -91,7 +91,10 @@ def further(long: dict[str, Any], found: Any, seconds: float) -> list[float] | N
     twice counts once, as in a diagnosis. Where the file's numbers stand MuJoCo runs it with what was named written into it (None
     where MuJoCo here does not have that), else jaxid runs its re-tuned model."""
     arm, joints = long["arm"], [f"j{k + 1}" for k in range(long["arm"].n)]
-    in_mujoco = lambda arm, *what: recorded(arm, *what, long["u"], np.random.default_rng(0), noise=0.0)
+
+    def in_mujoco(arm: Arm, kind: str, j: int, beside: dict[str, Any]) -> np.ndarray:
+        return recorded(arm, kind, j, beside, long["u"], np.random.default_rng(0), noise=0.0)
+
     if any(TAKEN_OFF in note for note in found.notes):
         written = as_named(arm, found)
         if written is None:
