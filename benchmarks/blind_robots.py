@@ -134,13 +134,13 @@ def asked(seed: int, cases: int, seconds: float, only: Sequence[str] = KINDS, of
         try:
             found, spent = answered(c)
             row = score(c, found)
-            if row["interval"]:
-                span = seconds * REPORT
-                row["later"] = further(case(seed, number, seconds, off, FURTHER * span), found, seconds)
         except Exception as error:  # a case that cannot be diagnosed is one that is not right
             row, spent = {"kind": c["kind"], "joint": c["joint"], "verdict": f"failed: {error}"[:200], "named": [], "mates": [],
                           "told": [], "right": False, "wrong": False, "gaps": [], "shrinkage": None,
                           "interval": None}, 0.0  # fmt: skip
+            found = None
+        if found is not None and row["interval"]:
+            row["later"] = further(case(seed, number, seconds, off, FURTHER * REPORT * seconds), found, seconds)
         row |= {"seed": seed, "number": number, "off": off, "joints": c["arm"].n, "seconds": round(spent, 1)}
         RESULTS.parent.mkdir(exist_ok=True)
         with RESULTS.open("a") as f:

@@ -149,8 +149,8 @@ def by_mujoco(dataset: Path, file: Path | None, longest_s: float = LONGEST_S) ->
         u[:, acts] = e.u[:, columns]
         t, u = (e.t - e.t[0], u) if any(linear) else _held(e.t, u, model.opt.timestep)
         begin = sysid.create_initial_state(model, state.qpos, state.qvel, state.act)
-        seen = e.t - e.t[0] + model.opt.timestep  # what it reads as a step begins it gives the time at which that ends
-        return begin, sysid.TimeSeries(t, u), sysid.TimeSeries.from_names(seen, y, model, list(joints))
+        read = e.t - e.t[0] + model.opt.timestep  # what it reads as a step begins it gives the time at which that ends
+        return begin, sysid.TimeSeries(t, u), sysid.TimeSeries.from_names(read, y, model, list(joints))
 
     change, parameters, told = _changes(robot, tree), sysid.ParameterDict(), []
     for i in b.free:

@@ -159,7 +159,8 @@ def interval_of_further_run(before: HeldOut, after: HeldOut) -> tuple[tuple[floa
         return _from_runs(squares(before), squares(after), after.count), "runs", ""
     above = lambda held: [np.mean(r**2, axis=1, keepdims=True) - 1 for r in held.residual]
     a, b = above(before), above(after)
-    gap = max(float(np.mean(np.concatenate(a))), 1e-9)
+    every = np.concatenate(a)
+    gap = max(float(np.mean(every)), 1e-9)
     left = float(np.mean(np.concatenate(b))) / gap
     own = [(y - left * x) / gap for x, y in zip(a, b, strict=True)]
     length = 2 * max(memory(own), memory(after.residual))
@@ -171,10 +172,8 @@ def interval_of_further_run(before: HeldOut, after: HeldOut) -> tuple[tuple[floa
             f"{n} independent {'block' if n == 1 else 'blocks'} and {BLOCKS} are needed"
         )
         return None, "", reason
-    further = (len(a) + 1) / sum(
-        map(len, a)
-    )  # of a mean over a further run about that over these, in units of a sample's variance
-    smaller = float(np.var(np.concatenate(a))) / gap**2 * memory(a) * further
+    further = (len(a) + 1) / len(every)  # a further run's mean about the mean of these: its variance, by that of a sample
+    smaller = float(np.var(every)) / gap**2 * memory(a) * further
     reach = float(stdtrit(n - 1, 0.975) * np.sqrt((len(own) + 1) / n) * blocks.std(ddof=1)) * (1 + smaller) ** 1.5
     return (1 - left - reach, 1 - left + reach), "blocks", ""
 
