@@ -131,3 +131,17 @@ def test_the_one_thing_that_is_different_is_named_with_all_else_as_it_stands(kin
         assert e.std is not None and abs(e.value - value) < max(3 * e.std, 0.01 * abs(value)), name
     assert found.how_far.gap_after < 1.15 < 2 < found.how_far.gap_before
     assert "stand as they are" in found.which.text
+
+
+@pytest.mark.slow
+def test_a_load_on_the_axis_of_a_joint_is_as_well_one_of_the_link_before_it(tmp_path):
+    arm = replace(ARM, axes=["0 1 0", "1 0 0"])
+    rng = np.random.default_rng(7)
+    u = goals(2, 10.0, rng)
+    q = recorded(replace(arm, more={"payload": {1: (0.2, np.array([0.2, 0.0, 0.0]))}}), "", 1, {}, u, rng)
+    path = tmp_path / "arm.xml"
+    path.write_text(arm.xml())
+    found = jaxid.diagnose(str(path), dataset({"arm": arm, "u": u, "q": q})).which
+    assert found.verdict == "named"
+    told = [(e.effect, e.location) for e in (*found.effects, *found.confusable_with)]
+    assert sorted(told) == [("payload", "j1"), ("payload", "j2")]

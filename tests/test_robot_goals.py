@@ -28,6 +28,7 @@ from jaxid.diagnosis.torque import plant as torque_plant
 from jaxid.diagnosis.torque.choose import Chooser
 from jaxid.diagnosis.torque.plant import inverse_of
 from jaxid.dynamics.parameter_vector import Form
+from jaxid.fitting import secant
 from jaxid.fitting.least_squares import descend
 from jaxid.fitting.problem_builder import Bench, estimate_starts
 from jaxid.fitting.result import Estimate
@@ -143,6 +144,26 @@ def test_secants_end_where_slopes_of_all_numbers_do():
     more = Bench(b, differences=1).problem(OutputError(), "fit", [*b.free, b.layout.index("kp@lift")], b.theta)
     again = slopes.of(more, more.z(p.theta(path.z), p.starts(path.z)), slopes.r)
     assert [n for n, age in zip(more.names, again.age, strict=True) if age > 1000] == ["kp@lift"]  # alone is simulated
+
+
+@pytest.mark.parametrize("everywhere", [False, True])
+def test_a_descent_ends_where_runs_diverge(everywhere, monkeypatch):
+    """One number away from its start, or at the start itself: slopes that nobody can take are not waited for."""
+    model = robot(limb("lift", 0.1))
+    b = bind(model, moving(model, swinging(4.0)))
+    made = lambda free: Bench(b, differences=1).problem(OutputError(), "fit", free, b.theta)
+    p, more = made(b.free), made([*b.free, b.layout.index("kp@lift")])
+    known, k = Slopes.taken(p, p.z(b.theta)), more.names.index("kp@lift")
+    start, whole = more.z(b.theta), secant.residuals
+    lost = lambda z: everywhere or z[k] != start[k]
+    monkeypatch.setattr(
+        secant, "residuals",
+        lambda p, points: [np.full_like(r, np.nan) if lost(z) else r for z, r in zip(points, whole(p, points), strict=True)],
+    )  # fmt: skip
+    path, _, _ = descend_on_secants(more, [start], known, 8, 1e-4)
+    assert path.z[k] == start[k]
+    assert (path.stopped == "the start diverges") == everywhere
+    assert everywhere or path.loss < 1.2
 
 
 def test_a_free_run_is_linearised_once_at_the_same_numbers(monkeypatch):

@@ -330,7 +330,7 @@ def _bounded(path: Path, radius: float) -> tuple[np.ndarray, bool]:
     assert path.gradient is not None and path.hessian is not None and path.scale is not None
     z, g, H, scale = path.z, path.gradient, path.hessian, path.scale
     lower, upper = path.problem.lower, path.problem.upper
-    free = ~(((z <= lower) & (g > 0)) | ((z >= upper) & (g < 0)))
+    free = ~(((z <= lower) & (g > 0)) | ((z >= upper) & (g < 0))) & (np.diag(H) > 0)  # what nothing shows stays
     dz, bounded = np.zeros_like(z), False
     for _ in range(z.size + 1):  # a variable that would leave its bounds goes to the bound, and the rest is solved again
         index = np.flatnonzero(free)

@@ -58,11 +58,12 @@ class Slopes:
         return Slopes(p.names, z, r, J, age)
 
     def renewed(self, columns: Sequence[int], ahead: Sequence[np.ndarray], h: np.ndarray) -> Slopes:
-        """With the slopes of some numbers by the residuals of steps `h` [size] ahead."""
+        """With the slopes of some numbers by the residuals of steps `h` [size] ahead; where one diverges they stay."""
         J, age = self.J.copy(), self.age.copy()
+        age[list(columns)] = 0
         for c, r in zip(columns, ahead, strict=True):
             if np.isfinite(r).all():
-                J[:, c], age[c] = (r - self.r) / h[c], 0
+                J[:, c] = (r - self.r) / h[c]
         return replace(self, J=J, age=age)
 
     def told(self, z: np.ndarray, r: np.ndarray, scale: np.ndarray) -> np.ndarray:
@@ -112,7 +113,7 @@ def descend_on_secants(
         at, spent = known.of(p, points[best], found[best]), len(points)
     path = Path(p, at.z, history=[])
     room = -(-LEAST * len(p.records) // FEW) * FEW // len(p.records)
-    while np.any(at.age >= NEVER):  # slopes that nobody has taken come before any step
+    while np.isfinite(at.r).all() and np.any(at.age >= NEVER):  # slopes that nobody has taken come before any step
         at, _ = _renewed(p, at, room)
         spent += room
     accept(path, at.z, linear(p, at.z, at.r, at.J), tolerance, _new)

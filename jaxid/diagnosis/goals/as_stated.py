@@ -242,9 +242,10 @@ class Alone:
         good = [h for h in out if self.decider.at_noise(h)]
         least = min(map(joint_loss, good), default=0.0)
         near = [h for h in good if joint_loss(h) < LIMITS.alike * max(1.0, least)]
-        few = [h for h in near if h.size == min(h.size for h in near)]
-        told = min(map(evidence, few), default=0.0) + LIMITS.decisive  # what is as likely
-        order = lambda h: (h not in few, h not in near, not (self.of_numbers(h) and evidence(h) < told), evidence(h))
+        fewest = min(map(self.numbers, near), default=0)
+        few = [h for h in near if self.numbers(h) == fewest]
+        told = min(map(self.evidence, few), default=0.0) + LIMITS.decisive  # what is as likely
+        order = lambda h: (h not in few, h not in near, not (self.of_numbers(h) and self.evidence(h) < told), self.evidence(h))
         return sorted(good, key=order)
 
     def of_numbers(self, h: Hypothesis) -> bool:
@@ -254,9 +255,31 @@ class Alone:
         """The first of those that are enough, with what passes for it; `nominal` is re-tuned without it."""
         tried = list(self.tried)
         chosen = self.decider.thinned(self.stands, enough[0], tried)
-        others = [h for h in enough[1:] if h.size <= chosen.size and not self.of_numbers(h) and indistinct(chosen, h)]
+        others = [h for h in self._as_few(chosen, enough[1:]) if not self.of_numbers(h) and indistinct(chosen, h)]
         mates = [c for h in others for c in h.effects if c not in chosen.effects]
         return Search(nominal, chosen, tried, mates, None, len({c.effect for c in chosen.effects}) > 1, stands=self.stands)
+
+    def numbers(self, h: Hypothesis) -> int:
+        """How many numbers of what is changed the fit runs tell from what they were, by what each costs (Schwarz 1978): a load on
+        the axis of a joint is as well one of the link before it, whatever further numbers describe either."""
+        p, H = h.path.problem, h.path.hessian
+        at = [k for k, i in enumerate(p.free) if any(i in c.index for c in h.effects)]
+        if H is None or not at:
+            return h.size
+        size = np.sqrt(np.maximum(np.diag(H), 1e-300))
+        variance = np.diag(np.linalg.pinv(H / size / size[:, None], hermitian=True)) / size**2
+        d = h.path.z[at] - p.z(self.theta)[at]
+        told = d**2 > np.log(h.path.count) * h.fit_inflation * variance[at]
+        return max(len(h.effects), int(np.sum(told)))
+
+    def evidence(self, h: Hypothesis) -> float:
+        """Sum of squares of fit and validation runs over the noise, and what its numbers cost."""
+        count = h.path.count + h.validation.count
+        return joint_loss(h) * count + self.numbers(h) * float(np.log(count))
+
+    def _as_few(self, h: Hypothesis, others: Sequence[Hypothesis]) -> list[Hypothesis]:
+        """Those that take no more numbers than `h`."""
+        return [x for x in others if self.numbers(x) <= self.numbers(h)]
 
     def said(self, enough: Sequence[Hypothesis]) -> str:
         """What other single changes do as much as the first: those that a verdict does not name by itself."""
@@ -265,14 +288,14 @@ class Alone:
         value = lambda i, h: (
             f"{layout.names[i]} {h.theta[i] - self.theta[i] + stated(i):.3g} {layout.entries[i].unit} (stated {stated(i):.3g})"
         )
-        numbers = [h for h in enough if self.of_numbers(h) and h.size <= first.size][:1]
+        own_numbers = [h for h in self._as_few(first, enough) if self.of_numbers(h)][:1]
         if self.of_numbers(first):
             own = listed([value(i, first) for c in first.effects for i in c.index])
-            alike = [h for h in enough if not self.of_numbers(h) and h.size <= first.size and indistinct(first, h)]
+            alike = [h for h in self._as_few(first, enough) if not self.of_numbers(h) and indistinct(first, h)]
             more = f" So would {' or '.join(' and '.join(map(str, h.effects)) for h in alike)}." if alike else ""
             return f"One change of the file accounts for the gap: {own}.{more}"
         text = "All numbers of the file stand as they are."
-        told = [listed([value(i, h) for c in h.effects for i in c.index]) for h in numbers]
+        told = [listed([value(i, h) for c in h.effects for i in c.index]) for h in own_numbers]
         return f"{text} Without it {' or '.join(told)} would come to the noise too, but not as near." if told else text
 
 
@@ -329,9 +352,3 @@ class AsStated:
 
     def said(self) -> str:
         return self.alone.said(self.enough) if self.alone is not None and self.enough else ""
-
-
-def evidence(h: Hypothesis) -> float:
-    """Sum of squares of fit and validation runs over the noise, and what its numbers cost (Schwarz 1978)."""
-    count = h.path.count + h.validation.count
-    return joint_loss(h) * count + h.size * float(np.log(count))
