@@ -199,9 +199,10 @@ def main() -> dict[str, Any]:
         "Arms of two and three joints under MuJoCo's position actuators, 20 s at 500 Hz, encoders with noise of 1e-4 rad, "
         f"simulated by MuJoCo with one effect that the file, else exact, has not (seed {seed}, run once). Right: the effect "
         "at its joint, or one of those that look the same under one law (constant torque, encoder bias and tilt; delay, lag and "
-        "hold), by name or among what the claim says does as much; nothing named where nothing is missing; where re-tuned numbers of the file account for it (dry friction, "
-        "armature, load; a scale of the torque or a delay by armature and damping of that joint) those stated. Play "
-        "acts by a motion of its own and is not asked: no name is right. 95 % intervals by Wilson."
+        "hold), by name or among what the claim says does as much; nothing named where nothing is missing; where re-tuned "
+        "numbers of the file account for it (dry friction, armature, load; a scale of the torque or a delay by armature and "
+        "damping of that joint) those stated. Play acts by a motion of its own and is not asked: no name is right. 95 % "
+        "intervals by Wilson."
         f" {len(beside)} of {sum(bool(r['named']) for r in rows)} claims say what else does as much, {_most(beside)}."
         f"{how_far(rows)} Earlier seeds, each asked of the program as it then was: {by_seed}."
     )

@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Callable, Iterable, Iterator
+from collections import deque
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
 from typing import Any, TypeVar
 
@@ -41,6 +42,19 @@ class Pool:
         """Results in the items' order; all are handed in at once."""
         begun = [self.submit(job, item) for item in items]
         return (b.result() for b in begun)
+
+    def ahead(self, jobs: Sequence[Callable[[], T]]) -> Iterator[T]:
+        """The same, no more than a few ahead of what is taken: what was need not be kept; a single job runs here."""
+        if len(jobs) < 2:
+            yield from (job() for job in jobs)
+            return
+        waiting: deque[Future[T]] = deque()
+        for job in jobs:
+            waiting.append(self.submit(job))
+            if len(waiting) > 2 * (os.cpu_count() or 1):
+                yield waiting.popleft().result()
+        while waiting:
+            yield waiting.popleft().result()
 
     def close(self) -> None:
         """Waits for jobs that have begun; none is handed in any more."""

@@ -8,11 +8,8 @@ sizes: of some models with springs (`backlash` in the tracker) they differ by ro
 
 from __future__ import annotations
 
-import os
 import time
-from collections import deque
 from collections.abc import Callable, Iterator, Sequence
-from concurrent.futures import Future
 from contextlib import contextmanager
 from functools import partial
 from threading import Lock
@@ -380,24 +377,10 @@ class Engine:
             done = [*_COMPILERS.map(lambda call: call(), first), *(call() for call in awaited)]
             self.compile_time_s += time.perf_counter() - began
             yield from done
-        yield from ahead(jobs)
+        yield from _POOL.ahead(jobs)
 
     def _block(self, program: Callable, numbers, states, where: np.ndarray, lanes: np.ndarray, steps: Any, width: int):
         padded = np.concatenate([lanes, np.repeat(lanes[-1:], width - lanes.size)])
         arrays = [a[padded] for pair in zip(numbers, states, strict=True) for a in pair]
         out = in_float64(program, *arrays, where[padded], self.samples, steps)
         return lanes, tuple(np.asarray(o) for o in (out if isinstance(out, tuple) else (out,)))
-
-
-def ahead(jobs: Sequence[Callable[[], Any]]) -> Iterator[Any]:
-    """Results of jobs in their order, computed side by side no more than a few ahead: what is taken need not be kept."""
-    if len(jobs) < 2:
-        yield from (job() for job in jobs)
-        return
-    waiting: deque[Future] = deque()
-    for job in jobs:
-        waiting.append(_POOL.submit(job))
-        if len(waiting) > 2 * (os.cpu_count() or 1):
-            yield waiting.popleft().result()
-    while waiting:
-        yield waiting.popleft().result()
