@@ -16,6 +16,7 @@ import pytest
 import jaxid
 from jaxid.conventions.missing_force import ForceFit, measured
 from jaxid.data.dataset import Controller
+from jaxid.diagnosis.account import effect_estimates
 from jaxid.diagnosis.goals import plant as goals_plant
 from jaxid.diagnosis.goals.law_told import law_told
 from jaxid.diagnosis.goals.limits import limits_shown
@@ -23,6 +24,7 @@ from jaxid.diagnosis.goals.plant import LedPlant
 from jaxid.diagnosis.goals.propose import proposals
 from jaxid.diagnosis.goals.search import Decider
 from jaxid.diagnosis.goals.study import LedStudy
+from jaxid.diagnosis.hypothesis import candidates
 from jaxid.diagnosis.missing import missing_forces
 from jaxid.diagnosis.torque import plant as torque_plant
 from jaxid.diagnosis.torque.choose import Chooser
@@ -34,7 +36,7 @@ from jaxid.fitting.problem_builder import Bench, estimate_starts
 from jaxid.fitting.result import Estimate
 from jaxid.fitting.secant import descend_on_secants, Slopes
 from jaxid.models import Robot
-from jaxid.models.effects import Saturation, StribeckFriction
+from jaxid.models.effects import ConstantTorque, Saturation, StribeckFriction
 from jaxid.numerics import kept
 from jaxid.numerics.boxed import within_box
 from jaxid.problem import binding, torque_filter
@@ -164,6 +166,27 @@ def test_a_descent_ends_where_runs_diverge(everywhere, monkeypatch):
     assert path.z[k] == start[k]
     assert (path.stopped == "the start diverges") == everywhere
     assert everywhere or path.loss < 1.2
+
+
+def test_numbers_of_effects_are_in_doubt_by_what_two_simulators_differ_by():
+    model = robot(limb("lift", 0.1))
+    b = bind(model, moving(model, swinging()), candidates=[ConstantTorque])
+    bench = Bench(b, differences=1)
+    (c,) = candidates(bench, ["constant_torque"])
+    decider = Decider(bench, b.layout.names)
+    h = decider.refit([c], b.theta)
+    p, moved = h.path.problem, h.theta.copy()
+    moved[list(c.index)] += 0.01
+    here, there = secant.residuals(p, [h.path.z, p.z(moved, p.starts(h.path.z))])
+    apart = (there - here) / p.weights[p.runs.record(p.records[0]).samples].ravel()
+    assert not decider.passes_for(h)
+    decider.between = [apart[:, None]]
+    ((name, more),) = decider.passes_for(h).items()
+    assert name == b.layout.names[c.index[0]] and abs(more - 0.01) < 1e-4
+    std = lambda: effect_estimates(bench.binding, h, [c])[0].parameters["torque"].std or 0.0
+    by_noise = std()
+    bench.doubt({name: more})
+    assert abs(std() - np.hypot(by_noise, 0.01)) < 1e-4
 
 
 def test_a_free_run_is_linearised_once_at_the_same_numbers(monkeypatch):

@@ -221,6 +221,7 @@ def _diagnosed(question: Question, scatter: timing.Scatter | None = None) -> tup
         bench.compile_ahead(InverseDynamics(decimate=1), binding.theta, binding.free)  # what WHERE asks in the end
         keep = lambda fit, now: question.known.offer(lambda: _so_far(question, bench, fit(), now, began))
         (nominal_fit, search), compile_time = question.search(bench, keep), bench.compile_time()
+        binding = bench.binding
     if progress:
         progress("how far", 0, 1, "report data")
     judge = Judge(bench, residual, search, question.still, scatter)

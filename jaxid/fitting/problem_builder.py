@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass, field
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
 from typing import NamedTuple
 
 import numpy as np
@@ -134,6 +134,10 @@ class Bench:
         """Sets what finer steps would add."""
         self.defects[repr(residual), split] = defect
         self._begun.clear()
+
+    def doubt(self, numbers: Mapping[str, float]) -> None:
+        """Sets by how much numbers are in doubt beside the noise: what another simulator of the same file makes of them."""
+        self.binding = replace(self.binding, doubts={**numbers, **self.binding.doubts})
 
     def begun(self, split: str, thetas: Sequence[np.ndarray]) -> list[Begun]:
         """How the free runs of a split begin with each of several parameter vectors; what was estimated before is kept."""

@@ -42,8 +42,8 @@ TOO_DEAR = (
     "measured motion is compared instead, and no free run judges the answer"
 )
 MEANING = (
-    "standard deviations of the file's numbers count what MuJoCo and jaxid make of the same file: its first-order steps and soft "
-    "friction pass for other numbers"
+    "standard deviations of the file's numbers and of the effects count what MuJoCo and jaxid make of the same file: its "
+    "first-order steps and soft friction pass for other numbers"
 )
 OTHER_WAY = (
     "the goals go {} from sample to sample here, not {} as the dataset has it: the re-tuned model follows them better so on data "
@@ -219,5 +219,6 @@ class _Road:
         offer(fitted, Search(nominal, nominal))
         search = decide(decider, nominal)
         plain = decider.settled(search.nominal)
+        bench.doubt(decider.passes_for(search.chosen))
         search.settled = plain, decider.settled(search.chosen) if search.chosen.effects else plain
         return fitted(plain.path), search

@@ -19,6 +19,7 @@ from jaxid.fitting.least_squares import Path
 from jaxid.fitting.problem_builder import Bench, estimate_starts
 from jaxid.fitting.secant import descend_on_secants, Slopes
 from jaxid.problem.binding import Binding
+from jaxid.problem.problem import Problem
 from jaxid.problem.residual import OutputError
 from jaxid.robots.yardstick import MANY
 
@@ -136,8 +137,7 @@ class Decider:
         at, p = self.slopes, nominal.path.problem
         if at is None or self.between is None or at.names != p.names:
             return np.inf
-        where = [p.runs.record(record).samples for record in p.records]
-        apart = np.concatenate([(p.weights[k] * x).ravel() for k, x in zip(where, self.between, strict=True)])
+        apart = self._weighed(p)
         A = np.column_stack([at.J, apart])
         size = np.maximum(np.linalg.norm(A, axis=0), 1e-300)
         by = -np.linalg.lstsq(A / size, at.r, rcond=1e-10)[0] / size
@@ -146,6 +146,23 @@ class Decider:
             by[:-1] = -np.linalg.lstsq(A[:, :-1] / size[:-1], at.r + part * apart, rcond=1e-10)[0] / size[:-1]
         left = at.r + A @ by
         return float(left @ left) / nominal.path.count
+
+    def passes_for(self, h: Hypothesis) -> dict[str, float]:
+        """What the effects' numbers would be apart from what they are, to first order, if the model were simulated as the other
+        simulator does, by name."""
+        p = h.path.problem
+        if self.between is None or not h.effects:
+            return {}
+        J = Slopes.taken(p, h.path.z).J
+        size = np.maximum(np.linalg.norm(J, axis=0), 1e-300)
+        more = np.linalg.lstsq(J / size, self._weighed(p), rcond=1e-10)[0] / size
+        there, names = p.theta(h.path.z + more), self.bench.binding.layout.names
+        return {names[i]: float(abs(there[i] - h.theta[i])) for c in h.effects for i in c.index}
+
+    def _weighed(self, p: Problem) -> np.ndarray:
+        """What two simulators differ by, over the noise, in the order of a problem's residuals."""
+        where = [p.runs.record(record).samples for record in p.records]
+        return np.concatenate([(p.weights[k] * x).ravel() for k, x in zip(where, self.between or (), strict=True)])
 
     def at_noise(self, h: Hypothesis) -> bool:
         return h.validation.loss <= level(h.validation.count) and h.fit_loss <= level(h.path.count)
