@@ -495,6 +495,12 @@ def test_model_is_not_asked_when_told_so(folder):
     )
 
 
+def test_a_recording_in_the_place_of_a_folder_is_told_how_to_become_one(tmp_path):
+    (tmp_path / "run.csv").write_text("t,q\n0,0\n")
+    with pytest.raises(DatasetError, match=r"jaxid import SOURCE .*run\.csv --out"):
+        load_dataset(tmp_path / "run.csv")
+
+
 def test_a_missing_folder_is_a_problem(tmp_path):
     for path in (tmp_path / "nowhere", tmp_path / "no\0where"):
         with pytest.raises(DatasetError):

@@ -59,6 +59,9 @@ def _refuse(file: str, message: str, remedy: str, row: int | None = None) -> Dat
 def _description(folder: Path) -> tuple[bytes, str, dict[str, Any]]:
     file = "dataset.toml"
     try:
+        if folder.is_file():
+            remedy = f"Import it first: jaxid import SOURCE {folder} --out DIR (jaxid import --help lists the sources)"
+            raise _refuse(str(folder), "this is a file, and a dataset is a folder", remedy)
         if not folder.is_dir():
             raise _refuse(str(folder), "there is no such folder", "Name a folder that holds a dataset.toml")
         if not (folder / file).is_file():
