@@ -18,6 +18,7 @@ from jaxid.conventions.missing_force import ForceFit, measured
 from jaxid.data.dataset import Controller
 from jaxid.diagnosis.account import effect_estimates
 from jaxid.diagnosis.goals import plant as goals_plant
+from jaxid.diagnosis.goals.as_stated import Alone
 from jaxid.diagnosis.goals.law_told import law_told
 from jaxid.diagnosis.goals.limits import limits_shown
 from jaxid.diagnosis.goals.plant import LedPlant
@@ -187,6 +188,19 @@ def test_numbers_of_effects_are_in_doubt_by_what_two_simulators_differ_by():
     by_noise = std()
     bench.doubt({name: more})
     assert abs(std() - np.hypot(by_noise, 0.01)) < 1e-4
+
+
+@pytest.mark.parametrize("torque", [0.0, 0.1])
+def test_numbers_count_that_a_fit_tells_from_what_they_were(torque):
+    model = robot(limb("lift", 0.1))
+    there = [{"effect": "constant_torque", "location": "lift", "parameters": {"torque": torque}}]
+    b = bind(model, moving(model, swinging(), effects=there), candidates=[ConstantTorque])
+    (c,) = candidates(bench := Bench(b, differences=1), ["constant_torque"])
+    plain = bind(model, b.dataset)
+    alone = Alone(Decider(bench, plain.layout.names), plain, plain.theta)
+    h = alone.decider.refit([c], b.theta)
+    assert alone.told(h) == ([] if torque == 0 else list(c.index)) and alone.numbers(h) == 1
+    assert alone.told(alone.stands) == []
 
 
 def test_a_free_run_is_linearised_once_at_the_same_numbers(monkeypatch):

@@ -221,6 +221,8 @@ class Alone:
         decider.asked = self.own
         self.stands = decider.refit((), self.theta)
         self.tried: list[Hypothesis] = []
+        self.as_likely: Hypothesis | None = None  # the re-tuned model, where the data do not tell it from what was found
+        self.instead: Hypothesis | None = None  # what was found, where that model takes no more numbers
 
     def enough(self, found: Sequence[Change]) -> list[Hypothesis]:
         """Those that leave no more than the noise: the fewest numbers that leave next to nothing more than any, by the evidence
@@ -252,25 +254,37 @@ class Alone:
         return any(i in self.own for c in h.effects for i in c.index)
 
     def searched(self, nominal: Hypothesis, enough: Sequence[Hypothesis]) -> Search:
-        """The first of those that are enough, with what passes for it; `nominal` is re-tuned without it."""
+        """The first of those that are enough, with what passes for it; `nominal` is re-tuned without it, and is enough where it
+        is as likely by no more numbers."""
         tried = list(self.tried)
         chosen = self.decider.thinned(self.stands, enough[0], tried)
+        if self.decider.at_noise(nominal) and self.evidence(nominal) < self.evidence(chosen) + LIMITS.decisive:
+            self.as_likely = nominal
+            if self.numbers(nominal) <= self.numbers(chosen):
+                self.instead = chosen
+                return Search(nominal, nominal, tried, stands=self.stands)
         others = [h for h in self._as_few(chosen, enough[1:]) if not self.of_numbers(h) and indistinct(chosen, h)]
         mates = [c for h in others for c in h.effects if c not in chosen.effects]
         return Search(nominal, chosen, tried, mates, None, len({c.effect for c in chosen.effects}) > 1, stands=self.stands)
 
-    def numbers(self, h: Hypothesis) -> int:
-        """How many numbers of what is changed the fit runs tell from what they were, by what each costs (Schwarz 1978): a load on
-        the axis of a joint is as well one of the link before it, whatever further numbers describe either."""
+    def told(self, h: Hypothesis) -> list[int]:
+        """Which numbers of what is changed (all of the file's where no effect is) the fit runs tell from what they were, by what
+        each costs (Schwarz 1978)."""
         p, H = h.path.problem, h.path.hessian
-        at = [k for k, i in enumerate(p.free) if any(i in c.index for c in h.effects)]
+        changed = {i for c in h.effects for i in c.index} or self.own
+        at = [k for k, i in enumerate(p.free) if i in changed]
         if H is None or not at:
-            return h.size
+            return [int(p.free[k]) for k in at]
         size = np.sqrt(np.maximum(np.diag(H), 1e-300))
         variance = np.diag(np.linalg.pinv(H / size / size[:, None], hermitian=True)) / size**2
         d = h.path.z[at] - p.z(self.theta)[at]
-        told = d**2 > np.log(h.path.count) * h.fit_inflation * variance[at]
-        return max(len(h.effects), int(np.sum(told)))
+        surely = d**2 > np.log(h.path.count) * h.fit_inflation * variance[at]
+        return [int(p.free[k]) for k, sure in zip(at, surely, strict=True) if sure]
+
+    def numbers(self, h: Hypothesis) -> int:
+        """How many: a load on the axis of a joint is as well one of the link before it, whatever further numbers describe
+        either."""
+        return max(len(h.effects), len(self.told(h)))
 
     def evidence(self, h: Hypothesis) -> float:
         """Sum of squares of fit and validation runs over the noise, and what its numbers cost."""
@@ -283,6 +297,9 @@ class Alone:
 
     def said(self, enough: Sequence[Hypothesis]) -> str:
         """What other single changes do as much as the first: those that a verdict does not name by itself."""
+        if self.instead is not None:
+            either = " and ".join(map(str, self.instead.effects))
+            return f"With all numbers as they stand {either} would account for the gap as well, by no fewer changes."
         layout, first = self.decider.bench.binding.layout, enough[0]
         stated = lambda i: self.stated[layout.names[i]]
         value = lambda i, h: (
@@ -295,6 +312,9 @@ class Alone:
             more = f" So would {' or '.join(' and '.join(map(str, h.effects)) for h in alike)}." if alike else ""
             return f"One change of the file accounts for the gap: {own}.{more}"
         text = "All numbers of the file stand as they are."
+        if self.as_likely is not None:
+            own = listed([value(i, self.as_likely) for i in self.told(self.as_likely)])
+            return f"{text} Re-tuned numbers would account for the gap as well: {own}."
         told = [listed([value(i, h) for c in h.effects for i in c.index]) for h in own_numbers]
         return f"{text} Without it {' or '.join(told)} would come to the noise too, but not as near." if told else text
 
