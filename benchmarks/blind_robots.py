@@ -155,7 +155,8 @@ def kept() -> list[dict[str, Any]]:
 
 
 def _most(beside: Sequence[Sequence[str]]) -> str:
-    return f"{max(map(len, beside), default=0)} others at most"
+    most = max(map(len, beside), default=0)
+    return "one other at most" if most == 1 else f"{most} others at most"
 
 
 def how_far(rows: Sequence[dict[str, Any]]) -> str:
