@@ -282,8 +282,8 @@ class Alone:
         return [int(p.free[k]) for k, sure in zip(at, surely, strict=True) if sure]
 
     def numbers(self, h: Hypothesis) -> int:
-        """How many: a load on the axis of a joint is as well one of the link before it, whatever further numbers describe
-        either."""
+        """How many of them a change takes: a load on the axis of a joint is as well one of the link before it, whatever further
+        numbers describe either."""
         return max(len(h.effects), len(self.told(h)))
 
     def evidence(self, h: Hypothesis) -> float:
