@@ -265,6 +265,12 @@ def _flat(card: tuple[str, list[str]]) -> list[str]:
     return [card[0], *card[1]]
 
 
+def test_one_effect_at_two_places_is_looked_for_at_the_machine():
+    same, apart = advice("named", ["payload"], ["payload"]), advice("named", ["sensor_bias"], ["gravity_offset"])
+    assert "at which place payload acts" in same and "weigh what is mounted" in same
+    assert "for sensor_bias:" in apart and "for gravity_offset:" in apart
+
+
 def test_a_page_without_a_gap_is_written(tmp_path):
     """Nothing moves in the data kept for the report."""
     nothing = float("nan")

@@ -80,6 +80,13 @@ def _advice(verdict: str, named: Sequence[str], mates: Sequence[str], unseen: Se
             text += f"; to see it: {catalogue.effect_class(first.effect).excitation}."
         return text
     wanted = list(dict.fromkeys([*named, *mates]))
+    if mates and len(wanted) == 1:
+        kind = catalogue.effect_class(wanted[0])
+        look = f"{kind.check[:1].lower()}{kind.check[1:].rstrip('.')}"
+        return (
+            f"The data leave open at which place {kind.name} acts. At the machine: {look}. As far as motions can tell, these do: "
+            f"{kind.excitation}."
+        )
     if mates:
         parts = [f"for {name}: {catalogue.effect_class(name).excitation}" for name in wanted]
         return "To tell apart what the data leave open, record " + "; ".join(parts) + "."
