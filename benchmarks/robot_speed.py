@@ -69,7 +69,8 @@ def diagnosed(dataset: str, model: str | None) -> None:
     rms = {key: float(np.sqrt(np.mean([j[key] ** 2 for j in joints]))) for key in ("retuned", "with_effects") if joints[0][key]}
     runs = next(int(re.split(r"\D", note)[0]) for note in found.notes if "free runs were simulated" in note)
     named = f"{found.which.verdict}: {', '.join(map(str, found.which.effects)) or 'no effect'}"
-    print(json.dumps({"seconds": seconds, "said": named, "runs": runs, **rms}))
+    part = next((m[1] for note in found.notes if (m := re.search(r"rows in all \(([\d.]+) %\)", note))), "100")
+    print(json.dumps({"seconds": seconds, "said": named, "runs": runs, "part": part, **rms}))
 
 
 def _changes(robot: Any, tree: Any) -> dict[str, Any]:
@@ -225,7 +226,7 @@ def row(name: str, folder: Path) -> dict[str, Any]:
     peer = by_mujoco(dataset, file)
     left = [f"{1e3 * warm[k]:.3g}" for k in ("retuned", "with_effects") if k in warm]
     return {
-        "recording": f"{name}, {about}",
+        "recording": f"{name}, {about}" + (f" (jaxid looks at {warm['part']} % of it)" if warm["part"] != "100" else ""),
         "jaxid cold / warm / command [s]": f"{cold['seconds']:.0f} / {warm['seconds']:.0f} / {command:.0f}",
         "free runs": warm["runs"],
         "answer": warm["said"],
