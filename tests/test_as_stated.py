@@ -138,7 +138,7 @@ def test_a_load_on_the_axis_of_a_joint_is_as_well_one_of_the_link_before_it(tmp_
     arm = replace(ARM, axes=["0 1 0", "1 0 0"])
     rng = np.random.default_rng(7)
     u = goals(2, 10.0, rng)
-    q = recorded(replace(arm, more={"payload": {1: (0.2, np.array([0.2, 0.0, 0.0]))}}), "", 1, {}, u, rng)
+    q = recorded(replace(arm, more={"payload": {1: (0.2, np.array([0.08, 0.0, 0.0]))}}), "", 1, {}, u, rng)
     path = tmp_path / "arm.xml"
     path.write_text(arm.xml())
     found = jaxid.diagnose(str(path), dataset({"arm": arm, "u": u, "q": q})).which
