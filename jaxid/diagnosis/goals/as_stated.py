@@ -326,6 +326,8 @@ class AsStated:
         """`bench` of the model without candidates, `between` of its fit runs."""
         self.plain = bench.binding
         self.taken = difference(bench, {"fit": between})
+        if self.taken is not None and np.any(self.taken.floor > np.maximum(between.left, self.plain.sigma)):
+            self.taken = None  # the difference is known less well than what the file leaves: nothing can be told beside it
         #: Whether it explains the recording by itself.
         self.stands = self.taken is not None and self.taken.accounts(self.plain)
         self.stepped = None if self.stands or self.taken is None else by_its_steps(bench, study, self.taken)
@@ -360,8 +362,8 @@ class AsStated:
     @property
     def doubts(self) -> dict[str, float]:
         """What steps of the simulation make of numbers that are re-tuned."""
-        moved = self.difference.theta - self.plain.theta
-        return {name: float(d) for name, d in zip(self.plain.layout.names, moved, strict=True) if d}
+        pairs = zip(self.plain.layout.names, self.difference.theta, self.plain.theta, strict=True)
+        return {name: float(there - here) for name, there, here in pairs if there != here}
 
     def decided(self, decider: Decider, nominal: Hypothesis) -> Search:
         """From the re-tuned model: the effect that alone is lacking, or none where numbers account for it."""
