@@ -155,6 +155,7 @@ def kept() -> list[dict[str, Any]]:
 
 
 def _most(beside: Sequence[Sequence[str]]) -> str:
+    """How many others the least sure claim lists."""
     most = max(map(len, beside), default=0)
     return "one other at most" if most == 1 else f"{most} others at most"
 

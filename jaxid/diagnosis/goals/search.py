@@ -154,6 +154,8 @@ class Decider:
         if self.between is None or not h.effects:
             return {}
         J = Slopes.taken(p, h.path.z).J
+        if not np.isfinite(J).all():  # a run beside it diverges: nothing is known to first order
+            return {}
         size = np.maximum(np.linalg.norm(J, axis=0), 1e-300)
         more = np.linalg.lstsq(J / size, self._weighed(p), rcond=1e-10)[0] / size
         there, names = p.theta(h.path.z + more), self.bench.binding.layout.names
