@@ -141,7 +141,9 @@ print(json.dumps(set_ | {"kept": jax.config.values["jax_compilation_cache_dir"]}
     code = f"import os; [os.environ.pop(n) for n in {names}];" + code
     after = json.loads(run(code, **plain))
     assert after["XLA_FLAGS"].startswith("--xla_x=1 --xla_backend_extra_options=")
-    assert after["XLA_FLAGS"].count("xla_backend_extra_options") == 1
+    assert [after["XLA_FLAGS"].count(f) for f in ("xla_backend_extra_options", "xla_backend_optimization_level")] == [1, 1]
+    chosen = json.loads(run(code, **{**plain, "XLA_FLAGS": "--xla_backend_optimization_level=2"}))
+    assert chosen["XLA_FLAGS"].count("xla_backend_optimization_level") == 1  # what the user has set wins
     assert after["JAX_PLATFORMS"] == "cpu"
     assert after["kept"] == str(tmp_path / "cache") and "JAX_COMPILATION_CACHE_DIR" not in after
     assert (tmp_path / "cache").is_dir()

@@ -86,7 +86,7 @@ class Bench:
     def compile_ahead(self, residual: Residual, theta: np.ndarray, free: Sequence[int]) -> None:
         """Begins to compile what a descent of one or two fits needs whose numbers equal theta but in `free`."""
         name = "outputs" if self.differences else "tangents"
-        self.runs(residual, "fit").engine.compile_ahead(name, theta, free, few=True)
+        self.runs(residual, "fit").engine.compile_ahead(name, theta, free)
 
     def _shape_of(self, residual: Residual) -> tuple[int, int]:
         if residual.torques:  # at the samples, whatever the step of simulations

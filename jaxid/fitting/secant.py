@@ -15,7 +15,7 @@ import numpy as np
 from jaxid.fitting.least_squares import accept, next_trial, Path, problem_clip
 from jaxid.problem.objective import Linear
 from jaxid.problem.problem import Problem, rows
-from jaxid.simulation.batch import FEW
+from jaxid.simulation.batch import LANES
 
 
 #: Shares of the radius that are tried side by side.
@@ -112,7 +112,7 @@ def descend_on_secants(
         best = _least(p, points, found)
         at, spent = known.of(p, points[best], found[best]), len(points)
     path = Path(p, at.z, history=[])
-    room = -(-LEAST * len(p.records) // FEW) * FEW // len(p.records)
+    room = -(-LEAST * len(p.records) // LANES) * LANES // len(p.records)
     while np.isfinite(at.r).all() and np.any(at.age >= NEVER):  # slopes that nobody has taken come before any step
         at, _ = _renewed(p, at, room)
         spent += room

@@ -1,9 +1,8 @@
 """Simulation of many candidates: lanes of one compiled program.
 
 A lane is one candidate on one record, with one tangent direction. Candidates, parameters and records share ONE flat batch
-axis in blocks of fixed size: the program never recompiles because a number changed, a lane's result does not depend on its
-neighbours (bitwise), and a lane that diverges costs the others nothing. Calls of few and of many lanes are made of blocks of two
-sizes: of some models with springs (`backlash` in the tracker) they differ by rounding.
+axis in blocks of one size: the program never recompiles because a number changed, a lane's result does not depend on its
+neighbours (bitwise), and a lane that diverges costs the others nothing.
 """
 
 from __future__ import annotations
@@ -34,10 +33,8 @@ from jaxid.simulation.windows import windowed, Windows
 
 T = TypeVar("T")
 
-#: Lanes of one block: enough for vector code, few enough to stay in the cache; and of each block of a call that has few of them.
-LANES, FEW = 48, 16
-#: A call of at most so many small blocks is made of them: two cores take no longer for it than with large ones.
-SMALL = 4
+#: Lanes of one block: enough for vector code, few enough that a call of a few of them does not wait for many that nobody asked.
+LANES = 16
 
 #: Blocks of lanes run side by side, one per core; which thread runs a block changes nothing in its result.
 _POOL = Pool("lanes")
@@ -62,19 +59,19 @@ class Programs(NamedTuple):
     tangent_windows: Traced
     begins: Callable[..., Any]
     losses: dict[Any, Any]
-    ready: set[tuple[str, int]]  # name and width of those that can be called
-    making: dict[tuple[str, int], Lock]
+    ready: set[str]  # names of those that can be called
+    making: dict[str, Lock]
 
     @contextmanager
-    def first_call(self, name: str, width: int) -> Iterator[None]:
+    def first_call(self, name: str) -> Iterator[None]:
         """Around a call that may be the first of a program, and so compiles it: others wait for its end."""
-        with self.making.setdefault((name, width), Lock()):
+        with self.making.setdefault(name, Lock()):
             yield
-            self.ready.add((name, width))
+            self.ready.add(name)
 
-    def in_hand(self, name: str, width: int) -> bool:
+    def in_hand(self, name: str) -> bool:
         """Whether some thread compiles a program just now."""
-        return (lock := self.making.get((name, width))) is not None and lock.locked()
+        return (lock := self.making.get(name)) is not None and lock.locked()
 
 
 def programs_for(layout: Layout, lane: Lane, length: int, reach: int, burn: bool) -> Programs:
@@ -151,7 +148,7 @@ class Engine:
         reach = max(reach_of(samples, r) for r in self.records)
         self.reach = reach
         self._kind, self._burn = (lane, self.length, reach), burn or any(r.lead for r in self.records)
-        self._families, self._narrow = {} if whole else families(layout), False
+        self._families = {} if whole else families(layout)
         self._neutral = np.array([e.spec.value for e in layout.entries])
         self._restricted: dict[frozenset[str], tuple[Layout, np.ndarray]] = {}
         self.where = np.array([[r.offset, r.first, r.last, r.lead] for r in self.records], np.int32)
@@ -163,9 +160,8 @@ class Engine:
         self._always = layout.chain.mechanism.hidden_states or not set(own) <= set(optional)
 
     def keep_together(self) -> None:
-        """From now on every lane runs in the program of all effects, in small blocks: one compilation, where few effects are
-        asked."""
-        self._families, self._narrow = {}, True
+        """From now on every lane runs in the program of all effects: one compilation, where few effects are asked."""
+        self._families = {}
 
     def theta_of(self, theta: np.ndarray, record: np.ndarray) -> np.ndarray:
         """The numbers in force on each lane's record."""
@@ -315,31 +311,28 @@ class Engine:
         for family in self._families:
             self._begin("outputs", frozenset([family]), also_compile=False)
 
-    def compile_ahead(self, name: str, theta: np.ndarray, free: Sequence[int] | np.ndarray, few: bool = False) -> None:
-        """Begins to compile `outputs` or `tangents` of where numbers equal theta but in `free`; `few`: for calls of few lanes."""
-        kept = self._families_of(self._could_work(theta, free))
-        if not few:
-            self._begin(name, kept, also_compile=True)
-        self._begin(name, kept, also_compile=few, width=FEW)
+    def compile_ahead(self, name: str, theta: np.ndarray, free: Sequence[int] | np.ndarray) -> None:
+        """Begins to compile `outputs` or `tangents` of where numbers equal theta but in `free`."""
+        self._begin(name, self._families_of(self._could_work(theta, free)), also_compile=True)
 
-    def _begin(self, name: str, kept: frozenset[str], also_compile: bool, width: int = LANES) -> None:
+    def _begin(self, name: str, kept: frozenset[str], also_compile: bool) -> None:
         """Has a program made ready by another thread, which runs it for no step; one that does not lie on disk only where
         `also_compile`. Long records have programs of their own."""
         if self.long:
             return
         programs, index = self._programs_of(kept)
-        if (name, width) in programs.making:
+        if name in programs.making:
             return
-        point = np.repeat(self._neutral[None, index], width, 0), np.zeros((width, 2 * self.layout.chain.nq))
+        point = np.repeat(self._neutral[None, index], LANES, 0), np.zeros((LANES, 2 * self.layout.chain.nq))
         along = (np.zeros_like(point[0]), point[1]) if name == "tangents" else ()
-        args = *point, *along, np.repeat(self.where[:1], width, 0), self.samples, np.int32(0)
+        args = *point, *along, np.repeat(self.where[:1], LANES, 0), self.samples, np.int32(0)
         program = getattr(programs, name)
         if also_compile or program.kept(*args):
-            _COMPILERS.submit(self._first, programs, name, width, partial(program, *args))
+            _COMPILERS.submit(self._first, programs, name, partial(program, *args))
 
     @staticmethod
-    def _first(programs: Programs, name: str, width: int, call: Callable[[], T]) -> T:
-        with programs.first_call(name, width):
+    def _first(programs: Programs, name: str, call: Callable[[], T]) -> T:
+        with programs.first_call(name):
             return call()
 
     def _call(self, name: str, numbers, states, record: np.ndarray, share: float) -> list[np.ndarray]:
@@ -356,7 +349,6 @@ class Engine:
         busy = np.any([numbers[0] != self._neutral, *(d != 0 for d in numbers[1:])], 0)
         where = self._where(busy, record)
         steps = np.ceil(self.steps[record] * share).astype(np.int32) + where[:, 3]
-        width = FEW if self._narrow or record.size <= SMALL * FEW else LANES  # on any number of cores
         jobs: list[Callable[[], tuple[np.ndarray, tuple]]] = []
         first: list[Callable[[], tuple[np.ndarray, tuple]]] = []
         awaited: list[Callable[[], tuple[np.ndarray, tuple]]] = []
@@ -365,12 +357,12 @@ class Engine:
             program, own = getattr(programs, name), [a[:, index] for a in numbers]
             lanes = lanes[np.argsort(-steps[lanes], kind="stable")]  # longest first, so that a block holds lanes of like length
             blocks = [
-                partial(self._block, program, own, states, where, lanes[k : k + width], steps[lanes[k]], width)
-                for k in range(0, lanes.size, width)
+                partial(self._block, program, own, states, where, lanes[k : k + LANES], steps[lanes[k]])
+                for k in range(0, lanes.size, LANES)
             ]
-            if (name, width) not in programs.ready:
-                calls = awaited if programs.in_hand(name, width) else first
-                calls.append(partial(self._first, programs, name, width, blocks.pop(0)))
+            if name not in programs.ready:
+                calls = awaited if programs.in_hand(name) else first
+                calls.append(partial(self._first, programs, name, blocks.pop(0)))
             jobs += blocks
         if first or awaited:  # the first call of a program compiles it
             began = time.perf_counter()
@@ -379,8 +371,8 @@ class Engine:
             yield from done
         yield from _POOL.ahead(jobs)
 
-    def _block(self, program: Callable, numbers, states, where: np.ndarray, lanes: np.ndarray, steps: Any, width: int):
-        padded = np.concatenate([lanes, np.repeat(lanes[-1:], width - lanes.size)])
+    def _block(self, program: Callable, numbers, states, where: np.ndarray, lanes: np.ndarray, steps: Any):
+        padded = np.concatenate([lanes, np.repeat(lanes[-1:], LANES - lanes.size)])
         arrays = [a[padded] for pair in zip(numbers, states, strict=True) for a in pair]
         out = in_float64(program, *arrays, where[padded], self.samples, steps)
         return lanes, tuple(np.asarray(o) for o in (out if isinstance(out, tuple) else (out,)))

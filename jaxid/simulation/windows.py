@@ -103,9 +103,9 @@ class Windows:
         for at in range(0, int(self._steps.max()), WINDOW):
             going = [b for b in blocks if at < self._steps[b.lanes[0]]]
             first = []
-            if (self._name, WIDTH) not in self._programs.ready:  # the first call compiles
+            if self._name not in self._programs.ready:  # the first call compiles
                 began = time.perf_counter()
-                with self._programs.first_call(self._name, WIDTH):
+                with self._programs.first_call(self._name):
                     first = [self._run(going.pop(0), at)]
                 self._engine.compile_time_s += time.perf_counter() - began
             for lanes, out in (*first, *_POOL.map(lambda b, at=at: self._run(b, at), going)):
