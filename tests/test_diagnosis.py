@@ -16,6 +16,7 @@ import pytest
 import jaxid
 from jaxid import catalogue
 from jaxid.data.dataset import ModelSpec, ParameterPrior
+from jaxid.diagnosis import search
 from jaxid.diagnosis.evidence import held_out, HeldOut, inflation, knowledge, memory, shifted
 from jaxid.diagnosis.how_far import interval_of_further_run, shrink
 from jaxid.diagnosis.hypothesis import candidates, Hypothesis, Search
@@ -739,6 +740,22 @@ def test_held_out_runs_tell_what_the_fit_runs_leave_open():
     first, followed = (held_out(bench, "validation", [theta], None, told, follow)[0] for follow in (None, [path]))
     assert first.gap > 5 and followed.gap == first.gap  # the prediction is what it is
     assert followed.loss < 1.2 and followed.theta is not None and abs(followed.theta[limit] - 0.3) < 2e-3
+
+
+def test_a_search_that_has_simulated_enough_ends_and_says_so(monkeypatch):
+    """All single effects are asked in any case; what would come beside them is not, where nothing may be simulated any more."""
+    both = recording("pendulum", 5, load=0.1, lag=0.03)
+    effects = ["load_dependent_friction", "actuator_lag", "quadratic_drag", "input_delay", "spring_torque"]
+    whole = jaxid.diagnose("pendulum", both, effects=effects)
+    assert {e.effect for e in whole.which.effects} == {"load_dependent_friction", "actuator_lag"}
+    assert "ended" not in whole.which.text
+    monkeypatch.setattr(search, "MOST_STEPS", 0)
+    monkeypatch.setattr(search, "MOST_RUNS", 0)
+    short = jaxid.diagnose("pendulum", both, effects=effects)
+    assert len(short.which.effects) < 2 and short.which.verdict != "named"
+    assert "The search ended at what it may simulate" in short.which.text
+    one = jaxid.diagnose("pendulum", recording("pendulum", 1, load=0.1), effects=effects)
+    assert [e.effect for e in one.which.effects] == ["load_dependent_friction"] and "ended" not in one.which.text
 
 
 def test_a_model_in_a_local_minimum_is_freed_by_a_richer_one():

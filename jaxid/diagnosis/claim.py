@@ -11,7 +11,7 @@ from jaxid.diagnosis import how_far as shrinking
 from jaxid.diagnosis.evidence import held_out, knowledge
 from jaxid.diagnosis.hypothesis import Candidate, Hypothesis, Search
 from jaxid.diagnosis.jitter import Scatter
-from jaxid.diagnosis.reasons import NextToTheNoise, ReportNotReached, StandsStill, WithinWhatIsKnown
+from jaxid.diagnosis.reasons import CutShort, NextToTheNoise, ReportNotReached, StandsStill, WithinWhatIsKnown
 from jaxid.diagnosis.result import HowFar
 from jaxid.diagnosis.thresholds import LIMITS
 from jaxid.diagnosis.verdict import astray, Gaps, judge, upheld, Verdict
@@ -51,6 +51,8 @@ class Judge:
         names = [n for n, _ in self.bench.binding.chain.signature.outputs] if self.residual.free_run else []
         counted = np.array([self.bench.binding.noise[n].source == "quantisation" for n in names], bool)
         verdict, stamps = judge(self.search, counted), ()
+        if self.search.cut_short:
+            verdict = verdict.because(CutShort(bool(self.search.chosen.effects)))
         if self.scatter:
             verdict, stamps = self.scatter.verdict(verdict), self.scatter.effects()
         if "validation" in self.still:

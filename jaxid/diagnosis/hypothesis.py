@@ -77,7 +77,8 @@ class Search:
     `rivals`: the two hypotheses between which further data should decide. `several`: more than one effect was chosen, and motions
     are simulated. `without`: what is left on validation data, in multiples of the noise, where one of several is taken out and
     the rest refitted; what is missed most comes first. `settled`: nominal and chosen, refitted to the runs that fitted and to
-    those that chose. `stands`: the model with nothing re-tuned, where the chosen effects were asked beside that.
+    those that chose. `stands`: the model with nothing re-tuned, where the chosen effects were asked beside that. `cut_short`: not
+    all was asked, as the search had simulated as much as it may.
     """
 
     nominal: Hypothesis
@@ -89,6 +90,7 @@ class Search:
     without: tuple[tuple[Candidate, float], ...] = ()
     settled: tuple[Hypothesis, Hypothesis] | None = None
     stands: Hypothesis | None = None
+    cut_short: bool = False
 
 
 def without_each(h: Hypothesis, known: Mapping[frozenset[str], Hypothesis]) -> tuple[tuple[Candidate, float], ...]:

@@ -75,6 +75,20 @@ class NothingExplains(Reason):
     form = "There is a gap ({gap:times} times the noise on validation data), and no effect of the library explains it."
 
 
+@dataclass(frozen=True)
+class CutShort(Reason):
+    named: bool
+    form = (
+        "The search ended at what it may simulate: {what}. Leave out effects that cannot be missing (--effects names the "
+        "others), and it gets further."
+    )
+
+    @property
+    def sentence(self) -> str:
+        beside = "not all effects were tried beside those that come nearest, or in their place"
+        return self.said(what=beside if self.named else "not all pairs of effects were tried")
+
+
 def _lead(claimed: bool) -> str:
     return "The model lacks" if claimed else "Nearest comes"
 

@@ -48,13 +48,16 @@ from jaxid.fitting.least_squares import descend, Path, race
 from jaxid.fitting.problem_builder import Bench, estimate_starts
 from jaxid.problem.problem import Problem
 from jaxid.problem.residual import Residual
-from jaxid.problem.step_error import finer_predictions, step_error, STEP_SHARE
+from jaxid.problem.step_error import defects, step_error, STEP_SHARE
 
 
 #: So many hypotheses that explain the torque of the measured motion best are refitted to the end, however they do at first.
 SURE = 3
 #: How often the step may be halved, and how often its defect is worked out anew for a chosen hypothesis.
 HALVINGS, CORRECTIONS = 3, 2
+#: After the single effects nothing more is asked once so many steps were simulated (a minute on two cores), and the fit runs so
+#: often: what few effects explain is found before; what none of the library explains could be searched for an hour.
+MOST_STEPS, MOST_RUNS = 150_000_000, 40_000
 #: Iterations and tolerance of a descent to the end, and of that of a nominal model to which something better is compared.
 THOROUGH, BRIEF = (20, 1e-8), (6, 1e-5)
 
@@ -73,6 +76,7 @@ class Searcher:
         self.tried: list[Hypothesis] = []  # on the way to what is chosen
         self._singles: list[Hypothesis] = []  # those of the last step
         self._passed_over: dict[Candidate, list[Hypothesis]] = {}  # what an accepted effect was not clearly better than
+        self._cut_short = False
 
     # ---- hypotheses
 
@@ -132,22 +136,26 @@ class Searcher:
         new = self._hypotheses([(found[k].effects, end) for k, end in better.items()]) if better else []
         return [dict(zip(better, new, strict=True)).get(k, h) for k, h in enumerate(found)]
 
-    # ---- screen
-
     def screen(self, h: Hypothesis, pool: Sequence[Candidate]) -> list[Screened]:
         """What each candidate explains beside `h` of the residual."""
         return screened(self.bench, h.path.problem, h.path.z, h.theta, pool)
 
     # ---- search
 
+    def _goes_on(self) -> bool:
+        """Whether more may be asked after the first effects; that it may not is said in the end."""
+        spent, once = sum(bench.simulated() for bench in (*self.benches, self.bench)), self.nominal.path.problem.work
+        self._cut_short |= bool(self.tried) and spent > max(MOST_STEPS, MOST_RUNS * once)
+        return not self._cut_short
+
     def run(self, pool: Sequence[Candidate], max_effects: int, known: Callable[[Search], None] = lambda search: None) -> Search:
         """Forward selection up to `max_effects`, then each accepted effect is questioned again; `known` is told after each
         round."""
         chosen = self._refined(self.nominal)
-        while (room := max_effects - len(chosen.effects)) > 0 and not finished(chosen):
+        while (room := max_effects - len(chosen.effects)) > 0 and not finished(chosen) and self._goes_on():
             found = self._beside(chosen, pool, room)
             step = best(self.bench, chosen, found)
-            if step is None and len(chosen.effects) + 2 <= max_effects:
+            if step is None and len(chosen.effects) + 2 <= max_effects and self._goes_on():
                 step = best(self.bench, chosen, self._as_pairs(chosen, found, pool, room))
                 self.tried += [step] if step else []
             if step is None:
@@ -181,13 +189,14 @@ class Searcher:
         told_apart = mates or not alike  # a mirrored effect alone: no input tells what no recording can
         rivals = rivals_among(list(self.known.values()), chosen, list(mates.values())) if told_apart else None
         fitted = self._stale | self.known
-        return Search(self.nominal, chosen, self.tried, alike, rivals, several, without_each(chosen, fitted))
+        each = without_each(chosen, fitted)
+        return Search(self.nominal, chosen, self.tried, alike, rivals, several, each, cut_short=self._cut_short)
 
     def _beside(self, chosen: Hypothesis, pool: Sequence[Candidate], room: int) -> list[Hypothesis]:
         """Refits of the chosen hypothesis with more in it, `room` effects at most; after the first choice also of two others,
         which may explain more than it and one beside it."""
         found = self._extend(chosen, [c for c in pool if c not in chosen.effects], room)
-        if len(chosen.effects) == 1 and not close_to_noise(chosen):
+        if len(chosen.effects) == 1 and not close_to_noise(chosen) and self._goes_on():
             found += self._as_pairs(chosen, self._singles, pool, room)
         self._singles = found
         self.tried += found
@@ -308,12 +317,8 @@ class Searcher:
             starts = h.path.problem.starts(h.path.z) if split == "fit" else None
             if split == "validation" and self.residual.free_run:
                 starts = estimate_starts(self.bench, split, [h.theta])[0]
-            z = p.z(h.theta, starts)
-            fine = finer_predictions(p, z, self.accurate.runs(self.residual, split))
-            defect = np.zeros_like(p.targets)
-            for number, halved, coarse in zip(p.records, fine, p.predictions(z), strict=True):
-                defect[p.runs.record(number).samples] = halved - coarse
-            self.bench.take_off(self.residual, split, np.nan_to_num(defect))
+            finer = self.accurate.runs(self.residual, split)
+            self.bench.take_off(self.residual, split, defects(p, p.z(h.theta, starts), finer))
 
     def _settled(self, chosen: Hypothesis) -> Hypothesis:
         """The result on the accurate bench itself."""
@@ -374,7 +379,7 @@ class Searcher:
             others = tuple(e for e in chosen.effects if e is not c)
             done = self.known.keys() | self._stale.keys()
             missing = [e for e in pool if e not in chosen.effects and key_of((*others, e)) not in done]
-            if missing and others and key_of(others) in self.known:
+            if missing and others and key_of(others) in self.known and self._goes_on():
                 self._extend(self.known[key_of(others)], missing)
             self._renew([key_of((*others, e)) for e in pool if e not in chosen.effects], key_of(chosen.effects))
             for e in pool:

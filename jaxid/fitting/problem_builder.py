@@ -146,6 +146,10 @@ class Bench:
             self._begun |= {(split, key): b for key, b in zip(new, _begun(self, split, list(new.values())), strict=True)}
         return [self._begun[split, theta.tobytes()] for theta in thetas]
 
+    def simulated(self) -> int:
+        """Steps that were simulated so far, those of all candidates."""
+        return sum(r.engine.simulated for r in self._runs.values() if r.setting is None)
+
     def compile_time(self) -> float:
         return self._forgotten + sum(r.engine.compile_time_s for r in self._runs.values())
 

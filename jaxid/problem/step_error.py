@@ -22,6 +22,15 @@ def finer_predictions(problem: Problem, z: np.ndarray, finer: Runs) -> list[np.n
     return [finer.sample_prediction(r, row) for r, row in zip(lanes, fine, strict=True)]
 
 
+def defects(problem: Problem, z: np.ndarray, finer: Runs) -> np.ndarray:
+    """What finer steps would add to the simulation at z, at the samples [samples columns]; 0 where a run diverges."""
+    out = np.zeros_like(problem.targets)
+    both = zip(problem.records, finer_predictions(problem, z, finer), problem.predictions(z), strict=True)
+    for number, halved, coarse in both:
+        out[problem.runs.record(number).samples] = halved - coarse
+    return np.nan_to_num(out)
+
+
 def _counted(runs: Runs, records: Sequence[int], values: Sequence[np.ndarray]) -> list[np.ndarray]:
     """Of values [samples columns] of each record those that have weight: one array a column."""
     weighs = np.concatenate([runs.weights[runs.record(r).samples] > 0 for r in records])

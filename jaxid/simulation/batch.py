@@ -141,7 +141,7 @@ class Engine:
         all effects, also those that do nothing; `burn` takes the program for records with a lead even if none has one."""
         self.layout, self.records, self.overrides, self.lane = layout, list(records), overrides, lane
         self.length = bucket(max(length, *(r.count + r.lead for r in records)), BLOCK)
-        self.compile_time_s = 0.0
+        self.compile_time_s, self.simulated = 0.0, 0  # steps of all lanes so far
         self.long = self.length > LONG and lane in WINDOWED
         with float64():
             self.samples = Samples(*(jnp.asarray(a) for a in samples))
@@ -236,6 +236,7 @@ class Engine:
             return None
         where = self._where(np.broadcast_to(np.any(busy, 0), busy.shape), record)
         steps = np.ceil(self.steps[record] * share).astype(np.int32) + where[:, 3]
+        self.simulated += int(steps.sum())
         return Windows(self, programs, index, numbers, states, where, steps)
 
     def _at_work(self, busy: np.ndarray) -> dict[frozenset[str], np.ndarray]:
@@ -349,6 +350,7 @@ class Engine:
         busy = np.any([numbers[0] != self._neutral, *(d != 0 for d in numbers[1:])], 0)
         where = self._where(busy, record)
         steps = np.ceil(self.steps[record] * share).astype(np.int32) + where[:, 3]
+        self.simulated += int(steps.sum())
         jobs: list[Callable[[], tuple[np.ndarray, tuple]]] = []
         first: list[Callable[[], tuple[np.ndarray, tuple]]] = []
         awaited: list[Callable[[], tuple[np.ndarray, tuple]]] = []
