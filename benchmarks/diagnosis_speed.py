@@ -3,8 +3,9 @@
 Recordings of the separate twins of the blind cases, from rest, with noise and one withheld effect: 8 s (of a flexible link four
 runs of 4 s), and 20 runs of 60 s. Cold: a process of its own with an empty cache of compiled programs, but for what the rows
 above have left there. Warm: another one with that cache, importing JAX included. Again: the same diagnosis once more in that
-process. Command: `jaxid diagnose` with its page. Steps: those simulated of all candidates, which no machine changes. The answer
-is the first name: what a recording cannot tell from it stands beside it on the page (of the tracker the lag).
+process. Command: `jaxid diagnose` with its page. Steps: those of all candidates, simulated or along the measured motion, which no
+machine changes. The answer is the first name: what a recording cannot tell from it stands beside it on the page (of the tracker
+the lag).
 """
 
 from __future__ import annotations
@@ -50,7 +51,9 @@ def datasets(model: str, rate: int, runs: int, seconds: float, withheld: list[di
     plant = dataclasses.replace(PLANTS[model], rate=rate)
     rng = np.random.default_rng(8)
     count = int(rate * seconds)
-    each = [np.concatenate([commands(plant, rng, 1)[0] for _ in range(-(-count // int(rate * 8)))])[:count] for _ in range(runs)]
+    each = [
+        np.concatenate([commands(plant, rng, 1)[0] for _ in range(-(-count // int(rate * SECONDS)))])[:count] for _ in range(runs)
+    ]
     u = np.repeat(np.array(each)[None], len(withheld), 0).reshape(-1, count, plant.n)
     own = lambda c, k: c.get(k, plant.nominal.get(k, (NEUTRAL.get(k, 0.0),) * plant.n))
     numbers = {k: np.repeat([own(c, k) for c in withheld], runs, 0).astype(float) for k in {**NEUTRAL, **plant.nominal}}
@@ -94,27 +97,28 @@ def timed(folder: Path, again: bool) -> None:
     prepare()
     import jaxid
 
-    rows, answer = [], ""
+    rows, answer, steps = [], "", counted()
     for _ in range(1 + again):
-        began = time.perf_counter()
+        began, before = time.perf_counter(), steps[0]
         d = jaxid.diagnose(None, jaxid.load_dataset(folder), seed=0)
-        rows.append({"wall": time.perf_counter() - began, "steps": steps()})
+        rows.append({"wall": time.perf_counter() - began, "steps": (steps[0] - before) / 1e6})
         answer = f"{d.which.verdict}: {', '.join(str(e) for e in d.which.effects) or '-'}"
     peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 2**20
     print(json.dumps({"rows": rows, "answer": answer, "peak": peak}))
 
 
-def steps() -> float:
-    """Steps that all engines of this process have simulated since this was last asked, in millions."""
-    import gc
-
+def counted() -> list[int]:
+    """Counts from now on, in its only entry, what all engines of this process step through, also those that are let go."""
     from jaxid.simulation.batch import Engine
 
-    total = 0
-    for engine in (o for o in gc.get_objects() if isinstance(o, Engine)):
-        total += engine.simulated
-        engine.simulated = 0
-    return total / 1e6
+    total = [0]
+
+    def count(engine: Any, value: int) -> None:
+        total[0] += value - vars(engine).get("simulated", 0)
+        vars(engine)["simulated"] = value
+
+    Engine.simulated = property(lambda engine: vars(engine)["simulated"], count)  # pyright: ignore[reportAttributeAccessIssue]
+    return total
 
 
 def main() -> dict[str, Any]:

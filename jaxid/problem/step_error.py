@@ -23,7 +23,7 @@ def finer_predictions(problem: Problem, z: np.ndarray, finer: Runs) -> list[np.n
 
 
 def defects(problem: Problem, z: np.ndarray, finer: Runs) -> np.ndarray:
-    """What finer steps would add to the simulation at z, at the samples [samples columns]; 0 where a run diverges."""
+    """What finer steps would add to the simulation at z, at the samples [samples columns]; 0 for what is no number."""
     out = np.zeros_like(problem.targets)
     both = zip(problem.records, finer_predictions(problem, z, finer), problem.predictions(z), strict=True)
     for number, halved, coarse in both:
