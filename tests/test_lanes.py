@@ -74,13 +74,34 @@ def test_a_lane_does_not_depend_on_its_neighbours():
         assert np.array_equal(np.asarray(run(A, x, table, steps))[0], before[0])
 
 
-def test_a_large_step_is_left_to_vmap(monkeypatch):
+def scalars(A, x, table, steps):
+    """A loop whose steps work on single numbers."""
+
+    def step(carry, k):
+        a, b = carry
+        for n in range(5):
+            a, b = jnp.sin(a) + b * table[k], b - 0.1 * n * a * A[0, 0]
+        return (a, b), jnp.stack([a, b])
+
+    state = jnp.zeros((), int), (x[0], x[1]), jnp.zeros((64, 2))
+
+    def block(state):
+        k, carry, out = state
+        carry, y = jax.lax.scan(step, carry, k + jnp.arange(8))
+        return k + 8, carry, jax.lax.dynamic_update_slice_in_dim(out, y, k, 0)
+
+    return loop_over_time(lambda: jax.lax.while_loop(lambda s: s[0] < steps, block, state)[2])
+
+
+def test_a_large_step_is_left_to_vmap_where_its_matrices_would_be_taken_apart(monkeypatch):
     A, x, table, steps = numbers()
-    size = lambda: str(jax.make_jaxpr(over_lanes(looped, AXES))(A, x, table, steps)).count("f64[6] ")
+    text = lambda f: str(jax.make_jaxpr(over_lanes(f, AXES))(A, x, table, steps))
     with float64():
-        apart = size()
+        apart, single = text(looped).count("f64[6] "), text(scalars)
         monkeypatch.setattr(lanes, "LARGEST_STEP", 10)
-        assert size() < apart / 4
+        monkeypatch.setattr(lanes, "MOST_TIMES", 1.5)
+        assert text(looped).count("f64[6] ") < apart / 4
+        assert text(scalars) == single and single.count("f64[6] ") > 20
 
 
 @pytest.mark.parametrize(
