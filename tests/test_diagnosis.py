@@ -16,7 +16,7 @@ import pytest
 import jaxid
 from jaxid import catalogue
 from jaxid.data.dataset import ModelSpec, ParameterPrior
-from jaxid.diagnosis import search
+from jaxid.diagnosis import search, shortlist
 from jaxid.diagnosis.evidence import held_out, HeldOut, inflation, knowledge, memory, shifted
 from jaxid.diagnosis.how_far import interval_of_further_run, shrink
 from jaxid.diagnosis.hypothesis import candidates, Hypothesis, Search
@@ -740,6 +740,32 @@ def test_held_out_runs_tell_what_the_fit_runs_leave_open():
     first, followed = (held_out(bench, "validation", [theta], None, told, follow)[0] for follow in (None, [path]))
     assert first.gap > 5 and followed.gap == first.gap  # the prediction is what it is
     assert followed.loss < 1.2 and followed.theta is not None and abs(followed.theta[limit] - 0.3) < 2e-3
+
+
+def test_candidates_behind_are_asked_only_where_those_in_front_leave_something(monkeypatch):
+    """A large gap that one of the first closes is not asked of the others, the answer is the same; a small one, or one that none
+    of them closes, is asked of all."""
+    asked: list[str] = []
+    refit = Searcher.refit
+
+    def counted(self, sets):
+        asked.extend(str(effects[-1]) for effects, _ in sets if len(effects) == 1)
+        return refit(self, sets)
+
+    monkeypatch.setattr(Searcher, "refit", counted)
+
+    def refitted(data, **settings):
+        asked.clear()
+        return jaxid.diagnose("pendulum", data, max_effects=1, **settings), len(set(asked))
+
+    effects = [*CHOICE, "saturation", "asymmetric_friction", "power_law_friction", "spring_torque"]
+    large, small = (recording("pendulum", 1, load=load) for load in (0.1, 0.002))
+    monkeypatch.setattr(shortlist, "LEADING", 2)
+    d, few = refitted(large, effects=effects)
+    _, of_small = refitted(small, effects=effects)
+    _, of_unknown = refitted(large, effects=effects[1:])
+    assert [e.effect for e in d.which.effects] == ["load_dependent_friction"]
+    assert few <= 4 < min(of_small, of_unknown)
 
 
 def test_a_search_that_has_simulated_enough_ends_and_says_so(monkeypatch):

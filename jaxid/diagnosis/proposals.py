@@ -8,7 +8,7 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 
 from jaxid.diagnosis.hypothesis import Candidate, effect_of, family_of, Hypothesis, probes_of, sensible
-from jaxid.diagnosis.screen import each_probe
+from jaxid.diagnosis.screen import each_probe, Screened
 from jaxid.fitting.least_squares import descend, Path
 from jaxid.fitting.problem_builder import Bench
 from jaxid.problem.residual import InverseDynamics
@@ -24,6 +24,23 @@ STARTS = 4
 GIVEN = 1
 
 Proposal = tuple[tuple[Candidate, ...], Sequence[np.ndarray]]
+
+
+def beside(
+    bench: Bench,
+    h: Hypothesis,
+    kept: Sequence[Screened],
+    by_torque: Sequence[Screened],
+    base: Mapping[str, Sequence[Candidate]],
+) -> list[Proposal]:
+    """Candidates as screened beside a hypothesis, each with what it refines (`base`). Second of its starts comes the torque's
+    answer to which probe is right."""
+    best = {str(c): starts[:1] for _, c, starts in by_torque}
+    sets: list[Proposal] = []
+    for _, c, starts in kept:
+        own = [*starts[:1], *best.get(str(c), []), *starts[1:], *as_given(bench, (*h.effects, c), starts)]
+        sets.append(((*h.effects, *base[str(c)], c), with_refined(bench, base[str(c)], own)))
+    return sets
 
 
 def pairs(bench: Bench, found: Sequence[Hypothesis]) -> list[Proposal]:

@@ -17,14 +17,13 @@ from jaxid.diagnosis.evidence import held_out, knowledge, together
 from jaxid.diagnosis.hypothesis import Candidate, Hypothesis, key_of, refined_by, Search, sensible, without_each
 from jaxid.diagnosis.prior_pull import brought_back, moved_to, put_back
 from jaxid.diagnosis.proposals import (
-    as_given,
+    beside,
     exchanged,
     pairs,
     plain_pairs,
     promising,
     RIVALS,
     torque_starts,
-    with_refined,
 )
 from jaxid.diagnosis.screen import Screened, screened, torque_screened, torque_tells
 from jaxid.diagnosis.selection import (
@@ -32,6 +31,7 @@ from jaxid.diagnosis.selection import (
     best,
     close_to_noise,
     equals,
+    explained,
     finished,
     indistinct,
     joint_loss,
@@ -41,7 +41,7 @@ from jaxid.diagnosis.selection import (
     rivals_among,
     significant,
 )
-from jaxid.diagnosis.shortlist import shortlist
+from jaxid.diagnosis.shortlist import shortlist, waves
 from jaxid.diagnosis.thresholds import LIMITS
 from jaxid.fitting.fitter import Progress
 from jaxid.fitting.least_squares import descend, Path, race
@@ -348,12 +348,11 @@ class Searcher:
         kept = shortlist(self.bench, ranked, by_torque, lambda c: bool(base[str(c)]), not h.effects, blind)
         if self.progress:
             self.progress("refit", len(h.effects), 3, f"{len(kept)} candidates")
-        best = {str(c): starts[:1] for _, c, starts in by_torque}  # second comes the torque's answer to which probe is right
-        sets = []
-        for _, c, starts in kept:
-            wider = [*starts[:1], *best.get(str(c), []), *starts[1:], *as_given(self.bench, (*h.effects, c), starts)]
-            sets.append(((*h.effects, *base[str(c)], c), with_refined(self.bench, base[str(c)], wider)))
-        return self.refit(sets)
+        found: list[Hypothesis] = []
+        for wave in waves(kept, ranked, by_torque) if joint_loss(h) > LIMITS.far else [kept]:
+            if not explained(found):
+                found += self.refit(beside(self.bench, h, wave, by_torque, base))
+        return found
 
     def _questioned(self, h: Hypothesis) -> Hypothesis:
         """Takes out effects that are no longer needed beside the others (explain too little, or nothing of the report data), what

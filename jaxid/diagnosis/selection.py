@@ -141,6 +141,11 @@ def finished(h: Hypothesis) -> bool:
     return max(h.validation.loss, h.fit_loss) < LIMITS.at_floor if h.effects else at_floor(h)
 
 
+def explained(found: Sequence[Hypothesis]) -> bool:
+    """Whether one of the refits leaves no more than the noise."""
+    return any(max(h.fit_loss, h.validation.loss) < LIMITS.explained for h in found)
+
+
 def close_to_noise(h: Hypothesis) -> bool:
     """White and close above the noise: a stated noise may be a little low, or something small is left."""
     white = h.fit_inflation < 1.5 * max(1.0, h.fit_loss) and memory(h.validation.settled) <= 2

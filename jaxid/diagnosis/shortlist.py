@@ -15,6 +15,9 @@ MINIMUM, MAXIMUM = 6, 16
 #: Timing comes before physics: these are always refitted first, and win a tie. One sample of offset between two channels, or the
 #: wrong hold of the command, is soon made and looks like lag, friction or inertia.
 TIMING = ("input_hold", "input_delay", "sensor_delay")
+#: Of a large gap so many of each screen are asked first, and the others where none of these leaves the noise alone: hardly two
+#: laws do. (A small one is soon closed by many, of which the evidence has to choose.)
+LEADING = 4
 
 
 def shortlist(
@@ -41,6 +44,13 @@ def shortlist(
     names = {str(c) for _, c, _ in kept}
     alike = [f"{n} at {c.location}" for _, c, _ in kept for n in effect_of(bench, c).resembles]
     return [*kept, *(table[n] for n in dict.fromkeys(alike) if n in table and n not in names), *beside]
+
+
+def waves(kept: Sequence[Screened], *screens: Sequence[Screened]) -> list[list[Screened]]:
+    """What is refitted first, as either screen puts it in front, and the rest."""
+    leading = {str(c) for ranked in screens for _, c, _ in ranked[:LEADING]}
+    first = [f for f in kept if str(f[1]) in leading]
+    return [wave for wave in (first, [f for f in kept if f not in first]) if wave]
 
 
 def _head(ranked: Sequence[Screened]) -> list[Screened]:
