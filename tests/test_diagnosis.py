@@ -768,6 +768,16 @@ def test_candidates_behind_are_asked_only_where_those_in_front_leave_something(m
     assert few <= 4 < min(of_small, of_unknown)
 
 
+def test_what_may_equal_a_candidate_in_front_is_asked_with_it():
+    names = ["quadratic_drag", "dead_zone", "saturation", "asymmetric_friction", "spring_torque", "power_law_friction"]
+    bench = Bench(bind("pendulum", recording("pendulum", 2), candidates=[catalogue.effect_class(n) for n in names]))
+    ranked = [(1 / (1 + k), c, []) for k, n in enumerate(names) for c in candidates(bench, [n])]
+    of = lambda wave: [c.effect for _, c, _ in wave]
+    assert [of(w) for w in shortlist.waves(bench, ranked, ranked, ranked[4:5])] == [[*names[:5], names[5]]]
+    assert [of(w) for w in shortlist.waves(bench, ranked, ranked[1:])] == [names[1:5], [names[0], names[5]]]
+    assert shortlist.waves(bench, [], ranked) == []
+
+
 def test_a_search_that_has_simulated_enough_ends_and_says_so(monkeypatch):
     """All single effects are asked in any case; what would come beside them is not, where nothing may be simulated any more."""
     both = recording("pendulum", 5, load=0.1, lag=0.03)

@@ -349,7 +349,7 @@ class Searcher:
         if self.progress:
             self.progress("refit", len(h.effects), 3, f"{len(kept)} candidates")
         found: list[Hypothesis] = []
-        for wave in waves(kept, ranked, by_torque) if joint_loss(h) > LIMITS.far else [kept]:
+        for wave in waves(self.bench, kept, ranked, by_torque) if joint_loss(h) > LIMITS.far else [kept]:
             if not explained(found):
                 found += self.refit(beside(self.bench, h, wave, by_torque, base))
         return found

@@ -46,10 +46,11 @@ def shortlist(
     return [*kept, *(table[n] for n in dict.fromkeys(alike) if n in table and n not in names), *beside]
 
 
-def waves(kept: Sequence[Screened], *screens: Sequence[Screened]) -> list[list[Screened]]:
-    """What is refitted first, as either screen puts it in front, and the rest."""
-    leading = {str(c) for ranked in screens for _, c, _ in ranked[:LEADING]}
-    first = [f for f in kept if str(f[1]) in leading]
+def waves(bench: Bench, kept: Sequence[Screened], *screens: Sequence[Screened]) -> list[list[Screened]]:
+    """What is refitted first, as either screen puts it in front or as it may equal what is there, and the rest."""
+    front = [c for ranked in screens for _, c, _ in ranked[:LEADING]]
+    alike = {f"{n} at {c.location}" for c in front for n in effect_of(bench, c).resembles}
+    first = [f for f in kept if f[1] in front or str(f[1]) in alike]
     return [wave for wave in (first, [f for f in kept if f not in first]) if wave]
 
 

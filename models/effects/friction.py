@@ -189,6 +189,7 @@ class QuadraticDrag(JointEffect):
     seen: ClassVar[str] = "at high speed, with its square"
     plain: ClassVar[str] = "A drag that grows with the square of speed is missing: {coefficient}."
     check: ClassVar[str] = "Look for fans, blades, air or oil that is churned."
+    resembles: ClassVar[tuple[str, ...]] = ("power_law_friction",)
     coefficient: Array = param(
         0.0,
         0.0,
