@@ -63,6 +63,25 @@ def test_a_program_is_compiled_once_also_where_the_first_call_was_interrupted():
     assert run.engine.compile_time_s == before > 0
 
 
+def test_a_call_that_does_not_come_again_needs_one_program_for_what_would_need_many(monkeypatch):
+    """Several effects of two families each run in the program of all, and come out as in programs of their own."""
+    chain = Chain(Pendulum()).with_effects(DeadZone(), Backlash(), SensorLag())
+    t = np.arange(200) / 100
+    run = Simulator(chain, t, 0.4 * np.sin(3 * t)[:, None], step=1e-2, size=512)
+    both = {"dead_zone.width@tau": 0.05, "sensor_lag.lag@q": 0.03}, {"dead_zone.width@tau": 0.05, "backlash.play@q": 0.02}
+    theta = np.array([run.theta(v) for v in ({}, *both)])
+    busy = theta != np.array([e.spec.value for e in run.layout.entries])
+    none, *mixed = groups = run.engine._at_work(busy)
+    steps, everything = np.full(3, 200), frozenset(run.engine._families)
+    merged = run.engine._merged(groups, steps)
+    assert not none and {k: v.tolist() for k, v in merged.items()} == {none: [0], everything: [1, 2]}
+    assert run.engine._merged({mixed[0]: np.array([1])}, steps) == {mixed[0]: np.array([1])}  # one is compiled as it is
+    args = theta, np.zeros((3, 2)), np.zeros(3, int)
+    np.testing.assert_allclose(run.engine.outputs(*args, once=True), run.engine.outputs(*args), rtol=0, atol=1e-12)
+    monkeypatch.setattr(engine, "ONCE", 300)
+    assert run.engine._merged(groups, steps) is groups
+
+
 def test_only_what_remembers_follows_the_motion_before_a_record():
     """Lanes of which nothing remembers start at the record itself; they come out as if they had followed the motion up to it."""
     chain = Chain(Pendulum()).with_effects(DeadZone(), Backlash(), SensorLag())

@@ -34,7 +34,7 @@ def screened(bench: Bench, p: Problem, z: np.ndarray, theta0: np.ndarray, pool: 
     total = float(before @ before)
     r0 = remaining(before)
     probes = [(c, theta) for c in pool for theta in probes_of(bench, c, theta0)]
-    residuals = each_probe(p, z, [theta for _, theta in probes])
+    residuals = each_probe(p, z, [theta for _, theta in probes], once=True)
     best: dict[str, list[tuple[float, np.ndarray, np.ndarray]]] = {}
     who: dict[str, Candidate] = {}
     for (c, theta), r in zip(probes, residuals, strict=True):
@@ -117,19 +117,21 @@ def probe_residuals(p: Problem, z: np.ndarray | Sequence[np.ndarray], thetas: Se
     return list(each_probe(p, z, thetas))
 
 
-def each_probe(p: Problem, z: np.ndarray | Sequence[np.ndarray], thetas: Sequence[np.ndarray]) -> Iterator[np.ndarray]:
-    """`probe_residuals` one after the other; of long records a few are simulated at a time."""
+def each_probe(
+    p: Problem, z: np.ndarray | Sequence[np.ndarray], thetas: Sequence[np.ndarray], once: bool = False
+) -> Iterator[np.ndarray]:
+    """`probe_residuals` one after the other; of long records a few are simulated at a time. `once`: they are not refitted."""
     some = FEW if p.runs.engine.long else max(1, len(thetas))
     for first in range(0, len(thetas), some):
         own = slice(first, first + some)
-        yield from _probes(p, z if isinstance(z, np.ndarray) else z[own], thetas[own])
+        yield from _probes(p, z if isinstance(z, np.ndarray) else z[own], thetas[own], once)
 
 
-def _probes(p: Problem, z: np.ndarray | Sequence[np.ndarray], thetas: Sequence[np.ndarray]) -> Iterator[np.ndarray]:
+def _probes(p: Problem, z: np.ndarray | Sequence[np.ndarray], thetas: Sequence[np.ndarray], once: bool) -> Iterator[np.ndarray]:
     runs, n = p.runs, len(p.records)
     record = np.tile(np.array(p.records), len(thetas))
     starts = np.tile(p.starts(z), (len(thetas), 1)) if isinstance(z, np.ndarray) else np.concatenate([p.starts(x) for x in z])
-    y = runs.engine.outputs(np.repeat(np.array(thetas), n, 0), starts, record)
+    y = runs.engine.outputs(np.repeat(np.array(thetas), n, 0), starts, record, once=once)
     for k in range(0, len(record), n):
         each = []
         for number, own in zip(record[k : k + n], y[k : k + n], strict=True):

@@ -36,6 +36,10 @@ T = TypeVar("T")
 #: Lanes of one block: enough for vector code, few enough that a call of a few of them does not wait for many that nobody asked.
 LANES = 16
 
+#: A call that does not come again takes the program of all effects, up to so many steps, where it would need several that hold
+#: several families each: compiling those takes longer.
+ONCE = 4_000_000
+
 #: Blocks of lanes run side by side, one per core; which thread runs a block changes nothing in its result.
 _POOL = Pool("lanes")
 
@@ -168,11 +172,14 @@ class Engine:
         stated = self.overrides[record]
         return np.where(np.isnan(stated), theta, stated)
 
-    def outputs(self, theta: np.ndarray, start: np.ndarray, record: np.ndarray, share: float = 1.0) -> np.ndarray:
-        """Predictions [lanes length ny]; theta [lanes size], start [lanes 2 nq], record [lanes]; only the first `share`."""
+    def outputs(
+        self, theta: np.ndarray, start: np.ndarray, record: np.ndarray, share: float = 1.0, once: bool = False
+    ) -> np.ndarray:
+        """Predictions [lanes length ny]; theta [lanes size], start [lanes 2 nq], record [lanes]; only the first `share`. `once`:
+        such a call does not come again."""
         if self.long and (own := self.windows(theta, start, record, share)):
             return own.together(self.length)
-        return self._call("outputs", (self.theta_of(theta, record),), (start,), record, share)[0]
+        return self._call("outputs", (self.theta_of(theta, record),), (start,), record, share, once)[0]
 
     def output_blocks(
         self, theta: np.ndarray, start: np.ndarray, record: np.ndarray, share: float = 1.0
@@ -248,6 +255,14 @@ class Engine:
         for k, row in enumerate(table):
             groups.setdefault(frozenset(n for n, b in zip(names, row, strict=True) if b), []).append(k)
         return {kept: np.array(lanes) for kept, lanes in groups.items()}
+
+    def _merged(self, groups: dict[frozenset[str], np.ndarray], steps: np.ndarray) -> dict[frozenset[str], np.ndarray]:
+        """The lanes of a call that does not come again, by the programs in which they run: see `ONCE`."""
+        mixed = [kept for kept in groups if len(kept) > 1]
+        lanes = np.sort(np.concatenate([groups[kept] for kept in mixed])) if len(mixed) > 1 else np.zeros(0, int)
+        if not lanes.size or steps[lanes].sum() > ONCE:
+            return groups
+        return {kept: own for kept, own in groups.items() if kept not in mixed} | {frozenset(self._families): lanes}
 
     def _programs_of(self, kept: frozenset[str]) -> tuple[Programs, np.ndarray]:
         if kept not in self._restricted:
@@ -336,16 +351,18 @@ class Engine:
         with programs.first_call(name):
             return call()
 
-    def _call(self, name: str, numbers, states, record: np.ndarray, share: float) -> list[np.ndarray]:
+    def _call(self, name: str, numbers, states, record: np.ndarray, share: float, once: bool = False) -> list[np.ndarray]:
         results: list[np.ndarray] = []
-        for lanes, out in self._blocks(name, numbers, states, record, share):
+        for lanes, out in self._blocks(name, numbers, states, record, share, once):
             if not results:
                 results = [np.empty((record.size, *o.shape[1:])) for o in out]
             for r, o in zip(results, out, strict=True):
                 r[lanes] = o[: lanes.size]
         return results
 
-    def _blocks(self, name: str, numbers, states, record: np.ndarray, share: float) -> Iterator[tuple[np.ndarray, tuple]]:
+    def _blocks(
+        self, name: str, numbers, states, record: np.ndarray, share: float, once: bool = False
+    ) -> Iterator[tuple[np.ndarray, tuple]]:
         """(lanes, their outputs and padding) block by block, a few blocks ahead of who takes them."""
         busy = np.any([numbers[0] != self._neutral, *(d != 0 for d in numbers[1:])], 0)
         where = self._where(busy, record)
@@ -354,7 +371,8 @@ class Engine:
         jobs: list[Callable[[], tuple[np.ndarray, tuple]]] = []
         first: list[Callable[[], tuple[np.ndarray, tuple]]] = []
         awaited: list[Callable[[], tuple[np.ndarray, tuple]]] = []
-        for kept, lanes in self._at_work(busy).items():
+        groups = self._at_work(busy)
+        for kept, lanes in (self._merged(groups, steps) if once else groups).items():
             programs, index = self._programs_of(kept)
             program, own = getattr(programs, name), [a[:, index] for a in numbers]
             lanes = lanes[np.argsort(-steps[lanes], kind="stable")]  # longest first, so that a block holds lanes of like length
