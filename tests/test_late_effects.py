@@ -118,6 +118,8 @@ class Answer:
         (Answer("partly", ("backlash",)), Answer("named", ("backlash", "actuator_curve")), True),
         (Answer("partly", ("backlash",)), Answer("named", ("backlash",)), False),
         (Answer("partly", ("backlash",)), Answer("partly", ("step_change",)), False),
+        (Answer("unknown"), Answer("named", ("torque_scale",)), True),  # which the curve comprises
+        (Answer("partly", ("saturation",)), Answer("named", ("saturation",)), False),  # only as others were not asked
     ],
 )
 def test_they_are_asked_last(first, again, taken):
@@ -128,7 +130,9 @@ def test_they_are_asked_last(first, again, taken):
         return again
 
     found: Any = asked_last(first, Chain(Pendulum()), "output_error", ask)  # type: ignore[arg-type]
-    assert asked == ([] if again is None else [(*first.names, "actuator_curve", "step_change")])
+    late = ("actuator_curve", "step_change")
+    simpler = tuple(n for n in ("torque_scale", "dead_zone", "saturation") if n not in first.names)
+    assert asked == ([] if again is None else [(*first.names, *late, *simpler)])
     expected: Any = again if taken else first
     assert found.which.verdict == expected.verdict and bool(found.notes) == taken
     assert not {"actuator_curve", "step_change"} & set(first_asked())

@@ -32,19 +32,23 @@ def last_resorts(nominal: Chain, residual: str) -> list[type[Effect]]:
 
 
 def asked_last(found: Diagnosis, nominal: Chain, residual: str, ask: Callable[[tuple[str, ...]], Diagnosis]) -> Diagnosis:
-    """The answer with laws of last resort beside what was named (`ask` diagnoses with these candidates), where that says more."""
+    """The answer with laws of last resort beside what was named, and with the simpler ones that these comprise (`ask` diagnoses
+    with such candidates), where that says more."""
     before, late = found.which.verdict, last_resorts(nominal, residual)
     if before not in SAYS_MORE or not late:
         return found
-    names = tuple(k.name for k in late)
+    named, names = {e.effect for e in found.which.effects}, tuple(k.name for k in late)
+    simpler = [k.name for k in possible(nominal, [n for k in late for n in k.resembles], residual)]
     try:
-        again = ask((*dict.fromkeys(e.effect for e in found.which.effects), *names))
+        again = ask((*dict.fromkeys([e.effect for e in found.which.effects] + [*names, *simpler]),))
     except Interrupted as stop:
         raise Interrupted(found) from stop
-    if again.which.verdict not in SAYS_MORE[before] or not {e.effect for e in again.which.effects} & set(names):
+    new = {e.effect for e in again.which.effects} - named
+    if again.which.verdict not in SAYS_MORE[before] or not new & {*names, *simpler}:
         return found
+    laws = "such laws are asked last, for they take in what many simpler ones do"
     note = (
-        f"without {' and '.join(names)} the answer was {before} with {times(found.how_far.gap_after)} times the noise left; such "
-        "laws are asked last, for they take in what many simpler ones do"
+        f"without {' and '.join(names)} the answer was {before} with {times(found.how_far.gap_after)} times the noise left; "
+        + (laws if new & {*names} else f"{laws}, and so one of these came up again beside them")
     )
     return dataclasses.replace(again, notes=(*again.notes, note))

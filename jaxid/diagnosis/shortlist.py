@@ -28,8 +28,9 @@ def shortlist(
     alone: bool,
     blind: bool,
 ) -> list[Screened]:
-    """The best of both screens. `alone`: nothing is in the model yet, which is when timing is asked. `blind`: with one screen
-    only, all that reacts is tried. What `refining` says to bring another effect along takes nobody's place."""
+    """The best of both screens, at least those that either puts in front. `alone`: nothing is in the model yet, which is when
+    timing is asked. `blind`: with one screen only, all that reacts is tried. What `refining` says to bring another effect along
+    takes nobody's place."""
     beside = [f for f in _head(ranked) if refining(f[1])]
     ranked, by_torque = ([f for f in found if not refining(f[1])] for found in (ranked, by_torque))
     kept = ranked if blind else _head(ranked)
@@ -43,7 +44,8 @@ def shortlist(
     kept = [*first, *others][: 2 * MAXIMUM if blind else MAXIMUM]
     names = {str(c) for _, c, _ in kept}
     alike = [f"{n} at {c.location}" for _, c, _ in kept for n in effect_of(bench, c).resembles]
-    return [*kept, *(table[n] for n in dict.fromkeys(alike) if n in table and n not in names), *beside]
+    front = [str(c) for found in (ranked, by_torque) for _, c, _ in found[:LEADING]]
+    return [*kept, *(table[n] for n in dict.fromkeys([*front, *alike]) if n in table and n not in names), *beside]
 
 
 def waves(bench: Bench, kept: Sequence[Screened], *screens: Sequence[Screened]) -> list[list[Screened]]:

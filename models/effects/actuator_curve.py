@@ -36,6 +36,7 @@ class ActuatorCurve(InputEffect):
         "Measure the torque or the steady speed at a staircase of commands, and put that curve into the simulator."
     )
     last_resort: ClassVar[bool] = True
+    resembles: ClassVar[tuple[str, ...]] = ("torque_scale", "dead_zone", "saturation")
     low: Array = param(
         0.0, -1.0, 4.0, scale=0.05, unit="1", meaning="share by which the slope differs up to a third of the reach"
     )
