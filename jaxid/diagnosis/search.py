@@ -31,7 +31,6 @@ from jaxid.diagnosis.selection import (
     best,
     close_to_noise,
     equals,
-    explained,
     finished,
     indistinct,
     joint_loss,
@@ -40,6 +39,7 @@ from jaxid.diagnosis.selection import (
     outweighed,
     rivals_among,
     significant,
+    still_to_ask,
 )
 from jaxid.diagnosis.shortlist import shortlist, waves
 from jaxid.diagnosis.thresholds import LIMITS
@@ -346,12 +346,12 @@ class Searcher:
             self.progress("screen", len(h.effects), 3, f"{len(ranked or by_torque)} candidates react to the data")
         blind = not by_torque  # a model with inner states
         kept = shortlist(self.bench, ranked, by_torque, lambda c: bool(base[str(c)]), not h.effects, blind)
-        if self.progress:
-            self.progress("refit", len(h.effects), 3, f"{len(kept)} candidates")
         found: list[Hypothesis] = []
         for wave in waves(self.bench, kept, ranked, by_torque) if joint_loss(h) > LIMITS.far else [kept]:
-            if not explained(found):
-                found += self.refit(beside(self.bench, h, wave, by_torque, base))
+            asked = still_to_ask(wave, found)
+            if self.progress and asked:
+                self.progress("refit", len(h.effects), 3, f"{len(asked)} candidates")
+            found += self.refit(beside(self.bench, h, asked, by_torque, base))
         return found
 
     def _questioned(self, h: Hypothesis) -> Hypothesis:
