@@ -765,7 +765,7 @@ def test_candidates_behind_are_asked_only_where_those_in_front_leave_something(m
     _, of_small = refitted(small, effects=effects)
     _, of_unknown = refitted(large, effects=effects[1:])
     assert [e.effect for e in d.which.effects] == ["load_dependent_friction"]
-    assert few <= 4 < min(of_small, of_unknown)
+    assert few < min(of_small, of_unknown)  # those in front, and plainer laws of the joint, which it might comprise
 
 
 def test_what_may_equal_a_candidate_in_front_is_asked_with_it():
