@@ -743,8 +743,7 @@ def test_held_out_runs_tell_what_the_fit_runs_leave_open():
 
 
 def test_candidates_behind_are_asked_only_where_those_in_front_leave_something(monkeypatch):
-    """A large gap that one of the first closes is not asked of the others, the answer is the same; a small one, or one that none
-    of them closes, is asked of all."""
+    """A large gap that one of the first closes is not asked of all; a small one is, and one that none of the first closes."""
     asked: list[str] = []
     refit = Searcher.refit
 

@@ -22,6 +22,18 @@ from jaxid.simulation.rollout import EVEN, simulate_lane
 from jaxid.simulation.sample_buffers import Samples
 
 
+def in_blocks(step, carry, steps, width):
+    """What each step gives [64 width], by the loop that `loop_over_time` asks for."""
+
+    def block(state):
+        k, carry, out = state
+        carry, y = jax.lax.scan(step, carry, k + jnp.arange(8))
+        return k + 8, carry, jax.lax.dynamic_update_slice_in_dim(out, y, k, 0)
+
+    state = jnp.zeros((), int), carry, jnp.zeros((64, width))
+    return loop_over_time(lambda: jax.lax.while_loop(lambda s: s[0] < steps, block, state)[2])
+
+
 def looped(A, x, table, steps):
     """A loop with what a step may contain: small matrices, a loop that each lane leaves at its own time, a table."""
     shift = jnp.sum(A, 0)
@@ -35,13 +47,7 @@ def looped(A, x, table, steps):
         total = total + jnp.min(B) * jnp.prod(y) + jnp.any(y > 0.2) + count
         return (y, total, seen.at[1].set(y[0])), jnp.append(y, total)
 
-    def block(state):
-        k, carry, out = state
-        carry, y = jax.lax.scan(step, carry, k + jnp.arange(8))
-        return k + 8, carry, jax.lax.dynamic_update_slice_in_dim(out, y, k, 0)
-
-    state = jnp.zeros((), int), (x, jnp.zeros(()), jnp.ones(2)), jnp.zeros((64, 3))
-    return loop_over_time(lambda: jax.lax.while_loop(lambda s: s[0] < steps, block, state)[2])
+    return in_blocks(step, (x, jnp.zeros(()), jnp.ones(2)), steps, 3)
 
 
 def numbers(count: int = 6):
@@ -83,14 +89,7 @@ def scalars(A, x, table, steps):
             a, b = jnp.sin(a) + b * table[k], b - 0.1 * n * a * A[0, 0]
         return (a, b), jnp.stack([a, b])
 
-    state = jnp.zeros((), int), (x[0], x[1]), jnp.zeros((64, 2))
-
-    def block(state):
-        k, carry, out = state
-        carry, y = jax.lax.scan(step, carry, k + jnp.arange(8))
-        return k + 8, carry, jax.lax.dynamic_update_slice_in_dim(out, y, k, 0)
-
-    return loop_over_time(lambda: jax.lax.while_loop(lambda s: s[0] < steps, block, state)[2])
+    return in_blocks(step, (x[0], x[1]), steps, 2)
 
 
 def test_a_large_step_is_left_to_vmap_where_its_matrices_would_be_taken_apart(monkeypatch):

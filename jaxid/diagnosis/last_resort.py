@@ -37,13 +37,13 @@ def asked_last(found: Diagnosis, nominal: Chain, residual: str, ask: Callable[[t
     before, late = found.which.verdict, last_resorts(nominal, residual)
     if before not in SAYS_MORE or not late:
         return found
-    named, names = {e.effect for e in found.which.effects}, tuple(k.name for k in late)
+    named, names = [e.effect for e in found.which.effects], [k.name for k in late]
     simpler = [k.name for k in possible(nominal, [n for k in late for n in k.resembles], residual)]
     try:
-        again = ask((*dict.fromkeys([e.effect for e in found.which.effects] + [*names, *simpler]),))
+        again = ask(tuple(dict.fromkeys([*named, *names, *simpler])))
     except Interrupted as stop:
         raise Interrupted(found) from stop
-    new = {e.effect for e in again.which.effects} - named
+    new = {e.effect for e in again.which.effects}.difference(named)
     if again.which.verdict not in SAYS_MORE[before] or not new & {*names, *simpler}:
         return found
     laws = "such laws are asked last, for they take in what many simpler ones do"

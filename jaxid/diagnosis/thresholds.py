@@ -53,7 +53,8 @@ class Thresholds:
     explained: float = _of(
         1.1,
         "mean square, noise 1",
-        "Validation runs, refitted together with fit runs that show no gap, are explained where an effect leaves less.",
+        "Validation runs, refitted together with fit runs that show no gap, are explained where an effect leaves less; so is a "
+        "gap above `far` where a candidate in front leaves less of fit and validation runs.",
         "a blind effect that only validation runs showed, seed not kept",
     )
     overwhelming: float = _of(
@@ -165,7 +166,8 @@ class Thresholds:
     far: float = _of(
         10.0,
         "mean square, noise 1",
-        "A model that leaves more is not worth descending to the end yet, and may be in a local minimum.",
+        "A model that leaves more is not worth descending to the end yet, and may be in a local minimum; of candidates beside it "
+        "those in front are asked first.",
         "not recorded",
     )
     local_minimum: float = _of(

@@ -73,7 +73,8 @@ class Effect(eqx.Module):
     couples: ClassVar[bool] = False
     #: What it is a law of, where the name of its file does not say: laws of a family at one place stand in for each other.
     family: ClassVar[str] = ""
-    #: Effects that it may equal at some strength on some mechanism, however different they begin: one is compared with the other.
+    #: Effects that it may equal on some mechanism or at some of its numbers, however different they begin: one is compared with
+    #: the other.
     resembles: ClassVar[tuple[str, ...]] = ()
     #: Effect at the other end of the plant that says the same of every recording where there is one input and one output, because
     #: no mechanism knows what time it is.
