@@ -24,7 +24,7 @@ from jaxid.diagnosis.prior_pull import brought_back, put_back
 from jaxid.diagnosis.proposals import exchanged
 from jaxid.diagnosis.reasons import Lacks
 from jaxid.diagnosis.search import Searcher, THOROUGH
-from jaxid.diagnosis.selection import mirrored, not_borne_out, outweighed, simpler, still_to_ask
+from jaxid.diagnosis.selection import mirrored, not_borne_out, outweighed, simpler
 from jaxid.diagnosis.thresholds import LIMITS
 from jaxid.diagnosis.verdict import Gaps, judge, upheld, Verdict
 from jaxid.fitting.least_squares import descend
@@ -780,9 +780,9 @@ def test_what_may_equal_a_candidate_in_front_is_asked_with_it():
     ended = lambda n, loss: cast(Any, SimpleNamespace(effects=candidates(bench, [n]), fit_loss=1.0, validation=held(loss)))
     rich = max(ranked, key=lambda f: len(f[1].index))[1]
     plain = [f[1] for f in ranked if f[1].location == rich.location and len(f[1].index) < len(rich.index)]
-    assert plain and [c for _, c, _ in still_to_ask(ranked, [ended(rich.effect, 1.0)])] == plain
-    assert still_to_ask(ranked, []) == still_to_ask(ranked, [ended(rich.effect, 1.2)]) == ranked
-    assert still_to_ask(ranked, [ended("quadratic_drag", 1.0)]) == []
+    assert plain and [c for _, c, _ in shortlist.still_to_ask(ranked, [ended(rich.effect, 1.0)])] == plain
+    assert shortlist.still_to_ask(ranked, []) == shortlist.still_to_ask(ranked, [ended(rich.effect, 1.2)]) == ranked
+    assert shortlist.still_to_ask(ranked, [ended("quadratic_drag", 1.0)]) == []
 
 
 def test_a_search_that_has_simulated_enough_ends_and_says_so(monkeypatch):

@@ -39,9 +39,8 @@ from jaxid.diagnosis.selection import (
     outweighed,
     rivals_among,
     significant,
-    still_to_ask,
 )
-from jaxid.diagnosis.shortlist import shortlist, waves
+from jaxid.diagnosis.shortlist import shortlist, still_to_ask, waves
 from jaxid.diagnosis.thresholds import LIMITS
 from jaxid.fitting.fitter import Progress
 from jaxid.fitting.least_squares import descend, Path, race

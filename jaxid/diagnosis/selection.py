@@ -8,7 +8,6 @@ import numpy as np
 
 from jaxid.diagnosis.evidence import held_out, inflation, memory, worth
 from jaxid.diagnosis.hypothesis import Candidate, effect_of, family_of, Hypothesis, key_of
-from jaxid.diagnosis.screen import Screened
 from jaxid.diagnosis.shortlist import TIMING
 from jaxid.diagnosis.thresholds import LIMITS
 from jaxid.fitting.problem_builder import Bench
@@ -140,14 +139,6 @@ def at_floor(h: Hypothesis) -> bool:
 def finished(h: Hypothesis) -> bool:
     """Nothing more is to be found. Something small is looked for beside other effects only."""
     return max(h.validation.loss, h.fit_loss) < LIMITS.at_floor if h.effects else at_floor(h)
-
-
-def still_to_ask(wave: Sequence[Screened], found: Sequence[Hypothesis]) -> list[Screened]:
-    """Of candidates the ones to be refitted after others: all, or, where one of these leaves no more than the noise, the laws of
-    fewer numbers in its place, which it may comprise."""
-    enough = [h.effects[-1] for h in found if max(h.fit_loss, h.validation.loss) < LIMITS.explained]
-    plainer = lambda c: any(c.location == e.location and len(c.index) < len(e.index) for e in enough)
-    return [f for f in wave if not enough or plainer(f[1])]
 
 
 def close_to_noise(h: Hypothesis) -> bool:

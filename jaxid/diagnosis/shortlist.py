@@ -1,10 +1,10 @@
-"""Which candidates are refitted, of what the screens rank."""
+"""Which candidates are refitted, of what the screens rank, and in which order."""
 
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 
-from jaxid.diagnosis.hypothesis import Candidate, effect_of
+from jaxid.diagnosis.hypothesis import Candidate, effect_of, Hypothesis
 from jaxid.diagnosis.screen import Screened
 from jaxid.diagnosis.thresholds import LIMITS
 from jaxid.fitting.problem_builder import Bench
@@ -43,17 +43,34 @@ def shortlist(
     others = [f for f in (*kept, *(table[n] for n in more if n in table and n not in names)) if f not in first]
     kept = [*first, *others][: 2 * MAXIMUM if blind else MAXIMUM]
     names = {str(c) for _, c, _ in kept}
-    alike = [f"{n} at {c.location}" for _, c, _ in kept for n in effect_of(bench, c).resembles]
-    front = [str(c) for found in (ranked, by_torque) for _, c, _ in found[:LEADING]]
-    return [*kept, *(table[n] for n in dict.fromkeys([*front, *alike]) if n in table and n not in names), *beside]
+    wanted = _with_alike(bench, [*kept, *_front(ranked, by_torque)]) - names
+    return [*kept, *(f for n, f in table.items() if n in wanted), *beside]
 
 
 def waves(bench: Bench, kept: Sequence[Screened], *screens: Sequence[Screened]) -> list[list[Screened]]:
     """What is refitted first, as either screen puts it in front or as it may equal what is there, and the rest."""
-    front = [c for ranked in screens for _, c, _ in ranked[:LEADING]]
-    alike = {f"{n} at {c.location}" for c in front for n in effect_of(bench, c).resembles}
-    first = [f for f in kept if f[1] in front or str(f[1]) in alike]
+    leads = _with_alike(bench, _front(*screens))
+    first = [f for f in kept if str(f[1]) in leads]
     return [wave for wave in (first, [f for f in kept if f not in first]) if wave]
+
+
+def still_to_ask(wave: Sequence[Screened], found: Sequence[Hypothesis]) -> list[Screened]:
+    """Of a wave the ones to be refitted after others: all, or, where one of these leaves no more than the noise, the laws of
+    fewer numbers in its place, which it may comprise."""
+    enough = [h.effects[-1] for h in found if max(h.fit_loss, h.validation.loss) < LIMITS.explained]
+    plainer = lambda c: any(c.location == e.location and len(c.index) < len(e.index) for e in enough)
+    return [f for f in wave if not enough or plainer(f[1])]
+
+
+def _front(*screens: Sequence[Screened]) -> list[Screened]:
+    """What each screen puts in front."""
+    return [f for ranked in screens for f in ranked[:LEADING]]
+
+
+def _with_alike(bench: Bench, found: Sequence[Screened]) -> set[str]:
+    """The names of candidates and of what may equal one of them at some of its numbers."""
+    alike = {f"{n} at {c.location}" for _, c, _ in found for n in effect_of(bench, c).resembles}
+    return alike | {str(c) for _, c, _ in found}
 
 
 def _head(ranked: Sequence[Screened]) -> list[Screened]:
