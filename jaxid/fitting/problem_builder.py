@@ -45,6 +45,7 @@ class Bench:
     def __post_init__(self):
         self._runs: dict[tuple[str, str], Runs] = {}
         self._begun: dict[tuple[str, bytes], Begun] = {}
+        self._targets: dict[tuple[str, str], np.ndarray | None] = {}  # with the defects taken off: one array for all problems
         self._forgotten = 0.0  # seconds of compiling for runs that were let go
         samples.refuse_endless(self.binding.dataset.experiments, self.step)
         # One shape for all splits, and for the half step that a search may go over to: one program.
@@ -113,8 +114,12 @@ class Bench:
         runs = self.runs(residual, split)
         priors = b.priors if "fit" in split.split("+") else None  # they count once
         p = Problem(runs, theta, free, b.lower, b.upper, records, loss, b.scale, self.differences, priors)
-        defect = self.defect(residual, split)
-        return p if defect is None else p.with_targets(runs.targets - defect)
+        key = (repr(residual), split)
+        if key not in self._targets:
+            defect = self.defect(residual, split)
+            self._targets[key] = None if defect is None else runs.targets - defect
+        targets = self._targets[key]
+        return p if targets is None else p.with_targets(targets)
 
     def defect(self, residual: Residual, split: str) -> np.ndarray | None:
         """What is taken off the targets of a split [samples columns]; None where nothing is."""
@@ -134,6 +139,7 @@ class Bench:
         """Sets what finer steps would add."""
         self.defects[repr(residual), split] = defect
         self._begun.clear()
+        self._targets.clear()
 
     def doubt(self, numbers: Mapping[str, float]) -> None:
         """Sets by how much numbers are in doubt beside the noise: what another simulator of the same file makes of them."""
