@@ -46,6 +46,14 @@ Port = TypeVar("Port", bound=Effect)
 _REMEMBERING: dict[Any, tuple[bool, ...]] = {}
 
 
+def _widened(effect: Effect, places: int) -> Effect:
+    """The effect with each of its fields an array of one number per place."""
+    own = {name: getattr(effect, name) for name in specs(effect)}
+    done = lambda x: isinstance(x, np.ndarray) and x.shape == (places,) and x.dtype == np.float64
+    wide = {k: np.broadcast_to(np.asarray(x, np.float64), (places,)) for k, x in own.items() if not done(x)}
+    return with_fields(effect, {k: np.array(x) for k, x in wide.items()})
+
+
 class Chain(eqx.Module):
     """A model: a mechanism and the effects on the way to and from it.
 
@@ -71,7 +79,8 @@ class Chain(eqx.Module):
         self.smoothing_velocity = float(smoothing_velocity)
         given = tuple(mechanism.nominal_effects() if effects is None else effects)
         self.effects = tuple(e for e in given if not isinstance(e, NumberEffect))  # whose numbers are places of such
-        self.effects = tuple(self._widened(e) for e in given)
+        places = self.places  # equinox makes a module of each method that is looked up
+        self.effects = tuple(_widened(e, len(places(e))) for e in given)
 
     @property
     def nq(self) -> int:
@@ -109,11 +118,6 @@ class Chain(eqx.Module):
         if self.mechanism.behind_law(effect):
             return self.places(effect)[: self.nq]
         return self.places(effect) if effect.offered is None else effect.offered(self.mechanism, self.signature)
-
-    def _widened(self, effect: Effect) -> Effect:
-        n = len(self.places(effect))
-        wide = {name: np.broadcast_to(np.asarray(getattr(effect, name), np.float64), (n,)) for name in specs(effect)}
-        return with_fields(effect, {k: np.array(v) for k, v in wide.items()})
 
     @property
     def contents(self) -> set[str]:

@@ -87,14 +87,22 @@ class Layout:
         )
         shape = lambda name: np.shape(getattr(chain.mechanism, name))
         self._leaves = [(-1, name, shape(name)[0] if shape(name) else 0) for name in specs(chain.mechanism)]
+        places = chain.places  # equinox makes a module of each method that is looked up
         for i, effect in enumerate(chain.effects):
-            self._leaves += [(i, name, len(chain.places(effect))) for name in specs(effect)]
+            self._leaves += [(i, name, len(places(effect))) for name in specs(effect)]
         self.log = np.array([e.spec.log for e in self.entries])
         #: Which numbers say how something acts, not how strongly: they have no zero to be scaled from.
         self.shapes = np.array([e.spec.log or (e.owner >= 0 and e.spec.value != 0) for e in self.entries], bool)
+        self._without: dict[frozenset[str], Layout] = {}
 
     def __len__(self) -> int:
         return len(self.entries)
+
+    def without(self, names: frozenset[str]) -> Layout:
+        """The layout of the model without some effects, made once."""
+        if names not in self._without:
+            self._without[names] = Layout(self.chain.without(*names))
+        return self._without[names]
 
     @cached_property
     def form(self) -> Form:
@@ -111,13 +119,18 @@ class Layout:
             raise UsageError(f"the model has no parameter {name!r}{nearest(name, self.names)}")
         return self.names.index(name)
 
+    @cached_property
+    def _by_effect(self) -> dict[tuple[str, str | None], list[int]]:
+        found: dict[tuple[str, str | None], list[int]] = {}
+        for i, e in enumerate(self.entries):
+            if e.owner >= 0:
+                for location in (e.location, None):
+                    found.setdefault((self.chain.effects[e.owner].name, location), []).append(i)
+        return found
+
     def of_effect(self, effect: str, location: str | None = None) -> list[int]:
         """Positions of an effect's parameters, at one location or all."""
-        return [
-            i
-            for i, e in enumerate(self.entries)
-            if e.owner >= 0 and self.chain.effects[e.owner].name == effect and (location is None or e.location == location)
-        ]
+        return list(self._by_effect.get((effect, location), ()))
 
     def typical(self, name: str, joint: Reference) -> float:
         """Size of a number of the model by its id: its value, or its scale where that is larger."""
@@ -147,7 +160,7 @@ def own_entries(chain: Chain) -> list[Entry]:
 
 def _entries(chain: Chain, wanted: Callable[[Effect], bool] = lambda e: True) -> Iterator[Entry]:
     unit = chain.signature.unit
-    joints = chain.signature.joints
+    joints, places_of = chain.signature.joints, chain.places
     for name, spec in specs(chain.mechanism).items():
         value = np.asarray(getattr(chain.mechanism, name))
         for k in range(value.size):  # a field is one number, or one per joint: m1 m2 ...
@@ -156,7 +169,7 @@ def _entries(chain: Chain, wanted: Callable[[Effect], bool] = lambda e: True) ->
             yield Entry(chain.mechanism.number_name(name, k) if value.ndim else name, -1, name, k, where, own, unit(own.unit, k))
     ids = {kind.name: names for kind, names in chain.mechanism.builtin}
     for i, effect in enumerate(chain.effects):
-        places = chain.places(effect) if wanted(effect) else ()
+        places = places_of(effect) if wanted(effect) else ()
         for field, spec in specs(effect).items():
             short = ids.get(effect.name, {}).get(field)
             for k, place in enumerate(places):
@@ -171,6 +184,8 @@ def _entries(chain: Chain, wanted: Callable[[Effect], bool] = lambda e: True) ->
 
 def channel_unit(chain: Chain, effect: Effect | type[Effect], place: int, template: str) -> str:
     """Fills {u} and {y}, the unit of the channel that the effect acts on, and {p}, that of its number."""
+    if not any(part in template for part in ("{u}", "{y}", "{p}")):
+        return template
     if effect.location == "number":
         numbers = chain.numbers
         return template.replace("{p}", numbers[place].unit if place < len(numbers) else "")

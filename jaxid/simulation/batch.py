@@ -117,8 +117,7 @@ def restricted(layout: Layout, kept: frozenset[str]) -> tuple[Layout, np.ndarray
     """The layout without the families that are not kept, and the positions of its numbers in the whole."""
     own = families(layout)
     gone = {layout.entries[i].owner for name, index in own.items() if name not in kept for i in index}
-    names = [layout.chain.effects[k].name for k in gone]
-    small = Layout(layout.chain.without(*names))
+    small = layout.without(frozenset(layout.chain.effects[k].name for k in gone))
     return small, np.array([layout.index(n) for n in small.names])
 
 
@@ -154,7 +153,7 @@ class Engine:
         self._kind, self._burn = (lane, self.length, reach), burn or any(r.lead for r in self.records)
         self._families = {} if whole else families(layout)
         self._neutral = np.array([e.spec.value for e in layout.entries])
-        self._restricted: dict[frozenset[str], tuple[Layout, np.ndarray]] = {}
+        self._restricted: dict[frozenset[str], tuple[Layout, np.ndarray, bool]] = {}
         self.where = np.array([[r.offset, r.first, r.last, r.lead] for r in self.records], np.int32)
         self.steps = np.array([r.count for r in self.records], np.int32)
         optional = [i for index in self._families.values() for i in index]
@@ -247,8 +246,8 @@ class Engine:
         return Windows(self, programs, index, numbers, states, where, steps)
 
     def _at_work(self, busy: np.ndarray) -> dict[frozenset[str], np.ndarray]:
-        """Families at work -> lanes, of which numbers at work [lanes size]. An effect at its neutral value is the identity: what
-        lanes of one record and one candidate predict are the same bits in each of these programs."""
+        """Families at work -> lanes, of which numbers at work [lanes size]. An effect at its neutral value is the identity, so
+        that a lane predicts the same in each of these programs, but for rounding where XLA fuses them differently."""
         names = list(self._families)
         table = np.array([np.any(busy[:, index], 1) for index in self._families.values()], bool).reshape(len(names), len(busy)).T
         groups: dict[frozenset[str], list[int]] = {}
@@ -268,9 +267,9 @@ class Engine:
         if kept not in self._restricted:
             everything = self.layout, np.arange(len(self.layout))
             small, index = restricted(self.layout, kept) if len(kept) < len(self._families) else everything
-            self._restricted[kept] = small, index
-        small, index = self._restricted[kept]
-        return programs_for(small, *self._kind, self.burns(small)), index
+            self._restricted[kept] = small, index, self.burns(small)
+        small, index, burns = self._restricted[kept]
+        return programs_for(small, *self._kind, burns), index
 
     def _could_work(self, theta: np.ndarray, free: Sequence[int] | np.ndarray) -> np.ndarray:
         """Which numbers can be off their neutral values [size] where they equal theta but in `free`."""
@@ -316,7 +315,7 @@ class Engine:
         in the whole."""
         kept = self._families_of(self._could_work(theta, free))
         self._programs_of(kept)
-        return self._restricted[kept]
+        return self._restricted[kept][:2]
 
     def burns(self, layout: Layout) -> bool:
         """Whether lanes of a layout know a lead, in which effects follow the measured motion."""
