@@ -13,6 +13,7 @@ import matplotlib
 import numpy as np
 from markupsafe import Markup
 from matplotlib.axes import Axes
+from matplotlib.backends.backend_svg import FigureCanvasSVG
 from matplotlib.figure import Figure
 from matplotlib.ticker import FuncFormatter, LogLocator, NullFormatter
 
@@ -68,12 +69,15 @@ def element(name: str, size: tuple[float, float], draw: Callable[[Figure], objec
         warnings.simplefilter("ignore")  # a glyph missing from matplotlib's font: the browser draws the text
         matplotlib.rcdefaults()
         matplotlib.rcParams.update({**_SETTINGS, "svg.hashsalt": name})
-        figure = Figure(figsize=size, layout="constrained")
+        figure = Figure(figsize=size, dpi=72, layout="constrained")  # what SVG counts in
+        canvas = FigureCanvasSVG(figure)  # it measures letters
         draw(figure)
-        if narrow(figure):
-            _wrap_titles(figure)
-        buffer = io.StringIO()
-        figure.savefig(buffer, format="svg", metadata={"Date": None, "Creator": None, "Format": None, "Type": None})
+        _laid_out(figure)
+        if narrow(figure) and _wrap_titles(figure):
+            _laid_out(figure)
+        figure.set_layout_engine("none")
+        buffer = io.StringIO()  # not by `savefig`, which would lay it out by drawing it once more
+        canvas.print_svg(buffer, metadata={"Date": None, "Creator": None, "Format": None, "Type": None})
     source = buffer.getvalue()
     source = source[source.index("<svg") :]
     source = re.sub(r"<metadata>.*?</metadata>", "", source, flags=re.DOTALL)
@@ -100,9 +104,16 @@ def legend(figure: Figure, handles: Sequence[Any], columns: int, where: Any = "o
     figure.legend(handles=handles, loc=where, ncols=max(1, min(columns, fit)))
 
 
-def _wrap_titles(figure: Figure) -> None:
-    """Axis titles in as many lines as their axes need."""
-    figure.draw_without_rendering()
+def _laid_out(figure: Figure) -> None:
+    """Places axes and legends so that all of their letters have room."""
+    engine = figure.get_layout_engine()
+    assert engine is not None
+    engine.execute(figure)
+
+
+def _wrap_titles(figure: Figure) -> bool:
+    """Axis titles in as many lines as their axes need; whether any needs more than one."""
+    wrapped = False
     for axes in figure.axes:
         box = axes.get_window_extent()
         for title, set_title, length in (
@@ -112,6 +123,8 @@ def _wrap_titles(figure: Figure) -> None:
             letters = max(12, int(length / figure.dpi / LETTER))
             if max(map(len, title.split("\n"))) > letters:
                 set_title(textwrap.fill(title, letters))
+                wrapped = True
+    return wrapped
 
 
 def _shorter(path: re.Match[str]) -> str:
