@@ -66,6 +66,18 @@ def test_windows_give_what_whole_records_give(monkeypatch, effects):
         assert np.allclose(value, parts[key], rtol=1e-10, atol=1e-10 * np.max(np.abs(value))), key
 
 
+def test_problems_share_the_measurements_without_what_finer_steps_add():
+    """A diagnosis makes thousands of problems: one array each would be a gigabyte."""
+    bench, residual = Bench(bind(None, recording())), OutputError()
+    made = lambda: bench.problem(residual, "fit", bench.binding.free, bench.binding.theta)
+    recorded = made().targets
+    for off in (1e-3, 2e-3):
+        bench.take_off(residual, "fit", np.full_like(recorded, off))
+        first, second = made(), made()
+        assert first.targets is second.targets
+        np.testing.assert_array_equal(first.targets, recorded - off)
+
+
 def test_a_long_series_is_transformed_in_the_same_way(monkeypatch):
     rng = np.random.default_rng(0)
     r = np.convolve(rng.standard_normal(900), np.ones(5), "same")[:, None]
