@@ -742,6 +742,23 @@ def test_held_out_runs_tell_what_the_fit_runs_leave_open():
     assert followed.loss < 1.2 and followed.theta is not None and abs(followed.theta[limit] - 0.3) < 2e-3
 
 
+def test_a_limit_far_below_the_commands_is_found():
+    """A servo that hardly follows its goals is re-tuned to one that stands still, which milder limits move no more."""
+    t = np.arange(1200) / 200
+    u = [2 * multisine(t, [1.0], seed=k, periods=2, lines=6)[:, 0] for k in range(3)]
+    plant = dataclasses.replace(twins.PLANTS["servo"], rate=200, noise=NOISE, resolution=0.0)
+    numbers = {k: np.tile(x, (3, 1)) for k, x in (plant.nominal | {"limit": np.array([0.25])}).items()}
+    y = twins.recorded(plant, np.array(u)[:, :, None], numbers, np.random.default_rng(3))
+    data = jaxid.Dataset.from_arrays(
+        [t] * 3, {"q_cmd": u}, {"q": list(y[:, :, 0])}, units={"q_cmd": "rad", "q": "rad"},
+        split=["fit", "validation", "report"], at_rest=True, noise_std={"q": NOISE}, model="servo",
+    )  # fmt: skip
+    d = jaxid.diagnose("servo", data, effects=["saturation", "torque_scale", "sensor_bias"], max_effects=1)
+    (found,) = d.which.effects
+    (limit,) = found.parameters.values()
+    assert found.effect == "saturation" and limit.std and abs(limit.value - 0.25) < 4 * limit.std + 1e-3
+
+
 def test_candidates_behind_are_asked_only_where_those_in_front_leave_something(monkeypatch):
     """A large gap that one of the first closes is not asked of all; a small one is, and one that none of the first closes."""
     asked: list[str] = []

@@ -65,6 +65,8 @@ class Saturation(InputEffect):
         {"limit": 0.95 * TORQUE},
         {"limit": 0.8 * TORQUE},
         {"limit": 0.5 * TORQUE},
+        {"limit": 0.2 * TORQUE},
+        {"limit": 0.07 * TORQUE},
     )
 
     def start(self, u):
