@@ -346,7 +346,8 @@ class Searcher:
         blind = not by_torque  # a model with inner states
         kept = shortlist(self.bench, ranked, by_torque, lambda c: bool(base[str(c)]), not h.effects, blind)
         found: list[Hypothesis] = []
-        for wave in waves(self.bench, kept, ranked, by_torque) if joint_loss(h) > LIMITS.far else [kept]:
+        lead = joint_loss(h) > LIMITS.far and not blind  # one screen alone does not lead
+        for wave in waves(self.bench, kept, ranked, by_torque) if lead else [kept]:
             asked = still_to_ask(wave, found)
             if self.progress and asked:
                 self.progress("refit", len(h.effects), 3, f"{len(asked)} candidates")

@@ -56,9 +56,9 @@ def waves(bench: Bench, kept: Sequence[Screened], *screens: Sequence[Screened]) 
 
 def still_to_ask(wave: Sequence[Screened], found: Sequence[Hypothesis]) -> list[Screened]:
     """Of a wave the ones to be refitted after others: all, or, where one of these leaves no more than the noise, the laws of
-    fewer numbers in its place, which it may comprise."""
+    fewer numbers, of which it may have taken the place."""
     enough = [h.effects[-1] for h in found if max(h.fit_loss, h.validation.loss) < LIMITS.explained]
-    plainer = lambda c: any(c.location == e.location and len(c.index) < len(e.index) for e in enough)
+    plainer = lambda c: any(len(c.index) < len(e.index) for e in enough)
     return [f for f in wave if not enough or plainer(f[1])]
 
 
