@@ -760,7 +760,8 @@ def test_a_limit_far_below_the_commands_is_found():
 
 
 def test_candidates_behind_are_asked_only_where_those_in_front_leave_something(monkeypatch):
-    """A large gap that one of the first closes is not asked of all; a small one is, and one that none of the first closes."""
+    """A large gap that one of the first closes is not asked of all; a small one is, one that none of the first closes, and any
+    where there is one screen only."""
     asked: list[str] = []
     refit = Searcher.refit
 
@@ -781,7 +782,9 @@ def test_candidates_behind_are_asked_only_where_those_in_front_leave_something(m
     _, of_small = refitted(small, effects=effects)
     _, of_unknown = refitted(large, effects=[e for e in effects if e != "dead_zone"])
     assert [e.effect for e in d.which.effects] == ["dead_zone"]
-    assert few < min(of_small, of_unknown)
+    monkeypatch.setattr(search, "torque_screened", lambda *_: [])
+    _, of_one_screen = refitted(large, effects=effects)
+    assert few < min(of_small, of_unknown, of_one_screen)
 
 
 def test_what_may_equal_a_candidate_in_front_is_asked_with_it():
