@@ -65,6 +65,7 @@ class Saturation(InputEffect):
         {"limit": 0.95 * TORQUE},
         {"limit": 0.8 * TORQUE},
         {"limit": 0.5 * TORQUE},
+        # A servo that hardly follows is re-tuned to one that stands still, which milder limits move no more.
         {"limit": 0.2 * TORQUE},
         {"limit": 0.07 * TORQUE},
     )
