@@ -13,7 +13,7 @@ import pytest
 from hypothesis import given, settings, strategies as st
 
 from jaxid.dynamics import kinematics as kin, rigid_body as rb
-from jaxid.dynamics.base_parameters import base_parameters, standard_names, torque_columns
+from jaxid.dynamics.base_parameters import base_parameters, standard_names, standard_torque, torque_columns
 from jaxid.dynamics.chain import Chain
 from jaxid.dynamics.effect import Command
 from jaxid.dynamics.kinematics import ArmTable, modified_dh, standard_dh
@@ -135,6 +135,15 @@ def test_regressor_equals_pinocchio():
         order = [9, 6, 7, 8, 0, 1, 3, 2, 4, 5]  # theirs: m, first moments, Ixx Ixy Iyy Ixz Iyz Izz
         theirs = np.array([pin.computeJointTorqueRegressor(model, data, *s) for s in zip(q, qd, qdd, strict=True)])
         assert np.max(np.abs(ours[..., order] - theirs.reshape(40, n, n, 10))) < 1e-9 * np.abs(theirs).max()
+
+
+def test_the_torque_of_standard_parameters_is_their_columns_times_them():
+    rng = np.random.default_rng(6)
+    for table in (table_of(UR10()), random_table(rng, [False, True, False, False])):
+        arm, phi = SerialArm(table), rng.uniform(-1, 1, 11 * table.n)
+        motion = rng.uniform(-3, 3, (3, 40, table.n))
+        expected = torque_columns(arm, *motion) @ phi
+        assert np.allclose(standard_torque(arm, phi, *motion), expected, rtol=0, atol=1e-12 * np.abs(expected).max())
 
 
 def test_compiled_and_plain_recursions_agree():

@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 
 from jaxid.dynamics.kinematics import free_fall, placements
-from jaxid.dynamics.rigid_body import INERTIA, regressor
+from jaxid.dynamics.rigid_body import INERTIA, inverse_dynamics, regressor
 
 
 #: A column counts as dependent where less than this share of it lies outside the span of the kept ones.
@@ -92,12 +92,26 @@ def torque_columns(arm: Any, q: np.ndarray, qd: np.ndarray, qdd: np.ndarray) -> 
     `arm` holds the geometry (a, alpha, d, theta, b, gamma), `prismatic`, `gravity`, `base_roll`, `base_pitch`.
     """
     n, count = q.shape[1], q.shape[0]
-    E = placements(arm, arm.prismatic, np.ascontiguousarray(q.T))
-    fall = free_fall(*(np.float64(getattr(arm, k)) for k in ("gravity", "base_roll", "base_pitch")))
+    E, fall, qd_rows, qdd_rows = _joint_rows(arm, q, qd, qdd)
     Y = np.zeros((count, n, n, len(STANDARD)))
-    Y[..., :10] = np.moveaxis(regressor(E, arm.prismatic, fall, np.ascontiguousarray(qd.T), np.ascontiguousarray(qdd.T)), 3, 0)
+    Y[..., :10] = np.moveaxis(regressor(E, arm.prismatic, fall, qd_rows, qdd_rows), 3, 0)
     Y[:, np.arange(n), np.arange(n), 10] = qdd
     return Y.reshape(count, n, -1)
+
+
+def standard_torque(arm: Any, phi: np.ndarray, q: np.ndarray, qd: np.ndarray, qdd: np.ndarray) -> np.ndarray:
+    """Torque [samples n] of measured motion [samples n] at standard parameters [11 n]: `torque_columns` times them, at a small
+    part of its cost."""
+    E, fall, qd_rows, qdd_rows = _joint_rows(arm, q, qd, qdd)
+    table = phi.reshape(-1, len(STANDARD))
+    return inverse_dynamics(E, arm.prismatic, table[:, :10], fall, qd_rows, qdd_rows).T + table[:, 10] * qdd
+
+
+def _joint_rows(arm: Any, q: np.ndarray, qd: np.ndarray, qdd: np.ndarray) -> tuple[Any, Any, np.ndarray, np.ndarray]:
+    """Placements of the links, free fall, and rates [n samples]."""
+    fall = free_fall(*(np.float64(getattr(arm, k)) for k in ("gravity", "base_roll", "base_pitch")))
+    q, qd, qdd = (np.ascontiguousarray(x.T) for x in (q, qd, qdd))
+    return placements(arm, arm.prismatic, q), fall, qd, qdd
 
 
 def base_parameters(arm: Any, without: Sequence[str] = ()) -> BaseParameters:

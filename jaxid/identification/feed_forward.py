@@ -19,7 +19,7 @@ from typing import Any
 
 import numpy as np
 
-from jaxid.dynamics.base_parameters import torque_columns
+from jaxid.dynamics.base_parameters import standard_torque
 from jaxid.errors import UsageError
 from jaxid.identification.regression import friction_columns, LAWS
 from jaxid.storage.small_files import read_small
@@ -30,7 +30,7 @@ PLACE = ("gravity", "base_roll", "base_pitch")
 
 
 class _Geometry:
-    """The numbers that `torque_columns` reads."""
+    """The numbers that `standard_torque` reads."""
 
     def __init__(self, content: Mapping[str, Any]):
         for name in GEOMETRY:
@@ -79,7 +79,7 @@ class FeedForward:
     def rigid(self, q: np.ndarray, qd: np.ndarray, qdd: np.ndarray) -> np.ndarray:
         """Torque of inertia, Coriolis forces and gravity."""
         rows = [np.atleast_2d(np.asarray(x, float)) for x in (q, qd, qdd)]
-        tau = torque_columns(_Geometry(self.geometry), *rows) @ self.phi
+        tau = standard_torque(_Geometry(self.geometry), self.phi, *rows)
         return tau.reshape(np.shape(q))
 
     def gravity(self, q: np.ndarray) -> np.ndarray:

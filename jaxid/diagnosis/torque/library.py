@@ -13,6 +13,7 @@ import numpy as np
 from jaxid.diagnosis.torque.forces import at_every_joint, coupled, Load, shapes, strengths, with_numbers
 from jaxid.diagnosis.torque.plant import ArmPlant, Beside, Plant
 from jaxid.diagnosis.torque.rows import Run
+from jaxid.dynamics.base_parameters import standard_torque
 from jaxid.dynamics.chain import Chain
 from jaxid.dynamics.effect import BodyEffect, Effect, JointEffect, neutral
 from jaxid.dynamics.parameter import resolve, specs, with_fields
@@ -181,20 +182,26 @@ def _bodies(
         return [_unit(kind, p, ["inertia"], {}, [joints.index(p)], [_placed(x[:, j, None], j, n) for x in rows], b)
                 for p in places for j in [joints.index(p)]]  # fmt: skip
     if isinstance(plant, ArmPlant) and kind.name == "payload":
-        return [_payload(plant, p, joints.index(p), runs, theta) for p in places] if payloads else []
+        return _payloads(plant, {p: joints.index(p) for p in places}, runs, theta) if payloads else []
     if isinstance(plant, ArmPlant) and kind.name == "gravity_offset":
         return [_tilt(plant, joints[0], runs, theta)]
     return _derivatives(plant, kind, places, runs, theta)
 
 
-def _payload(plant: ArmPlant, place: str, link: int, runs: Sequence[Run], theta: np.ndarray) -> Unit:
-    """Any body at a link, by its ten numbers."""
-    first = 11 * link
-    order = [first + 9, *range(first + 6, first + 9), *range(first, first + 6)]
+def _payloads(plant: ArmPlant, links: dict[str, int], runs: Sequence[Run], theta: np.ndarray) -> list[Unit]:
+    """Any body at each of these links, by its ten numbers."""
     mass, reach = _size(plant, theta)
     spread = mass * np.array([1.0, *[reach] * 3, *[reach**2] * 6])
-    columns = [r.rows(plant.columns(r, order)) for r in runs]
-    return Unit("payload", place, BODY, np.full(10, -np.inf), np.full(10, np.inf), spread, {}, tuple(range(link + 1)), columns)
+    free = np.full(10, np.inf)
+    every = [r.rows(plant.columns(r)) for r in runs]
+
+    def at(place: str, link: int) -> Unit:
+        first = 11 * link
+        order = [first + 9, *range(first + 6, first + 9), *range(first, first + 6)]
+        columns = [rows[:, :, order] for rows in every]
+        return Unit("payload", place, BODY, -free, free, spread, {}, tuple(range(link + 1)), columns)
+
+    return [at(place, link) for place, link in links.items()]
 
 
 def _size(plant: ArmPlant, theta: np.ndarray) -> tuple[float, float]:
@@ -209,18 +216,14 @@ def _tilt(plant: ArmPlant, place: str, runs: Sequence[Run], theta: np.ndarray) -
     n = plant.binding.chain.nq
     phi = plant.phi(theta)
 
-    def slope(r: Run, field: str) -> np.ndarray:
-        low, high = (
-            plant.columns(r, slice(None), True, with_fields(plant.arm, {field: np.asarray(getattr(plant.arm, field)) + s * TILT}))
-            for s in (-0.5, 0.5)
-        )
-        return (high - low) / TILT
+    def slope(r: Run, field: str, phi: np.ndarray) -> np.ndarray:
+        low, high = (with_fields(plant.arm, {field: np.asarray(getattr(plant.arm, field)) + s * TILT}) for s in (-0.5, 0.5))
+        still = 0 * r.qd
+        return (standard_torque(high, phi, r.q, still, still) - standard_torque(low, phi, r.q, still, still)) / TILT
 
-    columns = []
-    for r in runs:
-        both = [slope(r, f) for f in ("base_roll", "base_pitch")]
-        own = np.stack([y @ phi for y in both], -1)
-        columns.append(r.rows(np.concatenate([own, both[0][:, :, 6:8]], 2)))
+    first = np.eye(len(phi))[6:8]
+    each = [("base_roll", phi), ("base_pitch", phi), *(("base_roll", moment) for moment in first)]
+    columns = [r.rows(np.stack([slope(r, f, own) for f, own in each], -1)) for r in runs]
     infinite = np.full(4, np.inf)
     return Unit(
         "gravity_offset",

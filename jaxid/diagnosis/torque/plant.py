@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import abc
-from collections.abc import Sequence
 from typing import Any, NamedTuple
 
 import jax
@@ -12,7 +11,7 @@ import numpy as np
 
 from jaxid.diagnosis.torque.forces import force, Load, unloaded, with_numbers
 from jaxid.diagnosis.torque.rows import Run
-from jaxid.dynamics.base_parameters import STANDARD, torque_columns
+from jaxid.dynamics.base_parameters import STANDARD, standard_torque, torque_columns
 from jaxid.dynamics.effect import JointEffect
 from jaxid.dynamics.parameter import specs
 from jaxid.dynamics.parameter_vector import Form
@@ -87,15 +86,13 @@ class ArmPlant(Plant):
         with float64():
             return np.concatenate([np.asarray(arm.inertia()), np.asarray(arm.Ia)[:, None]], 1).ravel()
 
-    def columns(self, run: Run, links: Sequence[int] | slice, still: bool = False, arm: Any = None) -> np.ndarray:
-        """Standard columns [time n …]; `still`: those of gravity alone."""
-        zero = 0 * run.qd
-        qd, qdd = (zero, zero) if still else (run.qd, run.qdd)
-        return torque_columns(self.arm if arm is None else arm, run.q, qd, qdd)[:, :, links]
+    def columns(self, run: Run) -> np.ndarray:
+        """Standard columns [time n 11 n]."""
+        return torque_columns(self.arm, run.q, run.qd, run.qdd)
 
     def linearised(self, run, theta):
         phi = self.phi(theta)
-        every = self.columns(run, slice(None))
+        every = self.columns(run)
         held = phi.copy()
         held[self.standard] -= theta[[self.free[k] for k in self.inertial]]
         target = self.drive(run, theta) - every @ held - self._held_friction(run, theta)
@@ -107,7 +104,7 @@ class ArmPlant(Plant):
         return target, out
 
     def rigid(self, run, theta):
-        return self.columns(run, slice(None)) @ self.phi(theta)
+        return standard_torque(self.arm, self.phi(theta), run.q, run.qd, run.qdd)
 
     def _effects(self, theta: np.ndarray):
         chain = self.binding.layout.model(theta)
