@@ -759,50 +759,17 @@ def test_a_limit_far_below_the_commands_is_found():
     assert found.effect == "saturation" and limit.std and abs(limit.value - 0.25) < 4 * limit.std + 1e-3
 
 
-def test_candidates_behind_are_asked_only_where_those_in_front_leave_something(monkeypatch):
-    """A large gap that one of the first closes is not asked of all; a small one is, one that none of the first closes, and any
-    where there is one screen only."""
-    asked: list[str] = []
-    refit = Searcher.refit
-
-    def counted(self, sets):
-        asked.extend(str(effects[-1]) for effects, _ in sets if len(effects) == 1)
-        return refit(self, sets)
-
-    monkeypatch.setattr(Searcher, "refit", counted)
-
-    def refitted(data, **settings):
-        asked.clear()
-        return jaxid.diagnose("pendulum", data, max_effects=1, **settings), len(set(asked))
-
-    effects = [*CHOICE, "saturation", "asymmetric_friction", "power_law_friction", "spring_torque"]
-    large, small = (recording("pendulum", 1, dead_zone=width) for width in (0.05, 0.0005))
-    monkeypatch.setattr(shortlist, "LEADING", 2)
-    d, few = refitted(large, effects=effects)
-    _, of_small = refitted(small, effects=effects)
-    _, of_unknown = refitted(large, effects=[e for e in effects if e != "dead_zone"])
-    assert [e.effect for e in d.which.effects] == ["dead_zone"]
-    monkeypatch.setattr(search, "torque_screened", lambda *_: [])
-    _, of_one_screen = refitted(large, effects=effects)
-    assert few < min(of_small, of_unknown, of_one_screen)
-
-
-def test_what_may_equal_a_candidate_in_front_is_asked_with_it():
+def test_what_leads_a_screen_and_what_may_equal_it_is_refitted_however_many_there_are(monkeypatch):
     names = ["quadratic_drag", "dead_zone", "saturation", "asymmetric_friction", "spring_torque", "power_law_friction"]
     bench = Bench(bind("pendulum", recording("pendulum", 2), candidates=[catalogue.effect_class(n) for n in names]))
     ranked = [(1 / (1 + k), c, []) for k, n in enumerate(names) for c in candidates(bench, [n])]
-    of = lambda wave: [c.effect for _, c, _ in wave]
-    assert [of(w) for w in shortlist.waves(bench, ranked, ranked, ranked[4:5])] == [[*names[:5], names[5]]]
-    assert [of(w) for w in shortlist.waves(bench, ranked, ranked[1:])] == [names[1:5], [names[0], names[5]]]
-    assert shortlist.waves(bench, [], ranked) == []
-    # What leaves the noise alone may have taken the place of a law of fewer numbers.
-    held = lambda loss: SimpleNamespace(loss=loss)
-    ended = lambda n, loss: cast(Any, SimpleNamespace(effects=candidates(bench, [n]), fit_loss=1.0, validation=held(loss)))
-    rich = max(ranked, key=lambda f: len(f[1].index))[1]
-    plain = [f[1] for f in ranked if len(f[1].index) < len(rich.index)]
-    assert plain and [c for _, c, _ in shortlist.still_to_ask(ranked, [ended(rich.effect, 1.0)])] == plain
-    assert shortlist.still_to_ask(ranked, []) == shortlist.still_to_ask(ranked, [ended(rich.effect, 1.2)]) == ranked
-    assert shortlist.still_to_ask(ranked, [ended("quadratic_drag", 1.0)]) == []
+    kept = lambda free, torque: [c.effect for _, c, _ in shortlist.shortlist(bench, free, torque, lambda c: False, False)]
+    assert kept(ranked, []) == names  # one screen only
+    monkeypatch.setattr(shortlist, "MINIMUM", 1)
+    assert kept(ranked, ranked[4:5]) == ["quadratic_drag", "spring_torque", *names[1:4], "power_law_friction"]
+    monkeypatch.setattr(shortlist, "FRONT", 1)
+    monkeypatch.setattr(shortlist, "MAXIMUM", 1)
+    assert kept(ranked, ranked[4:5]) == ["quadratic_drag", "spring_torque", "power_law_friction"]
 
 
 def test_a_search_that_has_simulated_enough_ends_and_says_so(monkeypatch):

@@ -40,7 +40,7 @@ from jaxid.diagnosis.selection import (
     rivals_among,
     significant,
 )
-from jaxid.diagnosis.shortlist import shortlist, still_to_ask, waves
+from jaxid.diagnosis.shortlist import shortlist
 from jaxid.diagnosis.thresholds import LIMITS
 from jaxid.fitting.fitter import Progress
 from jaxid.fitting.least_squares import descend, Path, race
@@ -343,16 +343,10 @@ class Searcher:
             return []
         if self.progress:
             self.progress("screen", len(h.effects), 3, f"{len(ranked or by_torque)} candidates react to the data")
-        blind = not by_torque  # a model with inner states
-        kept = shortlist(self.bench, ranked, by_torque, lambda c: bool(base[str(c)]), not h.effects, blind)
-        found: list[Hypothesis] = []
-        lead = joint_loss(h) > LIMITS.far and not blind  # one screen alone does not lead
-        for wave in waves(self.bench, kept, ranked, by_torque) if lead else [kept]:
-            asked = still_to_ask(wave, found)
-            if self.progress and asked:
-                self.progress("refit", len(h.effects), 3, f"{len(asked)} candidates")
-            found += self.refit(beside(self.bench, h, asked, by_torque, base))
-        return found
+        kept = shortlist(self.bench, ranked, by_torque, lambda c: bool(base[str(c)]), not h.effects)
+        if self.progress:
+            self.progress("refit", len(h.effects), 3, f"{len(kept)} candidates")
+        return self.refit(beside(self.bench, h, kept, by_torque, base))
 
     def _questioned(self, h: Hypothesis) -> Hypothesis:
         """Takes out effects that are no longer needed beside the others (explain too little, or nothing of the report data), what

@@ -1,23 +1,20 @@
-"""Which candidates are refitted, of what the screens rank, and in which order."""
+"""Which candidates are refitted, of what the screens rank."""
 
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 
-from jaxid.diagnosis.hypothesis import Candidate, effect_of, Hypothesis
+from jaxid.diagnosis.hypothesis import Candidate, effect_of
 from jaxid.diagnosis.screen import Screened
 from jaxid.diagnosis.thresholds import LIMITS
 from jaxid.fitting.problem_builder import Bench
 
 
-#: At least and at most so many candidates are refitted.
-MINIMUM, MAXIMUM = 6, 16
+#: At least and at most so many candidates are refitted, and those that a screen puts in front however many others there are.
+MINIMUM, MAXIMUM, FRONT = 6, 16, 4
 #: Timing comes before physics: these are always refitted first, and win a tie. One sample of offset between two channels, or the
 #: wrong hold of the command, is soon made and looks like lag, friction or inertia.
 TIMING = ("input_hold", "input_delay", "sensor_delay")
-#: Of a large gap so many of each screen are asked first, and the others where none of these leaves the noise alone: hardly two
-#: laws do. (A small one is soon closed by many, of which the evidence has to choose.)
-LEADING = 4
 
 
 def shortlist(
@@ -26,11 +23,11 @@ def shortlist(
     by_torque: Sequence[Screened],
     refining: Callable[[Candidate], bool],
     alone: bool,
-    blind: bool,
 ) -> list[Screened]:
-    """The best of both screens, at least those that either puts in front. `alone`: nothing is in the model yet, which is when
-    timing is asked. `blind`: with one screen only, all that reacts is tried. What `refining` says to bring another effect along
+    """The best of both screens, and what may equal one of them at some of its numbers; all that reacts where there is one screen
+    only. `alone`: nothing is in the model yet, which is when timing is asked. What `refining` says to bring another effect along
     takes nobody's place."""
+    blind = not by_torque  # a model with inner states
     beside = [f for f in _head(ranked) if refining(f[1])]
     ranked, by_torque = ([f for f in found if not refining(f[1])] for found in (ranked, by_torque))
     kept = ranked if blind else _head(ranked)
@@ -42,35 +39,10 @@ def shortlist(
     names = {str(c) for _, c, _ in kept}
     others = [f for f in (*kept, *(table[n] for n in more if n in table and n not in names)) if f not in first]
     kept = [*first, *others][: 2 * MAXIMUM if blind else MAXIMUM]
-    names = {str(c) for _, c, _ in kept}
-    wanted = _with_alike(bench, [*kept, *_front(ranked, by_torque)]) - names
+    front = [*ranked[:FRONT], *by_torque[:FRONT]]
+    alike = {f"{n} at {c.location}" for _, c, _ in (*kept, *front) for n in effect_of(bench, c).resembles}
+    wanted = (alike | {str(c) for _, c, _ in front}) - {str(c) for _, c, _ in kept}
     return [*kept, *(f for n, f in table.items() if n in wanted), *beside]
-
-
-def waves(bench: Bench, kept: Sequence[Screened], *screens: Sequence[Screened]) -> list[list[Screened]]:
-    """What is refitted first, as either screen puts it in front or as it may equal what is there, and the rest."""
-    leads = _with_alike(bench, _front(*screens))
-    first = [f for f in kept if str(f[1]) in leads]
-    return [wave for wave in (first, [f for f in kept if f not in first]) if wave]
-
-
-def still_to_ask(wave: Sequence[Screened], found: Sequence[Hypothesis]) -> list[Screened]:
-    """Of a wave the ones to be refitted after others: all, or, where one of these leaves no more than the noise, the laws of
-    fewer numbers, of which it may have taken the place."""
-    enough = [h.effects[-1] for h in found if max(h.fit_loss, h.validation.loss) < LIMITS.explained]
-    plainer = lambda c: any(len(c.index) < len(e.index) for e in enough)
-    return [f for f in wave if not enough or plainer(f[1])]
-
-
-def _front(*screens: Sequence[Screened]) -> list[Screened]:
-    """What each screen puts in front."""
-    return [f for ranked in screens for f in ranked[:LEADING]]
-
-
-def _with_alike(bench: Bench, found: Sequence[Screened]) -> set[str]:
-    """The names of candidates and of what may equal one of them at some of its numbers."""
-    alike = {f"{n} at {c.location}" for _, c, _ in found for n in effect_of(bench, c).resembles}
-    return alike | {str(c) for _, c, _ in found}
 
 
 def _head(ranked: Sequence[Screened]) -> list[Screened]:
