@@ -21,7 +21,7 @@ from jaxid.diagnosis.evidence import held_out, HeldOut, inflation, knowledge, me
 from jaxid.diagnosis.how_far import interval_of_further_run, shrink
 from jaxid.diagnosis.hypothesis import candidates, Hypothesis, Search
 from jaxid.diagnosis.prior_pull import brought_back, put_back
-from jaxid.diagnosis.proposals import exchanged
+from jaxid.diagnosis.proposals import exchanged, left_out
 from jaxid.diagnosis.reasons import Lacks
 from jaxid.diagnosis.search import Searcher, THOROUGH
 from jaxid.diagnosis.selection import mirrored, not_borne_out, outweighed, simpler
@@ -770,6 +770,27 @@ def test_what_leads_a_screen_and_what_may_equal_it_is_refitted_however_many_ther
     monkeypatch.setattr(shortlist, "FRONT", 1)
     monkeypatch.setattr(shortlist, "MAXIMUM", 1)
     assert kept(ranked, ranked[4:5]) == ["quadratic_drag", "spring_torque", "power_law_friction"]
+
+
+def test_an_effect_is_left_out_with_the_others_where_they_end_without_it():
+    """A scale of the torque and the model's own numbers are known only together: without it they have to go along."""
+    kinds = [catalogue.effect_class(n) for n in ("torque_scale", "dead_zone")]
+    bench = Bench(bind("pendulum", recording("pendulum", 2, dead_zone=0.05), candidates=kinds))
+    (scale,), (zone,) = (candidates(bench, [k.name]) for k in kinds)
+    own, theta = bench.binding.free, bench.binding.theta.copy()
+    theta[list(zone.index)] = 0.05
+    less, more = (bench.problem(OutputError(), "fit", [*own, *zone.index, *i], theta) for i in ((), scale.index))
+    end = descend([(less, less.z(theta))], 40, 1e-8)[0]
+    theta = less.theta(end.z)
+    theta[own] *= 1.01  # along the valley
+    theta[list(scale.index)] = 0.01
+    path = descend([(more, more.z(theta))], 0, 1e-8)[0]
+    effects, (retuned, plain) = left_out(bench, cast(Any, SimpleNamespace(path=path, theta=theta, effects=(scale, zone))), scale)
+    there, here = descend([(less, less.z(t)) for t in (retuned, plain)], 0, 1e-6)
+    assert effects == (zone,) and not retuned[list(scale.index)].any() and not plain[list(scale.index)].any()
+    assert path.loss < 10 and there.loss < 1.1 * path.loss and here.loss > 10 * path.loss
+    path.hessian = None
+    assert len(left_out(bench, cast(Any, SimpleNamespace(path=path, theta=theta, effects=(scale, zone))), scale)[1]) == 1
 
 
 def test_a_search_that_has_simulated_enough_ends_and_says_so(monkeypatch):

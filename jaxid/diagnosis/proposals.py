@@ -93,6 +93,28 @@ def plain_pairs(bench: Bench, c: Candidate, pool: Sequence[Candidate], theta: np
     return sets
 
 
+def left_out(bench: Bench, h: Hypothesis, c: Candidate) -> Proposal:
+    """A hypothesis less one of its effects, the others where they end to first order without it, and as they are: of numbers that
+    hang together tightly none can go alone without leaving the valley."""
+    theta, index = h.theta.copy(), list(c.index)
+    theta[index] = bench.binding.theta[index]
+    return tuple(e for e in h.effects if e is not c), [*_retuned(h.path, theta, index), theta]
+
+
+def _retuned(path: Path, theta: np.ndarray, index: Sequence[int]) -> list[np.ndarray]:
+    """The numbers at the end of a path with those at `index` as in theta, all others moved as its curvature says."""
+    p, H = path.problem, path.hessian
+    if H is None or not np.all(np.isfinite(H)):
+        return []
+    fixed = np.zeros(p.size, bool)
+    fixed[: p.free.size] = np.isin(p.free, index)
+    z = np.where(fixed, p.z(theta, p.starts(path.z)), path.z)
+    curvature = H * p.scale[:, None] * p.scale
+    way = (path.z - z) / p.scale
+    z[~fixed] += (p.scale * (np.linalg.pinv(curvature * ~fixed * ~fixed[:, None], 1e-14, True) @ curvature @ way))[~fixed]
+    return [p.theta(np.clip(z, p.lower, p.upper))]
+
+
 def torque_starts(
     bench: Bench, base_free: Sequence[int], sets: Sequence[Proposal], tells: bool
 ) -> list[tuple[float, list[np.ndarray]]]:

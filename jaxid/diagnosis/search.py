@@ -19,6 +19,7 @@ from jaxid.diagnosis.prior_pull import brought_back, moved_to, put_back
 from jaxid.diagnosis.proposals import (
     beside,
     exchanged,
+    left_out,
     pairs,
     plain_pairs,
     promising,
@@ -95,11 +96,15 @@ class Searcher:
         free = self.base_free + [i for c in effects for i in c.index]
         return self.bench.problem(self.residual, "fit", free, theta)
 
-    def refit(self, sets: Sequence[tuple[tuple[Candidate, ...], Sequence[np.ndarray]]]) -> list[Hypothesis]:
-        """Refits each set of effects from its starts (full parameter vectors), all in one batch; best start of each."""
+    def refit(
+        self, sets: Sequence[tuple[tuple[Candidate, ...], Sequence[np.ndarray]]], like: Hypothesis | None = None
+    ) -> list[Hypothesis]:
+        """Refits each set of effects from its starts (full parameter vectors), all in one batch, the runs begun as in `like` or
+        the nominal model; best start of each."""
         if not sets:
             return []
-        starts = self.nominal.path.problem.starts(self.nominal.path.z)
+        begun = (like or self.nominal).path
+        starts = begun.problem.starts(begun.z)
         sets = promising(self.nominal.path, sets)
         groups, by_torque = [], torque_starts(self.bench, self.base_free, sets, torque_tells(self.bench))
         for (effects, thetas), (_, more) in zip(sets, by_torque, strict=True):
@@ -352,12 +357,7 @@ class Searcher:
         """Takes out effects that are no longer needed beside the others (explain too little, or nothing of the report data), what
         one refines as well where there is none of it; the smaller set gets every chance, from where the larger one ended."""
         while len(h.effects) > 1:
-            sets = []
-            for c in h.effects:
-                theta = h.theta.copy()
-                theta[list(c.index)] = self.bench.binding.theta[list(c.index)]
-                sets.append((tuple(e for e in h.effects if e is not c), [theta]))
-            smaller = self.refit(sets)
+            smaller = self.refit([left_out(self.bench, h, c) for c in h.effects], h)
             needless = [s for s in smaller if not significant(s, h) or outweighed(self.nominal, h, s)]
             needless = needless or not_borne_out(self.bench, self.residual, h, smaller)
             if not needless:
