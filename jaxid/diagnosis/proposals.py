@@ -106,12 +106,12 @@ def _retuned(path: Path, theta: np.ndarray, index: Sequence[int]) -> list[np.nda
     p, H = path.problem, path.hessian
     if H is None or not np.all(np.isfinite(H)):
         return []
-    fixed = np.zeros(p.size, bool)
-    fixed[: p.free.size] = np.isin(p.free, index)
-    z = np.where(fixed, p.z(theta, p.starts(path.z)), path.z)
-    curvature = H * p.scale[:, None] * p.scale
-    way = (path.z - z) / p.scale
-    z[~fixed] += (p.scale * (np.linalg.pinv(curvature * ~fixed * ~fixed[:, None], 1e-14, True) @ curvature @ way))[~fixed]
+    gone = np.zeros(p.size, bool)
+    gone[: p.free.size] = np.isin(p.free, index)
+    z = np.where(gone, p.z(theta, p.starts(path.z)), path.z)
+    curvature, way = p.scale[:, None] * H * p.scale, (path.z - z) / p.scale
+    move = np.linalg.pinv(curvature[np.ix_(~gone, ~gone)], 1e-14, True) @ curvature[np.ix_(~gone, gone)] @ way[gone]
+    z[~gone] += p.scale[~gone] * move
     return [p.theta(np.clip(z, p.lower, p.upper))]
 
 

@@ -216,10 +216,10 @@ def _tilt(plant: ArmPlant, place: str, runs: Sequence[Run], theta: np.ndarray) -
     n = plant.binding.chain.nq
     phi = plant.phi(theta)
 
-    def slope(r: Run, field: str, phi: np.ndarray) -> np.ndarray:
-        low, high = (with_fields(plant.arm, {field: np.asarray(getattr(plant.arm, field)) + s * TILT}) for s in (-0.5, 0.5))
-        still = 0 * r.qd
-        return (standard_torque(high, phi, r.q, still, still) - standard_torque(low, phi, r.q, still, still)) / TILT
+    def slope(r: Run, field: str, numbers: np.ndarray) -> np.ndarray:
+        tilted = (with_fields(plant.arm, {field: np.asarray(getattr(plant.arm, field)) + s * TILT}) for s in (-0.5, 0.5))
+        low, high = (standard_torque(arm, numbers, r.q, 0 * r.qd, 0 * r.qd) for arm in tilted)
+        return (high - low) / TILT
 
     first = np.eye(len(phi))[6:8]
     each = [("base_roll", phi), ("base_pitch", phi), *(("base_roll", moment) for moment in first)]
