@@ -681,3 +681,50 @@ def test_joints_named_q_take_the_torques_of_their_numbers(tmp_path):
     units = {"tau": "N m", "q": "rad"}
     data = jaxid.Dataset.from_arrays(t, {"tau": np.sin(t)}, {"q": np.sin(t)}, units=units, check_model=False)
     assert [c.name for c in named(data, read_mjcf(path)).channels] == ["q_tau", "q"]
+
+
+# ---- what holds at other time steps, and what the recording does not say
+
+
+def swing(text: str, step: float, late: float = 0.0) -> np.ndarray:
+    """Positions of the arm's joints after 0.4 s of a goal that swings, `late` s late, run in MuJoCo in steps of `step` s."""
+    model = mujoco.MjModel.from_xml_string(text)
+    model.opt.timestep = step
+    data = mujoco.MjData(model)
+    rows = []
+    for k in range(round(0.4 / step)):
+        data.ctrl[0] = np.sin(20 * max(0.0, k * step - late))
+        mujoco.mj_step(model, data)
+        rows.append(data.qpos[0])
+    return np.array(rows)
+
+
+@pytest.mark.parametrize("step", [2e-3, 1e-3, 2e-4])
+def test_a_delay_holds_at_other_time_steps(arm, step):
+    text = export(fit({}, [("input_delay", "lift_cmd", {"delay": 0.038})], arm), "mjcf").files["arm.xml"]
+    assert 'timestep="2.5e-4"' in text  # the file's own step stays
+    off = np.abs(swing(text, step) - swing(ARM, step, late=0.038)).max()
+    delayed = np.abs(swing(ARM, step) - swing(ARM, step, late=0.038)).max()
+    assert off < 0.05 * delayed, f"{off:.3g} rad of {delayed:.3g}"
+
+
+def test_a_law_without_a_limit_leaves_the_files(arm):
+    law = fit(path=arm)["robot"]["drive"] | {"origin": "[controller]"}
+    law["joints"]["lift"] |= {"kp": 30.0, "lowest": None, "highest": None}
+    found = export(fit({"kp@lift": 33.0}, path=arm, drive=law), "mjcf")
+    model = mujoco.MjModel.from_xml_string(found.files["arm.xml"])
+    assert model.actuator_forcerange[0].tolist() == [-6.0, 6.0] and model.actuator_gainprm[0, 0] == 33.0
+    assert [r.field for r in found.rows if r.effect == "saturation"] == []
+    (note,) = [n for n in found.notes if "saturation" in n]
+    assert "lift (-6 to 6 N m)" in note
+    shifted = export(fit({"kp@lift": 33.0}, [("constant_torque", "lift", {"torque": 0.5})], arm, drive=law), "mjcf")
+    model = mujoco.MjModel.from_xml_string(shifted.files["arm.xml"])
+    np.testing.assert_allclose(model.actuator_forcerange[0], [-6.5, 5.5])
+
+
+def test_a_limit_in_one_direction_is_not_called_exact(arm):
+    law = fit(path=arm)["robot"]["drive"] | {"origin": "[controller]"}
+    law["joints"]["bend"] |= {"lowest": None, "highest": 4.0}
+    rows = export(fit({"damping@lift": 0.3}, path=arm, drive=law), "mjcf").rows
+    (row,) = [r for r in rows if r.effect == "saturation"]
+    assert row.how == "approximate" and "no limit in one direction" in row.note

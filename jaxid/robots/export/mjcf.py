@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -12,6 +12,7 @@ import numpy as np
 from jaxid.errors import UsageError
 from jaxid.robots.export.laws import code, lawful
 from jaxid.robots.export.mjcf_code import callback, snippet, spec_code
+from jaxid.robots.export.mjcf_drive import DriveWords, ENDLESS, HISTORY
 from jaxid.robots.export.mjcf_file import compiled, MjcfFile
 from jaxid.robots.export.outcome import AS_STATED, Outcome
 from jaxid.robots.export.sheet import Body, Change, from_ten, JointNumbers, Sheet
@@ -29,12 +30,16 @@ from jaxid.robots.export.target import (
     Written,
 )
 from jaxid.robots.export.xml_text import number as digits, numbers
+from jaxid.wording import listed
 
 
 NAME, VERSION, FILES = "mjcf", "MuJoCo 4.0", (".xml", ".mjcf")
 #: Dry friction is a soft constraint in MuJoCo: with these it holds a joint 50 times better than with the defaults.
 HOLDS = {"solreffriction": "0.004 1", "solimpfriction": "0.99 0.9999"}
 SOFT = "a soft constraint in MuJoCo: with solreffriction and solimpfriction as set here it creeps by less than 1e-4 rad/s"
+UNLIMITED = (
+    "[controller] states no limit (saturation), so that the runs were simulated without the file's: it is left as it is at {}"
+)
 CALLBACK = "effects.py"
 
 
@@ -199,10 +204,14 @@ class _Patch:
         sheet, tree = self.sheet, self.sheet.tree
         if not sheet.driven or sheet.own_law or tree is None:
             return
-        for joint, now in sheet.after.items():
+        left: list[str] = []
+        for joint, stated in sheet.after.items():
             a = tree.actuators.get(joint)
             if a is None or a.kind != "position" or sheet.kind != "pd":
                 continue
+            now = self._limited(joint, stated)
+            if (now.lowest, now.highest) != (stated.lowest, stated.highest):
+                left.append(f"{joint} ({a.force[0]:g} to {a.force[1]:g} {sheet.force_unit(joint)})")
             own = {"kp": (a.kp, now.kp), "kd": (a.kd, now.kd), "lowest": (a.force[0], now.lowest),
                    "highest": (a.force[1], now.highest),
                    "delay": (a.delay, now.delay), "lag": (a.lag, now.lag), "offset": (a.offset, now.offset)}  # fmt: skip
@@ -219,6 +228,8 @@ class _Patch:
             if {"lowest", "highest"} & other and not {"force", "lowest", "highest"} & named:
                 note = "the limit of [controller], under which the recording was made"
                 sheet.changes.append(Change("saturation", joint, "force", joint, None, None, sheet.force_unit(joint), note))
+        if left:
+            self.notes.append(UNLIMITED.format(listed(left)))
 
     def _actuator(self, joint: str, changed: set[str], now: JointNumbers) -> dict[tuple[str, str], Field | None]:
         found, a = self.file.actuator(joint), self.file.actuator_id(joint)
@@ -230,14 +241,14 @@ class _Patch:
         if found is None or a < 0 or kind != wanted or "ki" in changed or (self.sheet.driven and self.sheet.kind != "pd"):
             return {(k, joint): None for k in names}
         text, element = found
-        attributes, tag = self._drive(a, changed, now, element.name)
+        now = self._limited(joint, now)
+        words = DriveWords(self.file.model, a, self.sheet.driven)
+        attributes, tag = words.attributes(changed, now, element.name)
         if tag != element.name:
             text.rename(element, tag)
-            attributes |= {"kp": None, "kv": None, "dampratio": None, "timeconst": None, "inheritrange": None}
-            attributes |= {"biastype": "affine", "gaintype": "fixed"}
         text.set(element, {k: v if v is None or isinstance(v, str) else numbers(np.atleast_1d(v)) for k, v in attributes.items()})
         self._widen(joint, now)
-        self.ops.append(Op("actuator", joint, self._general(a, changed, now)))
+        self.ops.append(Op("actuator", joint, words.general(changed, now)))
         at, law = f"{tag}[{joint}]@", self.sheet.sampled > 0 and self.sheet.driven
         how = APPROXIMATE if law else EXACT
         note = f"the law ran every {self.sheet.sampled:g} s, MuJoCo's runs at each of its steps" if law else ""
@@ -257,54 +268,25 @@ class _Patch:
             shifted = "forcerange is shifted by as much" if limited else ""
             out["torque", joint] = Field(f"{at}biasprm", EXACT, joined(shifted, notes["torque"]))
         if ("delay", joint) in out:
-            out["delay", joint] = Field(at + name["delay"], EXACT, joined("seconds; nsample for the file's time step", note))
+            out["delay", joint] = Field(at + name["delay"], EXACT, joined(HISTORY, note))
+        forced = [k for k in ("force", "lowest", "highest") if (k, joint) in out]
+        if forced and not np.isfinite([now.lowest, now.highest]).all():
+            one_sided = joined(f"no limit in one direction: {ENDLESS:g} stands for it", notes["force"])
+            out |= {(k, joint): Field(f"{at}forcerange", APPROXIMATE, one_sided) for k in forced}
         return out
 
-    def _general(self, a: int, changed: set[str], now: JointNumbers) -> dict[str, Any]:
-        """The actuator in MuJoCo's general terms, all that changed."""
-        g = float(self.file.model.actuator_gear[a, 0]) * now.drive
-        own: dict[str, Any] = {}
-        if changed & {"kp", "kd", "offset", "torque"}:
-            gain = now.kp / g**2 if self.sheet.driven else float(self.file.model.actuator_gainprm[a, 0])
-            bias = (
-                [(now.offset + now.torque) / g, -now.kp / g**2, -now.kd / g**2]
-                if self.sheet.driven
-                else [now.torque / g, 0.0, 0.0]
-            )
-            own |= {"gainprm": gain, "biasprm": bias}
-        if changed & {"lowest", "highest"} or (now.torque and np.isfinite([now.lowest, now.highest]).any()):
-            limits = sorted(np.nan_to_num((np.array([now.lowest, now.highest]) + now.torque) / g, posinf=1e9, neginf=-1e9))
-            own |= {"forcerange": [float(v) for v in limits]}
-        if "delay" in changed:
-            dt = float(self.file.model.opt.timestep)
-            own |= {"delay": now.delay, "nsample": int(np.ceil(now.delay / dt)) + 2, "interp": "linear"}
-        if "lag" in changed:
-            own["timeconst"] = now.lag
-        if "drive" in changed:
-            own["gear"] = g
-        return own
-
-    def _drive(self, a: int, changed: set[str], now: JointNumbers, tag: str) -> tuple[dict[str, Any], str]:
-        """(attributes, tag) of the element: its own words where it has them, else those of <general>."""
-        own = self._general(a, changed, now)
-        plain = tag == "position" and now.torque + now.offset == 0
-        if tag != "general" and not plain and ({"gainprm", "timeconst"} & set(own)):
-            tag = "general"
-        if tag == "general":
-            full = self._general(a, changed | {"kp"}, now)
-            own |= {k: full[k] for k in ("gainprm", "biasprm")}
-            own |= {"biastype": "affine"}
-            lag = own.pop("timeconst", now.lag)
-            own |= {"dyntype": "filterexact", "dynprm": lag} if lag else {}
-        elif "gainprm" in own:
-            own |= {"kp": own.pop("gainprm"), "kv": -own.pop("biasprm")[2], "dampratio": None}
-        if "forcerange" in own:
-            own["forcelimited"] = "true"
-        if "gear" in own:
-            own["gear"] = [own["gear"], *map(float, self.file.model.actuator_gear[a, 1:])]
-        if "nsample" in own:
-            own["nsample"] = str(own["nsample"])
-        return own, tag
+    def _limited(self, joint: str, now: JointNumbers) -> JointNumbers:
+        """The numbers with the file's limits where a law of the recording states none: what it does not say it does not
+        change."""
+        tree = self.sheet.tree
+        if self.sheet.own_law or tree is None or joint not in tree.actuators:
+            return now
+        lowest, highest = tree.actuators[joint].force
+        return replace(
+            now,
+            lowest=now.lowest if np.isfinite(now.lowest) else lowest,
+            highest=now.highest if np.isfinite(now.highest) else highest,
+        )
 
     def _widen(self, joint: str, now: JointNumbers) -> None:
         """A limit at the joint that is narrower than the new one would still hold."""
