@@ -77,7 +77,7 @@ $(BIN)/python:
 # The stamps depend on pyproject.toml alone: the install is editable, so changed sources need no new one.
 INSTALL = $(BIN)/python -m pip install --quiet --disable-pip-version-check --editable
 $(VENV)/installed: pyproject.toml | $(BIN)/python
-	$(INSTALL) .
+	$(INSTALL) ".[all]"
 	@touch $@
 
 $(VENV)/installed-test: pyproject.toml | $(BIN)/python

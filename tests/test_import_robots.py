@@ -372,7 +372,6 @@ def urdf(names, extra: str = "", inertia: str = "0.1 0.1 0.1", limit: str = "") 
 
 
 def test_a_dataset_with_its_own_urdf_is_matched_by_name(tmp_path):
-    pytest.importorskip("defusedxml")
     folder = save_dataset(recording(("elbow", "lift", "pan")), tmp_path / "ds")
     (folder / "arm.urdf").write_text(urdf(["pan", "lift", "elbow"]))
     text = (

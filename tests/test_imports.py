@@ -13,7 +13,7 @@ ROOT = Path(__file__).parents[1]
 #: has a place of its own: a dataset is a plain value that robots are matched with, but it is read against the model it states;
 #: the files of a result hold its page.
 LAYERS = (
-    ("errors", "lazy", "numerics", "runtime", "serialise", "storage", "wording"),
+    ("errors", "extras", "lazy", "numerics", "runtime", "serialise", "storage", "wording"),
     ("data",),
     ("dynamics", "models", "robots"),
     ("catalogue",),

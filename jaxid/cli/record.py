@@ -66,8 +66,11 @@ def ur10(host, rate, **options) -> int:
 
     Every sample is kept; the controller's time is the clock.
     """
+    from jaxid.extras import required
     from jaxid.hardware import UR
 
+    if options["play"] is not None and options["live"]:
+        required("rtde_control")
     return _record(UR(host, rate=rate), **options)
 
 
@@ -83,8 +86,11 @@ def ur10(host, rate, **options) -> int:
 def dynamixel(port, ids, baud, rate, mode, zero, form, **options) -> int:
     """Dynamixel servos of the X series."""
     from jaxid.errors import UsageError
+    from jaxid.extras import required
     from jaxid.hardware import Dynamixel
 
+    for package in ("serial", "dynamixel_sdk"):
+        required(package)
     if options["play"] is not None and mode is None:
         raise UsageError("say with --mode what the trajectory commands: current, velocity or position")
     if zero != "here" and not zero.lstrip("-").isdigit():

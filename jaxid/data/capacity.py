@@ -7,8 +7,10 @@ done on less where the answer does not need all of it (a diagnosis), and is othe
 from __future__ import annotations
 
 import contextlib
+import math
 import os
 from dataclasses import dataclass, replace
+from importlib import import_module
 from pathlib import Path
 
 from jaxid.data.dataset import Dataset, Experiment
@@ -105,19 +107,33 @@ def shortened(dataset: Dataset, wanted: Need) -> Dataset:
 
 def available() -> tuple[float, str]:
     """Bytes that this process may still take, and what limits them: the machine, its control group, or a limit of its own."""
-    import psutil
-
-    found = [(float(psutil.virtual_memory().available), "free memory of this machine")]
+    found = [(_free_memory(), "free memory of this machine")]
     found += [(room, "limit of its container or job") for room in _control_groups()]
     try:
         import resource
 
         limit = resource.getrlimit(resource.RLIMIT_AS)[0]
         if limit != resource.RLIM_INFINITY:
-            found.append((float(limit - psutil.Process().memory_info().vms), "limit of its address space, ulimit -v"))
-    except ImportError:  # Windows has no such limits
+            pages = int(Path("/proc/self/statm").read_text().split()[0])
+            taken = pages * resource.getpagesize()
+            found.append((float(limit - taken), "limit of its address space, ulimit -v"))
+    except (ImportError, OSError):  # Windows has no such limits, macOS does not say what is taken
         pass
     return max(0.0, min(found)[0]), min(found)[1]
+
+
+def _free_memory() -> float:
+    """Bytes that this machine has left for programs; where only psutil could tell and it is not there, no limit."""
+    try:
+        for line in Path("/proc/meminfo").read_text().splitlines():
+            if line.startswith("MemAvailable:"):
+                return 1024.0 * int(line.split()[1])
+    except OSError:
+        pass
+    try:
+        return float(import_module("psutil").virtual_memory().available)
+    except ImportError:
+        return math.inf
 
 
 def _control_groups() -> list[float]:

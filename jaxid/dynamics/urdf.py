@@ -1,4 +1,4 @@
-"""Serial chains from URDF files, read safely: no entities, no external references (defusedxml).
+"""Serial chains from URDF files, read safely: no entities, no external references.
 
 Revolute, continuous and prismatic joints become the joints of the chain; links behind fixed joints are added to the link that
 carries them. The frames are those of the URDF, turned where a joint's axis is not its z axis so that it becomes z (an axis along
@@ -17,6 +17,7 @@ import numpy as np
 from jaxid.dynamics.kinematics import ArmTable, geometry_of
 from jaxid.dynamics.rigid_body import about_origin, moved, Placements
 from jaxid.errors import DatasetWarning, nearest, UsageError
+from jaxid.storage.xml_tree import Declares, xml_root
 
 
 MOVING = ("revolute", "continuous", "prismatic")
@@ -103,23 +104,17 @@ def read_links(path: Path, text: str | None = None) -> tuple[_Robot, str]:
 
 
 def _read(path: Path, text: str | None = None) -> _Robot:
-    import io
     from xml.etree.ElementTree import ParseError
 
-    from defusedxml import ElementTree
-    from defusedxml.common import DefusedXmlException
-
     try:
-        tree = ElementTree.parse(path if text is None else io.StringIO(text)).getroot()
+        tree = xml_root(path if text is None else text)
     except OSError as error:
         raise UsageError(f"{path}: cannot be read ({error.strerror})") from error
     except ParseError as error:
         raise UsageError(f"{path}: not XML ({error})") from error
-    except DefusedXmlException as error:
-        raise UsageError(
-            f"{path}: declares entities or external content, which is refused; write the URDF without them"
-        ) from error
-    if tree is None or tree.tag != "robot":
+    except Declares as error:
+        raise UsageError(f"{path}: {error}, which is refused; write the URDF without them") from error
+    if tree.tag != "robot":
         raise UsageError(f"{path}: the outermost tag is not <robot>; give a URDF")
     if any("xacro" in e.tag or "${" in str(list(e.attrib.values())) for e in tree.iter() if isinstance(e.tag, str)):
         other = f"{path.stem}.urdf" if path.suffix.lower() != ".urdf" else f"{path.stem}_expanded.urdf"

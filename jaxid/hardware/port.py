@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import Any
 
 from jaxid.errors import UsageError
+from jaxid.extras import needed
 
 
 def opened(port: str, baud: int) -> Any:
@@ -16,8 +17,7 @@ def opened(port: str, baud: int) -> Any:
 
     Raises `UsageError` that says what is in the way.
     """
-    import serial
-
+    serial = needed("serial")
     try:
         line = serial.Serial(port, baud, timeout=0, exclusive=True)
         line.reset_input_buffer()

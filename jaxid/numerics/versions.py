@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import functools
+import re
 import sys
 import warnings
+from collections.abc import Sequence
 from importlib.metadata import PackageNotFoundError, requires, version
 
 from jaxid.errors import UsageError
@@ -15,20 +17,39 @@ def check_jax() -> None:
     """Raises `UsageError` for a JAX that is older than the versions jaxid was run with; warns of a newer one, once.
 
     The bounds are those of the installed package; where it is not installed, nothing is known and nothing said."""
-    from packaging.requirements import Requirement
-    from packaging.version import Version
-
     try:
-        found = Version(version("jax"))
-        bounds = next(r.specifier for r in map(Requirement, requires("jaxid") or []) if r.name == "jax")
-    except (PackageNotFoundError, StopIteration):
+        found = version("jax")
+        requirements = requires("jaxid") or []
+    except PackageNotFoundError:
         return
-    if bounds.contains(found, prereleases=True):
+    lower, upper = bounds_of("jax", requirements)
+    if lower is None or upper is None:
         return
-    told = f"JAX {found} is installed, and jaxid was not run with it; type: {remedy(str(bounds))}"
-    if any(not bound.contains(found, prereleases=True) for bound in bounds if bound.operator.startswith(">")):
+    told = f"JAX {found} is installed, and jaxid was not run with it; type: {remedy(f'<={upper},>={lower}')}"
+    if release(found) < release(lower):
         raise UsageError(told)
-    warnings.warn(f"{told} if something goes wrong", RuntimeWarning, stacklevel=3)
+    if release(found) > release(upper):
+        warnings.warn(f"{told} if something goes wrong", RuntimeWarning, stacklevel=3)
+
+
+def bounds_of(package: str, requirements: Sequence[str]) -> tuple[str | None, str | None]:
+    """The oldest and the newest version of a package (`>=`, `<=`) that requirements name."""
+    for requirement in requirements:
+        if not re.match(rf"{re.escape(package)}\b(?![-.\[])", requirement):
+            continue
+        lower = re.search(r">=\s*([\d.]+)", requirement)
+        upper = re.search(r"<=\s*([\d.]+)", requirement)
+        return lower and lower[1], upper and upper[1]
+    return None, None
+
+
+def release(version: str) -> tuple[int, ...]:
+    """The numbers of a version, without what marks a release before or after it, nor zeros at its end."""
+    digits = re.split(r"[^\d.]", version)[0].strip(".")
+    numbers = [int(part) for part in digits.split(".")]
+    while numbers and numbers[-1] == 0:
+        numbers.pop()
+    return tuple(numbers)
 
 
 def remedy(bounds: str) -> str:

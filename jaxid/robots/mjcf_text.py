@@ -6,6 +6,7 @@ from pathlib import Path
 from xml.etree.ElementTree import Element, tostring
 
 from jaxid.errors import UsageError
+from jaxid.storage.xml_tree import Declares, xml_root
 
 
 #: Bytes of a file, of all that it includes, and how deep includes may nest.
@@ -38,9 +39,6 @@ def expanded(path: Path, text: str | None = None) -> str:
 def _parsed(path: Path, text: str | None) -> Element:
     from xml.etree.ElementTree import ParseError
 
-    from defusedxml import ElementTree
-    from defusedxml.common import DefusedXmlException
-
     try:
         if text is None:
             size = path.stat().st_size
@@ -49,7 +47,7 @@ def _parsed(path: Path, text: str | None) -> Element:
             if size > LARGEST:
                 raise UsageError(f"{path}: {size / 1e6:.0f} MB; a robot's file has at most {LARGEST / 1e6:.0f} MB")
             text = path.read_text(encoding="utf-8-sig")
-        root = ElementTree.fromstring(text)
+        root = xml_root(text)
     except UnicodeDecodeError as error:
         raise UsageError(f"{path}: a character that is not UTF-8; save the file as UTF-8") from error
     except OSError as error:
@@ -57,8 +55,8 @@ def _parsed(path: Path, text: str | None) -> Element:
     except (ParseError, ValueError, RecursionError) as error:
         if isinstance(error, UsageError):
             raise
-        if isinstance(error, DefusedXmlException):
-            raise UsageError(f"{path}: declares entities or external content, which is refused; write it without them") from error
+        if isinstance(error, Declares):
+            raise UsageError(f"{path}: {error}, which is refused; write it without them") from error
         raise UsageError(f"{path}: not XML ({error})") from error
     return root
 

@@ -11,6 +11,7 @@ from collections.abc import Callable, Iterator
 from typing import Any
 
 from jaxid.errors import UsageError
+from jaxid.extras import needed
 from jaxid.study import supervisor
 
 
@@ -38,19 +39,16 @@ class Cluster:
 
 def distributed_() -> Any:
     """dask.distributed. Where this is its first import it keeps to itself in which order its parts closed, or failed to."""
-    from dask import config
-
+    config = needed("dask.config")
     with config.set({"logging": {"distributed": "critical", "distributed.client": "critical"}}):
-        import distributed
-    return distributed
+        return needed("distributed")
 
 
 @contextlib.contextmanager
 def dask_cluster(**settings: Any) -> Iterator[Any]:
     """A scheduler in this process, and workers as set; no part of it serves pages."""
     distributed = distributed_()
-    from dask import config
-
+    config = needed("dask.config")
     with config.set({"distributed.scheduler.http.routes": [], "distributed.worker.http.routes": []}):
         parts = distributed.LocalCluster(
             processes=False,

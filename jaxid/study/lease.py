@@ -9,6 +9,8 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
+from jaxid.extras import needed
+
 
 #: A process on another machine that has not renewed its lease for so long is taken for dead.
 LEASE_S = 60.0
@@ -25,8 +27,7 @@ def machine() -> str:
 
 def process_start(pid: int) -> float:
     """When a process began; 0 if there is none."""
-    import psutil
-
+    psutil = needed("psutil")
     try:
         return psutil.Process(pid).create_time()
     except psutil.Error:

@@ -10,6 +10,7 @@ from pathlib import Path
 from typing import Any
 
 from jaxid.errors import NotSaved, UsageError
+from jaxid.extras import required
 from jaxid.study.cluster import Cluster, cores, local_cluster, running_cluster
 from jaxid.study.coordinator import Coordinator, Stop
 from jaxid.study.outcome import FAILURES, of_row, Outcome
@@ -109,6 +110,8 @@ def run_study(
     from jaxid.study.tables import write_tables
 
     _check_places(scheduler, cluster, interface)
+    for package in ("distributed", "psutil"):
+        required(package)
     study = _read(path, check)
     began, notes = time.monotonic(), []
     with Store(study.store) as store:

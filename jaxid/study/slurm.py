@@ -15,9 +15,8 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
-import psutil
-
 from jaxid.errors import nearest, UsageError
+from jaxid.extras import needed
 from jaxid.study.cluster import close_client, CLOSE_S, Cluster, dask_cluster, distributed_
 
 
@@ -39,9 +38,10 @@ exec {command}
 
 def address_of(interface: str | None) -> str:
     """The IPv4 address of this machine on a network interface. Raises `UsageError` with those that there are."""
-    found = {
-        name: [a.address for a in addresses if a.family.name == "AF_INET"] for name, addresses in psutil.net_if_addrs().items()
-    }
+    interfaces = needed("psutil").net_if_addrs()
+    found = {}
+    for name, addresses in interfaces.items():
+        found[name] = [a.address for a in addresses if a.family.name == "AF_INET"]
     usable = {name: a[0] for name, a in found.items() if a}
     if interface is None:
         raise UsageError(f"--cluster slurm: name the network between the nodes with --interface (there is: {', '.join(usable)})")
@@ -90,10 +90,8 @@ def slurm_cluster(store: Path, workers: int | None, interface: str | None) -> It
 
 def _certificate(folder: Path) -> tuple[Any, dict[str, Path]]:
     """dask's settings for TLS with a new certificate, which every party has to show, and its files (0600) for the workers."""
-    try:
-        security = distributed_().Security.temporary()
-    except ImportError:
-        raise UsageError("--cluster slurm: no library that makes certificates; type `pip install 'jaxid[cluster]'`") from None
+    needed("cryptography")
+    security = distributed_().Security.temporary()
     files = {}
     for name, content in security.get_tls_config_for_role("worker").items():
         if name in ("ca_file", "cert", "key"):

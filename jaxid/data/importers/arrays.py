@@ -12,8 +12,9 @@ from typing import Any
 
 import numpy as np
 
-from jaxid.data.importers.runs import first_line, needed, refused
+from jaxid.data.importers.runs import first_line, refused
 from jaxid.data.records import MINIMUM_SAMPLES
+from jaxid.extras import needed
 
 
 Arrays = dict[str, Any]
@@ -202,7 +203,7 @@ def _mat(path: Path) -> Arrays:
 
 
 def _mat73(path: Path) -> Arrays:
-    h5py = needed("h5py", "mat")
+    h5py = needed("h5py")
     out: Arrays = {}
     objects: list[str] = []
 
@@ -229,7 +230,7 @@ def _mat73(path: Path) -> Arrays:
 
 
 def _tdms(path: Path) -> Arrays:
-    reader = needed("nptdms", "tdms").TdmsFile
+    reader = needed("nptdms").TdmsFile
     out: Arrays = {}
     with reader.open(path) as file:
         groups = file.groups()

@@ -12,8 +12,9 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
-from jaxid.data.importers.runs import first_line, needed, refused
+from jaxid.data.importers.runs import first_line, refused
 from jaxid.errors import DatasetError, UsageError
+from jaxid.extras import needed
 
 
 STATES = ("JointState", "LowState", "JointTrajectoryControllerState")
@@ -48,8 +49,8 @@ class Recording:
 def open_bag(path: Path) -> Recording:
     """A ROS 2 bag's folder. Raises `DatasetError` for what is none."""
     _exists(path)
-    reader_of = needed("rosbags.highlevel", "ros").AnyReader
-    stores = needed("rosbags.typesys", "ros")
+    reader_of = needed("rosbags.highlevel").AnyReader
+    stores = needed("rosbags.typesys")
     try:
         with reader_of([path], default_typestore=stores.get_typestore(stores.Stores.ROS2_HUMBLE)) as reader:
             kinds = {c.topic: c.msgtype for c in reader.connections}
@@ -81,7 +82,7 @@ _UNKNOWN = "Record as MCAP (ros2 bag record -s mcap), which keeps the definition
 def open_mcap(path: Path) -> Recording:
     """An MCAP file. Raises `DatasetError` for what is none."""
     _exists(path)
-    make_reader = needed("mcap.reader", "ros").make_reader
+    make_reader = needed("mcap.reader").make_reader
     topics: dict[str, tuple[str, int]] = {}
     try:
         with path.open("rb") as stream:
@@ -132,7 +133,7 @@ def _mcap_kind(schema: Any, channel: Any, message: Any) -> str:
 
 
 def _typestore(schema: Any) -> Any:
-    stores = needed("rosbags.typesys", "ros")
+    stores = needed("rosbags.typesys")
     store = stores.get_typestore(stores.Stores.ROS2_HUMBLE)
     if schema.encoding == "ros2msg" and schema.name not in store.types:
         own = stores.get_types_from_msg(schema.data.decode(), schema.name)

@@ -11,14 +11,13 @@ import warnings
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
 from jaxid.data.dataset import Dataset, ModelSpec
 from jaxid.data.io import save_dataset
 from jaxid.data.records import MINIMUM_SAMPLES
-from jaxid.errors import DatasetError, DatasetWarning, Problem, UsageError
+from jaxid.errors import DatasetError, DatasetWarning, Problem
 
 
 Paths = str | os.PathLike[str] | Sequence[str | os.PathLike[str]]
@@ -158,19 +157,6 @@ def held(t: np.ndarray, own: np.ndarray, values: np.ndarray) -> np.ndarray:
 
 def paths_of(files: Paths) -> list[Path]:
     return [Path(files)] if isinstance(files, str | os.PathLike) else [Path(f) for f in files]
-
-
-def needed(module: str, extra: str) -> Any:
-    """An optional package, or a `UsageError` that says how to get it."""
-    from importlib import import_module
-
-    try:
-        return import_module(module)
-    except ImportError:
-        package = module.partition(".")[0]
-        raise UsageError(
-            f'this format needs the package {package}, which is not installed: pip install "jaxid[{extra}]"'
-        ) from None
 
 
 def refused(path: Path, message: str, remedy: str) -> DatasetError:

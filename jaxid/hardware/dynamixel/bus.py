@@ -7,6 +7,7 @@ import time
 from collections.abc import Callable, Sequence
 from typing import Any, Literal
 
+from jaxid.extras import needed
 from jaxid.hardware.dynamixel import registers as x
 from jaxid.hardware.link import first_line
 from jaxid.hardware.port import opened
@@ -29,9 +30,8 @@ class Bus:
     """A port and the servos on it. `read` gives blocks of registers, or None with `lost` counted by reason."""
 
     def __init__(self, port: str, baud: int, ids: Sequence[int], form: str):
-        import dynamixel_sdk
-        import dynamixel_sdk.port_handler as handler
-
+        dynamixel_sdk = needed("dynamixel_sdk")
+        handler = needed("dynamixel_sdk.port_handler")
         self.sdk: Any = dynamixel_sdk
         self.ids, self.form, self._handler = list(ids), form, handler
 

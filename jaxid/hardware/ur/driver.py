@@ -48,7 +48,8 @@ def _take(order: dict[str, Any]) -> Any:
         import rtde_control
     except ImportError as error:
         raise RuntimeError(
-            f"ur_rtde cannot be imported ({error}); its wheels end at Python 3.12: recording works without it, motion does not"
+            f'ur_rtde cannot be imported ({error}); type: pip install "jaxid[hardware]". '
+            "Its wheels end at Python 3.12: recording works without it, motion does not"
         ) from None
     control = rtde_control.RTDEControlInterface(order["host"], order["frequency"])
     if not control.setWatchdog(1 / order["data_age"]):
