@@ -108,7 +108,7 @@ def enrolled(effect: Any) -> str:
 def pick(kind: str, table: dict[str, type], name: str) -> type:
     """What `name` stands for in a table; raises `UsageError` with the nearest name for an unknown one."""
     if name not in table:
-        own = "; a model of your own runs from Python, jaxid.diagnose(MyModel(), data)" if kind == "model" else ""
+        own = "; a model of your own is named by its file: mymodel.py, or mymodel.py:MyModel" if kind == "model" else ""
         raise UsageError(f"there is no {kind} {name!r}{nearest(name, table)}{own}")
     return table[name]
 
@@ -122,8 +122,14 @@ def effect_names() -> tuple[str, ...]:
 
 
 def model_class(name: str) -> Any:
-    """Raises `UsageError` with the nearest name for an unknown one, like its sibling."""
-    return pick("model", _models(), name)
+    """The class of a model by its id, or by the file of one of the user's own (`duffing.py:Duffing`), which is run.
+
+    Raises `UsageError` with the nearest name for an unknown one, and for a file that holds no model.
+    """
+    from jaxid.data.model_names import is_model_file
+    from jaxid.dynamics.model_file import own_model
+
+    return own_model(name) if is_model_file(name) else pick("model", _models(), name)
 
 
 def effect_class(name: str, mechanism: Any = None) -> Any:
@@ -170,7 +176,7 @@ def describe(name: str, model: Any = None) -> ModelInfo:
             number = "" if len(signature.joints) == 1 else str(j + 1)
             states += [joint, f"q{number}", *speed_names(signature.joints, j)]
     return ModelInfo(
-        name,
+        kind.name,
         text_of(kind),
         kind.equations,
         kind.source,

@@ -25,6 +25,11 @@ def json_bytes(result: Any) -> bytes:
     return (json.dumps(finite(result.to_dict()), indent=1, allow_nan=False) + "\n").encode()
 
 
+def model_digest(sha256: str) -> dict[str, str]:
+    """What a result says of the file of a model of the user's own, beside the model's name; nothing for another model."""
+    return {"model_sha256": sha256} if sha256 else {}
+
+
 def with_effects(content: Any) -> Any:
     """The content of a result with the effects that it adds to its model under `effects`, where a fit has them: those of a
     diagnosis stand under what it names."""

@@ -27,7 +27,7 @@ def _numbers(_ctx, param, value: str | None) -> list[float] | None:
 
 
 @click.command()
-@click.option("--model", required=True, metavar="M", help="Model id (see `jaxid models`) or a URDF file.")
+@click.option("--model", required=True, metavar="M", help="Model id (see `jaxid models`), a robot's file, or FILE.py[:CLASS].")
 @OUT
 @click.option("--harmonics", type=click.IntRange(2, 50), default=8, show_default=True, metavar="N", help="Lines of the spectrum.")
 @click.option("--base-frequency", type=click.FloatRange(1e-3), metavar="HZ", help="Of the first line; default: 1 / duration.")

@@ -13,6 +13,7 @@ from jaxid.wording import one_line, table
 def find(kind: str, name: str | None) -> list[Any]:
     """The descriptions of everything of a kind (`models`, `effects`, `fitters`), or of the one named."""
     from jaxid import catalogue
+    from jaxid.data.model_names import is_model_file
     from jaxid.fitters import by_name
 
     list_names, describe = {
@@ -21,7 +22,8 @@ def find(kind: str, name: str | None) -> list[Any]:
         "fitters": (by_name.fitter_names, by_name.describe_fitter),
     }[kind]
     known = list_names()
-    if name is not None and name not in known:
+    own = kind == "models" and is_model_file(name)
+    if name is not None and name not in known and not own:
         raise UsageError(f"there is no {kind[:-1]} {name!r}{nearest(name, known)}")
     return [describe(n) for n in (known if name is None else [name])]
 

@@ -28,6 +28,7 @@ from jaxid.data.capacity import give_back
 from jaxid.data.dataset import Dataset
 from jaxid.data.noise import noise_floor
 from jaxid.dynamics.chain import Chain
+from jaxid.dynamics.model_file import sha256_of
 from jaxid.errors import DatasetError, DatasetWarning, UsageError
 from jaxid.problem.binding import bind, Binding
 from jaxid.robots.floating import wanted
@@ -50,13 +51,14 @@ def run_check(
     began = time.perf_counter()
     found, data, change = _by_itself(dataset, as_recorded)
     notes: list[str] = []
-    name = ""
+    name = digest = ""
     if dataset.experiments and wanted(dataset):
         name = "robot"
         notes.append("a robot on a free base is not compared with its recording: found is what the samples show by themselves")
     elif dataset.experiments and _has_model(model, dataset):
         binding, why = _bound(model, data, tuple(without))
         name = binding.chain.mechanism.name if binding is not None else ""
+        digest = sha256_of(binding.chain.mechanism) if binding is not None else ""
         notes += [why] if why else []
         if binding is not None:
             try:
@@ -74,7 +76,7 @@ def run_check(
             give_back()
     return Checked(
         dataset.name, dataset.sha256, tuple(found), data, name, _usable(found, dataset), tuple(notes),
-        time.perf_counter() - began,
+        time.perf_counter() - began, digest,
     )  # fmt: skip
 
 

@@ -70,10 +70,11 @@ class Checked:
     usable: bool = True
     notes: tuple[str, ...] = ()
     wall_time_s: float = 0.0
+    model_sha256: str = ""  # of the file of a model of the user's own
 
     def to_dict(self) -> dict[str, Any]:
         from jaxid.numerics.versions import versions
-        from jaxid.serialise import SCHEMA
+        from jaxid.serialise import model_digest, SCHEMA
 
         return {
             "schema": SCHEMA,
@@ -81,6 +82,7 @@ class Checked:
             "dataset": self.dataset,
             "dataset_sha256": self.dataset_sha256,
             "model": self.model,
+            **model_digest(self.model_sha256),
             "usable": self.usable,
             **as_data(self.findings),
             "wall_time_s": self.wall_time_s,

@@ -239,7 +239,8 @@ class Geometry:
 @dataclass(frozen=True)
 class ModelSpec:
     """The model a dataset is meant for; `free` is motion without any input, `geometry` that of a `serial_arm` or a robot, whose
-    `base` is fixed or prescribed; `joints`: channel of a position -> the name of its joint."""
+    `base` is fixed or prescribed; `joints`: channel of a position -> the name of its joint. `file` is the path of a model of the
+    user's own, with its class where it was named (`/data/osc/duffing.py:Duffing`)."""
 
     name: str | None = None
     without: tuple[str, ...] = ()
@@ -249,6 +250,7 @@ class ModelSpec:
     geometry: Geometry | None = None
     joints: dict[str, str] = field(default_factory=dict)
     base: dict[str, Any] = field(default_factory=dict)
+    file: str | None = field(default=None, compare=False)  # where it lies makes no other model
 
 
 @dataclass(frozen=True)

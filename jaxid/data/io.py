@@ -114,7 +114,8 @@ class _Folder:
 
     def __call__(self, file: str, key: tuple[str | int, ...]) -> str | Problem:
         """A file of the folder as text."""
-        content = self._content(file, key, (".urdf", ".xml", ".mjcf"))
+        suffixes = (".py",) if key == ("model", "file") else (".urdf", ".xml", ".mjcf")
+        content = self._content(file, key, suffixes)
         if isinstance(content, Problem):
             return content
         try:

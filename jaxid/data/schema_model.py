@@ -68,11 +68,15 @@ class BaseEntry(Strict):
 
 
 class ModelEntry(Strict):
-    """`[model]`. `urdf` (a file of the folder, with the `root` and the `tip` of the chain where it has several) or `dh` are the
-    links of a `serial_arm`; `robot` is the file of any robot, MJCF or URDF, with its `base`; `joints` says which joint a channel
-    is of (`q1` and its `tau1`, `q1_cmd` … alike)."""
+    """`[model]`.
+
+    `urdf` (a file of the folder, with the `root` and the `tip` of the chain where it has several) or `dh` are the links of a
+    `serial_arm`; `robot` is the file of any robot, MJCF or URDF, with its `base`. `file` holds a model of the user's own, `name`
+    its class where there are several. `joints` says which joint a channel is of (`q1` and its `tau1`, `q1_cmd` … alike).
+    """
 
     name: str | None = None
+    file: str | None = None
     without: list[str] = []
     free: bool = False
     constants: dict[str, Number] = {}
@@ -96,6 +100,8 @@ class ModelEntry(Strict):
 
     @model_validator(mode="after")
     def _apart(self) -> ModelEntry:
+        if self.file is not None and (self.robot is not None or self.urdf is not None or self.dh is not None):
+            raise ValueError("file holds a model of your own, beside which robot, urdf and dh do not stand: keep one of them")
         if self.robot is not None and (self.name not in (None, "robot") or self.urdf is not None or self.dh is not None):
             raise ValueError("robot names the file of a robot, beside which name, urdf and dh do not stand: keep one of them")
         if self.name not in (None, "robot") and self.base is not None:

@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 
 from jaxid.data.dataset import Dataset, Geometry
+from jaxid.data.model_names import parts_of
 from jaxid.data.time_axis import impossible
 
 
@@ -44,6 +45,9 @@ def write_files(dataset: Dataset, folder: Path, format: str) -> None:
     links = None if dataset.model is None else dataset.model.geometry
     if links is not None and links.urdf:
         (folder / "arm.urdf").write_text(links.urdf, encoding="utf-8")
+    own = None if dataset.model is None else parts_of(dataset.model.file or "")
+    if own is not None:
+        (folder / Path(own[0]).name).write_bytes(Path(own[0]).read_bytes())
     if links is not None and links.robot:
         (folder / robot_file(links)).write_text(links.robot, encoding="utf-8")
     (folder / "dataset.toml").write_text(tomlkit.dumps(description), encoding="utf-8")
@@ -63,6 +67,8 @@ def _header(dataset: Dataset, flagged: set[str]) -> dict[str, Any]:
     if dataset.model is not None:
         model = dataset.model
         entry: dict[str, Any] = {"name": model.name} if model.name is not None else {}
+        if (own := parts_of(model.file or "")) is not None:
+            entry = {"file": Path(own[0]).name, "name": own[1]} if own[1] else {"file": Path(own[0]).name}
         entry |= {"free": True} if model.free else {}
         entry |= {"without": list(model.without)} if model.without else {}
         entry |= {"constants": dict(model.constants)} if model.constants else {}

@@ -13,7 +13,7 @@ from jaxid.diagnosis.cause import words
 from jaxid.fitting.result import EffectEstimate, Fit, Trace, with_origin
 from jaxid.numerics.versions import versions
 from jaxid.robots.export.result import Exportable
-from jaxid.serialise import SCHEMA
+from jaxid.serialise import model_digest, SCHEMA
 from jaxid.storage import frames
 
 
@@ -247,6 +247,7 @@ class Diagnosis(Exportable):
             "model": self.model,
             "dataset": self.dataset,
             "dataset_sha256": self.dataset_sha256,
+            **model_digest(self.final.model_sha256),
             "seed": self.seed,
             "residual": self.residual,
             "where": [f.to_dict() for f in self.where],

@@ -5,6 +5,7 @@ from __future__ import annotations
 import time
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
+from pathlib import Path
 from typing import Any
 
 import jax.numpy as jnp
@@ -13,6 +14,7 @@ import numpy as np
 from jaxid import catalogue
 from jaxid.data.dataset import Channel, Dataset, Experiment, ModelSpec
 from jaxid.data.limits import Limits
+from jaxid.data.model_names import is_model_file
 from jaxid.dynamics.chain import Chain
 from jaxid.dynamics.parameter_vector import Layout
 from jaxid.errors import nearest, UsageError
@@ -108,6 +110,9 @@ def excite(
     made.content["wall_time_s"] = time.perf_counter() - began
     if is_file(model) and mechanism.name == "robot":
         made = replace(made, dataset=replace(made.dataset, model=spec_of_file(model)))
+    elif is_model_file(model):
+        spec = ModelSpec(mechanism.name, file=str(Path(model).resolve()))
+        made = replace(made, dataset=replace(made.dataset, model=spec))
     return made
 
 

@@ -7,6 +7,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from jaxid.dynamics.chain import Chain
+from jaxid.dynamics.model_file import sha256_of
 from jaxid.fitting import result as results
 from jaxid.fitting.covariance import Covariance, covariance
 from jaxid.fitting.ending import ending
@@ -89,7 +90,7 @@ def assemble(
             binding.chain.mechanism.name, (), fitter, residual.name, problem.loss_name, seed, False, True,
             result.stopped_because, result.loss, {}, {}, {}, result.evaluations, wall_time, compile_time,
             binding.dataset.name, binding.dataset.sha256, tuple(notes), history=tuple(result.history), theta=theta,
-            solver=solver_name(binding),
+            solver=solver_name(binding), model_sha256=sha256_of(binding.chain.mechanism),
         )  # fmt: skip
     cov = known or getattr(result, "covariance", None) or covariance(problem, result.z)
     found = estimates(binding, problem, result.z, cov)
@@ -156,6 +157,7 @@ def assemble(
         end.state == "stalled", residual.simulation, free, stated, joints,
         fitted_chain(binding, theta, added), solver_name(binding), robot=origin_of(binding, added),
         covariance=numbers_covariance(binding, problem, result.z, cov), reweighted_loss=reweighted,
+        model_sha256=sha256_of(binding.chain.mechanism),
     )  # fmt: skip
 
 

@@ -10,7 +10,7 @@ from typing import Any, TYPE_CHECKING
 import numpy as np
 
 from jaxid.numerics.versions import versions
-from jaxid.serialise import SCHEMA
+from jaxid.serialise import model_digest, SCHEMA
 
 
 if TYPE_CHECKING:
@@ -128,6 +128,7 @@ class Comparison:
     runs: tuple[Run, ...]
     wall_time_s: float
     notes: tuple[str, ...] = ()
+    model_sha256: str = ""  # of the file of a model of the user's own
 
     @property
     def target(self) -> float:
@@ -170,6 +171,7 @@ class Comparison:
             "effects": list(self.effects),
             "dataset": self.dataset,
             "dataset_sha256": self.dataset_sha256,
+            **model_digest(self.model_sha256),
             "residual": self.residual,
             "loss_name": self.loss_name,
             "budget": self.budget,

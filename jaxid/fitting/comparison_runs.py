@@ -12,6 +12,7 @@ import numpy as np
 from jaxid import catalogue
 from jaxid.data.dataset import Dataset
 from jaxid.dynamics.effect import Effect
+from jaxid.dynamics.model_file import sha256_of
 from jaxid.errors import nearest, UsageError
 from jaxid.fitting.comparison import Comparison, Known, Run
 from jaxid.fitting.covariance import covariance
@@ -78,7 +79,7 @@ def run_comparison(
         return Comparison(
             binding.chain.mechanism.name, binding.dataset.name, binding.dataset.sha256, effects, residual.name, loss, budget,
             seconds, starts, tolerance, lowest, best, tuple(r for r, _ in runs), time.perf_counter() - began,
-            (*binding.dataset.notes, f"residual: {problem.runs.statement}"),
+            (*binding.dataset.notes, f"residual: {problem.runs.statement}"), sha256_of(binding.chain.mechanism),
         )  # fmt: skip
 
     known = Interim()

@@ -11,7 +11,7 @@ import numpy as np
 from jaxid.conventions.finding import as_data, DataFinding
 from jaxid.numerics.versions import versions
 from jaxid.robots.export.result import Exportable
-from jaxid.serialise import SCHEMA
+from jaxid.serialise import model_digest, SCHEMA
 from jaxid.storage import frames
 
 
@@ -150,6 +150,7 @@ class Fit(Exportable):
     covariance: Covariance | None = None  # of the fitted numbers
     reweighted_loss: float | None = None  # of channels weighed by what the model leaves of them, where that was fitted
     recursion: tuple[Any, ...] = ()  # of a fit along its blocks: a `recursion.Step` each
+    model_sha256: str = ""  # of the file of a model of the user's own
 
     @property
     def state(self) -> str:
@@ -190,6 +191,7 @@ class Fit(Exportable):
             "compile_time_s": self.compile_time_s,
             "dataset": self.dataset,
             "dataset_sha256": self.dataset_sha256,
+            **model_digest(self.model_sha256),
             "versions": versions(),
             "notes": list(self.notes),
             **({"recursion": [s.to_dict() for s in self.recursion]} if self.recursion else {}),

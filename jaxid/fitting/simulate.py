@@ -10,6 +10,7 @@ import numpy as np
 
 from jaxid.data.dataset import Dataset
 from jaxid.dynamics.chain import Chain
+from jaxid.dynamics.model_file import sha256_of
 from jaxid.dynamics.parameter_vector import Layout
 from jaxid.errors import UsageError
 from jaxid.fitting.assemble import solver_name, solver_notes
@@ -80,6 +81,7 @@ def simulate_dataset(content: Mapping[str, Any] | None, dataset: Dataset, model:
         moving,
         solver_name(binding),
         tuple(np.asarray(starts[n]) for n in order),
+        sha256_of(binding.chain.mechanism),
     )
 
 

@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from jaxid.serialise import SCHEMA
+from jaxid.serialise import model_digest, SCHEMA
 
 
 @dataclass(frozen=True)
@@ -27,12 +27,15 @@ class Simulation:
 
     starts: tuple[np.ndarray, ...] = field(default=(), repr=False, compare=False)
     """Start of each run, [2 nq]: positions, then speeds."""
+    model_sha256: str = ""
+    """Of the file of a model of the user's own."""
 
     def to_dict(self) -> dict[str, Any]:
         return {
             "schema": SCHEMA,
             "kind": "simulation",
             "model": self.model,
+            **model_digest(self.model_sha256),
             "solver": self.solver,
             "rmse": list(self.rmse),
             "units": self.units,

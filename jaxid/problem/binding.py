@@ -24,13 +24,13 @@ from jaxid.dynamics.joint_readings import all_read, with_speeds
 from jaxid.dynamics.mechanism import Mechanism, Signature
 from jaxid.dynamics.parameter import Reference, settings, with_settings
 from jaxid.dynamics.parameter_vector import Layout
-from jaxid.dynamics.urdf_table import arm_table
 from jaxid.errors import nearest, UsageError
 from jaxid.numerics.export_cache import key_of, Traced
 from jaxid.numerics.kept import shared
 from jaxid.numerics.precision import float64
 from jaxid.problem import measured_motion
 from jaxid.problem.measured_motion import Motion
+from jaxid.problem.named_model import named_model
 from jaxid.problem.torque_filter import drive_torque
 from jaxid.robots import match as robots
 from jaxid.simulation import sample_buffers as samples
@@ -106,21 +106,17 @@ class Binding:
 
 
 def resolve_model(model: object, dataset: Dataset, without: Iterable[str] = ()) -> Chain:
-    """The chain that a dataset and a user mean: by id, by the path of a URDF, as a mechanism, or as a
-    chain; None takes the dataset's."""
+    """The chain that a dataset and a user mean: by id, by the path of a URDF or of a model of the user's own, as a mechanism, or
+    as a chain; None takes the dataset's."""
     model, dataset = robots.prepared(model, dataset)
     spec = dataset.model
     if model is None:
-        if spec is None or spec.name is None:
+        if spec is None or (spec.name is None and spec.file is None):
             raise UsageError(f"the dataset names no model: give one (there is: {', '.join(catalogue.model_names())})")
-        model = spec.name
+        model = spec.file or spec.name
     smoothing = spec.constants.get("smoothing_velocity", 0.0) if spec is not None else 0.0
-    if isinstance(model, str) and model.endswith(".urdf"):
-        model = catalogue.model_class("serial_arm").from_urdf(model)
-    elif isinstance(model, str) and spec is not None and spec.geometry is not None and model == spec.name:
-        model = catalogue.model_class(model)(arm_table(spec.geometry))
-    elif isinstance(model, str):
-        model = catalogue.model_class(model)()
+    if isinstance(model, str):
+        model = named_model(model, spec)
     constants = spec.constants if spec is not None else {}
     if robots.is_robot(model):
         model = cast(Any, model).matched(dataset)

@@ -10,6 +10,7 @@ from typing import Any
 from jaxid import catalogue
 from jaxid.data.dataset import Dataset
 from jaxid.data.io import load_dataset
+from jaxid.data.model_names import is_model_file
 from jaxid.data.schema import Places
 from jaxid.diagnosis.hypothesis import check_asked
 from jaxid.errors import DatasetError, Problem, UsageError
@@ -51,7 +52,7 @@ class _Check:
         named = (lambda e: e.partition("@")[0]) if entry.command == "fit" else (lambda e: e)
         effects = [e for e in ids if self.ask("effects", catalogue.effect_class, named(e))]
         without = [e for e in entry.without if self.ask("without", catalogue.effect_class, e)]
-        models = {m for m in entry.models or [] if is_file(m) or self.ask("models", catalogue.model_class, m)}
+        models = {m for m in entry.models or [] if is_file(m) or is_model_file(m) or self.ask("models", catalogue.model_class, m)}
         for name in entry.fitters or []:
             kind = self.ask("fitters", fitter_of, name)
             wanted = getattr(kind, "residual_name", None)

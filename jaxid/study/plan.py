@@ -22,6 +22,7 @@ from typing import Any, Literal
 from pydantic import BaseModel, ConfigDict, Field, field_validator
 
 from jaxid.catalogue import LOSSES, RESIDUALS
+from jaxid.data.model_names import called, parts_of
 from jaxid.data.schema import Document, entry_of, Places
 from jaxid.data.schema_fields import plain_text
 from jaxid.errors import DatasetError, nearest, Problem, UsageError
@@ -111,7 +112,7 @@ class Task:
     dataset_sha256: str
     label: str
     model: str | None
-    model_sha256: str | None  # of a URDF file
+    model_sha256: str | None  # of a robot's file, and of one of a model of the user's own
     system: str
     effects: tuple[str, ...] | None
     without: tuple[str, ...]
@@ -135,7 +136,11 @@ class Task:
         apart = {"seed", "timeout_s", "label", "dataset", "system"}
         if self.model_sha256 is not None:
             apart.add("model")  # a path; the content counts
-        return json.dumps({k: v for k, v in self.settings.items() if k not in apart}, sort_keys=True)
+        counts = {k: v for k, v in self.settings.items() if k not in apart}
+        own = parts_of(self.model or "")
+        if own is not None and own[1] is not None:  # one of several in a file
+            counts["model_class"] = own[1]
+        return json.dumps(counts, sort_keys=True)
 
     @cached_property
     def key(self) -> str:
@@ -297,7 +302,7 @@ def _tasks(entry: RunsEntry, key: tuple[str | int, ...], folders: _Folders) -> I
     for data, model, effects, fitter in itertools.product(found, models, entry.effects or [None], entry.fitters or [None]):
         if data is None or model is None:
             continue
-        system = Path(model[0]).stem if model[1] else model[0] or data[3]
+        system = called(model[0]) if model[1] else model[0] or data[3]
         for seed in entry.seed_list:
             yield Task(
                 entry.command, data[0], data[1], data[2], model[0], model[1], system,
@@ -307,7 +312,7 @@ def _tasks(entry: RunsEntry, key: tuple[str | int, ...], folders: _Folders) -> I
 
 
 class _Folders:
-    """Datasets and URDF files of a study, each read once: (folder, sha256, label, its model), (path or id, sha256)."""
+    """Datasets and files of models of a study, each read once: (folder, sha256, label, its model), (path or id, sha256)."""
 
     def __init__(self, folder: Path, places: Places, document: Document):
         self.folder, self.places, self.document = folder, places, document
@@ -339,14 +344,17 @@ class _Folders:
         return self.found[name]
 
     def model(self, name: str | None, key: tuple[str | int, ...]) -> tuple[Any, str | None] | None:
-        if name is None or not name.lower().endswith((".urdf", ".xml", ".mjcf")):
+        own = parts_of(name or "")
+        if name is None or not (own or name.lower().endswith((".urdf", ".xml", ".mjcf"))):
             return name, None
+        file, suffix = (name, "") if own is None else (own[0], f":{own[1]}" if own[1] else "")
+        what = "a robot" if own is None else "a model"
         try:
-            path = (self.folder / name).resolve()
+            path = (self.folder / file).resolve()
             if not path.is_file() or path.stat().st_size > LARGEST_BYTES:
-                self.problem(key, f"model {name!r} is no file of a robot here", f"Paths count from {self.folder.resolve()}")
+                self.problem(key, f"model {name!r} is no file of {what} here", f"Paths count from {self.folder.resolve()}")
                 return None
-            return str(path), hashlib.sha256(path.read_bytes()).hexdigest()
+            return str(path) + suffix, hashlib.sha256(path.read_bytes()).hexdigest()
         except (OSError, ValueError, RuntimeError) as error:
             self.problem(key, f"model {name!r} cannot be read ({_why(error)})", "Correct the path")
             return None
@@ -366,8 +374,10 @@ def fingerprint(folder: Path) -> tuple[str, str, str]:
         raw = tomllib.loads(content.decode("utf-8-sig"))
     except (ValueError, RecursionError):
         pass  # loading says what is wrong with it
-    experiments = raw.get("experiments")
+    experiments, spec = raw.get("experiments"), raw.get("model")
     listed = [e.get("file") for e in experiments if isinstance(e, Mapping)] if isinstance(experiments, list) else []
+    if isinstance(spec, Mapping):
+        listed += [spec.get(key) for key in ("file", "urdf", "robot")]
     for file in sorted({f for f in listed if isinstance(f, str)}):
         path = folder / file
         try:
@@ -376,7 +386,6 @@ def fingerprint(folder: Path) -> tuple[str, str, str]:
                     digest.update(file.encode() + b"\0" + hashlib.file_digest(stream, "sha256").digest())
         except (OSError, ValueError, RuntimeError):
             continue
-    spec = raw.get("model")
     name, model = raw.get("name"), spec.get("name") if isinstance(spec, Mapping) else None
     return digest.hexdigest(), name if isinstance(name, str) else "", model if isinstance(model, str) else ""
 

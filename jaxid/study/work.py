@@ -12,7 +12,9 @@ from typing import Any
 import jaxid
 from jaxid.api import resolve_fitter, resolve_residual
 from jaxid.data.dataset import Dataset
+from jaxid.data.model_names import is_model_file
 from jaxid.diagnosis.result import Diagnosis
+from jaxid.dynamics.model_file import own_model, sha256_of
 from jaxid.errors import UsageError
 from jaxid.fitters import LevenbergMarquardt
 from jaxid.fitting.result import Fit
@@ -59,7 +61,7 @@ class Workshop:
 
     def _diagnose(self, t: dict[str, Any]) -> Diagnosis:
         return jaxid.diagnose(
-            t["model"], self._dataset(t), max_effects=t["max_effects"] or 3, effects=t["effects"] or None,
+            _model(t), self._dataset(t), max_effects=t["max_effects"] or 3, effects=t["effects"] or None,
             without=t["without"], residual=t["residual"], seed=t["seed"],
         )  # fmt: skip
 
@@ -76,8 +78,19 @@ class Workshop:
 
     def _bound(self, t: dict[str, Any]) -> Benches:
         key = t["dataset_sha256"], t["model"], t["model_sha256"], tuple(t["effects"] or ()), tuple(t["without"])
-        make = lambda: Benches(bind(t["model"], self._dataset(t), effects=t["effects"] or (), without=t["without"]))
+        make = lambda: Benches(bind(_model(t), self._dataset(t), effects=t["effects"] or (), without=t["without"]))
         return _kept(self._benches, key, make)
+
+
+def _model(t: dict[str, Any]) -> Any:
+    """The model of a task; a file of the user's own is the one that the study began with."""
+    name = t["model"]
+    if not is_model_file(name):
+        return name
+    model = own_model(name)()
+    if sha256_of(model) != t["model_sha256"]:
+        raise UsageError(f"{name} on {socket.gethostname()} is not the file that the study began with: start it again")
+    return model
 
 
 def _kept(kept: OrderedDict[Any, Any], key: Any, make: Callable[[], Any]) -> Any:

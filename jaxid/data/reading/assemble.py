@@ -10,7 +10,8 @@ from typing import Any
 from jaxid.data.dataset import Controller, Dataset, Geometry
 from jaxid.data.joint_names import in_chain_order, number_of, renamed, renumbered
 from jaxid.data.patterns import expanded_channels
-from jaxid.data.reading.stated_model import as_robot, as_robot_entry, geometry_of, joints_of, model_spec
+from jaxid.data.reading.own_model import file_of, info_of_file, runs_as_code, stated
+from jaxid.data.reading.stated_model import as_robot, as_robot_entry, geometry_of, joints_of
 from jaxid.data.records import Harvest, read_record, read_response, Reading
 from jaxid.data.schema import Document, ExperimentEntry, Header, Places
 from jaxid.data.table import Table
@@ -35,7 +36,8 @@ def assemble(
     document.model = as_robot_entry(document, open_text)
     problems += expanded_channels(document, places, open_table)
     geometry = geometry_of(document, places, open_text, problems)
-    info = _model_info(document, places, problems, geometry) if check_model else None
+    file = file_of(document, places, open_text, problems)
+    info = _model_info(document, places, problems, geometry, file) if check_model else None
     readings = _readings(document, places, problems, info)
     problems += _roles(document, places, known_model=info is not None)
     problems += _references(document, places)
@@ -58,9 +60,9 @@ def assemble(
         channels=tuple(r.channel for r in readings),
         experiments=tuple(e for h in harvests for e in h.experiments),
         responses=tuple(r for h in harvests for r in h.responses),
-        model=None if document.model is None else replace(model_spec(document.model), geometry=geometry),
+        model=None if document.model is None else stated(document.model, geometry, file, info),
         controller=None if document.controller is None else Controller(document.controller.kind, document.controller.settings),
-        notes=tuple([*document.notes, *(note for h in harvests for note in h.notes), *alerts]),
+        notes=tuple([*document.notes, *runs_as_code(file, info), *(note for h in harvests for note in h.notes), *alerts]),
         sha256=sha256(),
     )
     if check_model and geometry is not None and geometry.robot:
@@ -171,10 +173,15 @@ def _references(document: Document, places: Places) -> list[Problem]:
     return problems
 
 
-def _model_info(document: Document, places: Places, problems: list[Problem], geometry: Geometry | None) -> Any:
+def _model_info(document: Document, places: Places, problems: list[Problem], geometry: Geometry | None, file: str | None) -> Any:
     """What the catalogue knows of the model, with the names of the file checked against it."""
     entry = document.model
-    if entry is None or entry.name is None or entry.robot is not None:
+    if entry is None or entry.robot is not None:
+        return None
+    if entry.file is not None:
+        info = info_of_file(file, places, problems)
+        return None if info is None else _known_names(document, places, problems, info)
+    if entry.name is None:
         return None
     from jaxid import catalogue
     from jaxid.dynamics.urdf_table import arm_table
@@ -186,14 +193,22 @@ def _model_info(document: Document, places: Places, problems: list[Problem], geo
             places.problem(
                 ("model", "name"),
                 message,
-                "Name one that `jaxid models` lists; for one of your own leave `name` out and give the model from Python",
+                'Name one that `jaxid models` lists, or one of your own by its file: file = "mymodel.py"',
             )
         )
         return None
     if geometry is None and (entry.urdf or entry.dh):
         return None  # its fault is reported
     own = () if geometry is None else (catalogue.model_class(entry.name)(arm_table(geometry)),)
-    info = catalogue.describe(entry.name, *own)
+    return _known_names(document, places, problems, catalogue.describe(entry.name, *own))
+
+
+def _known_names(document: Document, places: Places, problems: list[Problem], info: Any) -> Any:
+    """The description of the model, after the names that the file states were looked for in it."""
+    from jaxid import catalogue
+
+    entry = document.model
+    assert entry is not None
     effects = catalogue.effect_names()
     known = (*info.constants, *info.parameters, "smoothing_velocity")
 

@@ -23,6 +23,7 @@ from jaxid.diagnosis.torque.rows import MOTION
 from jaxid.diagnosis.torque.study import BY_TORQUE, Rows, Study
 from jaxid.diagnosis.verdict import level, Verdict
 from jaxid.dynamics.effect import Effect
+from jaxid.dynamics.model_file import sha256_of
 from jaxid.fitting.assemble import fitted_chain
 from jaxid.fitting.fitter import Progress
 from jaxid.fitting.result import EffectEstimate, Estimate, Fit
@@ -271,7 +272,7 @@ def _fit(
         b.chain.mechanism.name, effects, "linear", "inverse_dynamics", "sum_of_squares", seed, True, False, "least squares",
         answer.gap(fit) ** 2, own, scores(answer), {}, 1, time.perf_counter() - began, 0.0, b.dataset.name, b.dataset.sha256,
         tuple(notes), theta=theta, simulation="inverse_dynamics", stated=stated_numbers(b, at),
-        chain=fitted_chain(b, theta, ()),
+        chain=fitted_chain(b, theta, ()), model_sha256=sha256_of(b.chain.mechanism),
     )  # fmt: skip
 
 
