@@ -16,7 +16,8 @@ from hypothesis import given, HealthCheck, settings, strategies as st
 from jaxid.data.dataset import Dataset
 from jaxid.data.forms import glitches
 from jaxid.data.io import load_dataset, save_dataset
-from jaxid.data.noise import noise_floor, repeats
+from jaxid.data.noise import noise_floor
+from jaxid.data.repeats import repeats
 from jaxid.data.units import conversion
 from jaxid.errors import DatasetError
 
@@ -186,7 +187,7 @@ def test_what_is_no_glitch():
     jump, bounce = np.where(T < 2, 0.0, 1.0), np.abs(np.sin(9 * T))
     flicker = (np.random.default_rng(2).random(5000) < 0.003) * 1.0
     for signal in (noise, jump, bounce, Q, np.round(Q / 1.5e-3), flicker, np.zeros(100)):
-        assert not glitches(signal).any()
+        assert not glitches(signal, 0.01 * np.arange(len(signal))).any()
 
 
 def test_an_output_that_is_sampled_more_slowly_than_it_is_logged(tmp_path):

@@ -108,18 +108,16 @@ def glitch(dataset: Dataset, channel: Channel) -> Shown | None:
     """Single samples (up to three) far off both sides."""
     if channel.role != "output":
         return None
-    parts = [(e, y) for e, y in series(dataset, channel) if len(y) > 30]
-    found = [(e, np.flatnonzero(_lone(y))) for e, y in parts]
-    count, total = sum(len(at) for _, at in found), sum(len(y) for _, y in parts)
+    parts = [(e, *timed) for e, *timed in _timed(dataset, channel) if len(timed[0]) > 30]
+    found = [_lone(y, t) for _, t, y in parts]
+    count, total = sum(int(np.sum(lone)) for lone in found), sum(len(lone) for lone in found)
     if not count or count > FEW * total:
         return None
-    e, at = next((e, at) for e, at in found if len(at))
-    off = max(
-        float(np.max(np.abs(y[a] - y[np.maximum(a - 4, 0)]))) for (_, a), (_, y) in zip(found, parts, strict=True) if len(a)
-    )
+    off = max(_distance(y, t, lone) for (_, t, y), lone in zip(parts, found, strict=True))
+    name, first = next((e.name, t[lone][0]) for (e, t, _), lone in zip(parts, found, strict=True) if lone.any())
     text = (
         f"{count} of {total} samples of {channel.name} lie far off their neighbours (by up to {off:.3g} {channel.unit}; the "
-        f"first at {e.t[at[0]]:.4g} s of {e.name}): left out, they count in no loss."
+        f"first at {first:.4g} s of {name}): left out, they count in no loss."
     )
     finding = DataFinding(
         "glitch", channel.name, float(count), text, lines(dataset, channel.name, {"drop_glitches": True}), decisive=True,
@@ -128,9 +126,16 @@ def glitch(dataset: Dataset, channel: Channel) -> Shown | None:
     return Shown(finding, Mending({channel.name: {"drop_glitches": True}}))
 
 
-def _lone(y: np.ndarray) -> np.ndarray:
+def _timed(dataset: Dataset, channel: Channel) -> Iterator[tuple[Experiment, np.ndarray, np.ndarray]]:
+    """Each run with the times and the samples of an output [time] that count."""
+    column = [c.name for c in dataset.outputs].index(channel.name)
+    for e, y in series(dataset, channel):
+        yield e, e.t[:LONGEST][e.read[:LONGEST, column]], y
+
+
+def _lone(y: np.ndarray, t: np.ndarray) -> np.ndarray:
     """Glitches that stand clear of the channel's own flicker everywhere, [time]."""
-    found = glitches(y)
+    found = glitches(y, t)
     if not found.any():
         return found
     bend = np.abs(np.diff(y[~found], 2))
@@ -139,6 +144,13 @@ def _lone(y: np.ndarray) -> np.ndarray:
         beside = [y[i] for i in range(max(0, k - 5), min(len(y), k + 6)) if not found[i]]
         found[k] = bool(beside) and min(abs(y[k] - b) for b in beside) > clear
     return found
+
+
+def _distance(y: np.ndarray, t: np.ndarray, lone: np.ndarray) -> float:
+    """How far at most those samples lie off the line between the others."""
+    if not lone.any():
+        return 0.0
+    return float(np.max(np.abs(y[lone] - np.interp(t[lone], t[~lone], y[~lone]))))
 
 
 def repeated_rows(dataset: Dataset, channel: Channel) -> Shown | None:

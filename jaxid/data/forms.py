@@ -50,7 +50,7 @@ def signal(raw: np.ndarray, t: np.ndarray, valid: np.ndarray, entry: Any, conver
     with np.errstate(over="ignore", invalid="ignore"):
         values = entry.scale * raw + entry.offset
         period = _period(entry, conversion)
-        values, left_out = _without_glitches(values, ~valid, period, entry.drop_glitches)
+        values, left_out = _without_glitches(values, t, ~valid, period, entry.drop_glitches)
         if entry.sampled_every > 1:
             left_out = left_out | ~_fresh(values, entry.sampled_every)
         values = conversion.factor * values + conversion.shift
@@ -86,31 +86,47 @@ def unwrapped(values: np.ndarray, period: float) -> np.ndarray:
     return np.unwrap(values, period=period)
 
 
-def _without_glitches(values: np.ndarray, left: np.ndarray, period: float, drop: bool) -> tuple[np.ndarray, np.ndarray]:
+def _without_glitches(
+    values: np.ndarray, t: np.ndarray, left: np.ndarray, period: float, drop: bool
+) -> tuple[np.ndarray, np.ndarray]:
     """Unwrapped values, and which are left out. A glitch must not turn what follows it, so it is found before it is unwrapped."""
     values = values.copy()
     good = np.flatnonzero(~left)
     if drop:
         straight = unwrapped(values[good], period) if period else values[good]
         left = left.copy()
-        left[good[glitches(straight)]] = True
+        left[good[glitches(straight, t[good])]] = True
         good = np.flatnonzero(~left)
     if period:
         values[good] = unwrapped(values[good], period)
     return values, left
 
 
-def glitches(values: np.ndarray) -> np.ndarray:
-    """Which of `values [time]` are glitches [time]: up to three samples that lie off both what came before and what follows, by
-    far more than the curve bends nearby. A jump or an impact agrees with one side, a flicker by the resolution is usual."""
+def glitches(values: np.ndarray, t: np.ndarray) -> np.ndarray:
+    """Which of `values [time]` at `t [time]` s are glitches [time]: up to three samples that lie off both what came before and
+    what follows, by far more than the curve bends nearby. A jump or an impact agrees with one side, a flicker by the resolution
+    is usual.
+
+    A clock may be uneven, and time stamps may scatter about an even clock: a glitch is one by the times and by the rows.
+    """
+    by_rows = _off_both_sides(values, np.arange(len(values), dtype=float))
+    return by_rows & _off_both_sides(values, t) if by_rows.any() else by_rows
+
+
+def _off_both_sides(values: np.ndarray, at: np.ndarray) -> np.ndarray:
+    """The same along one axis `at [time]`."""
     found = np.zeros(len(values), bool)
-    bend = np.abs(np.diff(values, 2))
+    if len(values) < 2 * _BESIDE:
+        return found
+    step = np.diff(at)
+    slope = np.diff(values) / step
+    before = np.concatenate([[0.0, 0.0], np.diff(slope) * step[1:]])  # off the line through the two samples before
+    after = np.concatenate([np.diff(slope) * step[:-1], [0.0, 0.0]])  # off the line through the two samples after
+    bend = np.maximum(np.abs(before[2:]), np.abs(after[:-2]))
     bending = bend[bend > 0]
-    if len(values) < 2 * _BESIDE or not len(bending):
+    if not len(bending):
         return found
     usual = np.maximum(_median_around(bend), np.median(bending))
-    before = np.concatenate([[0.0, 0.0], np.diff(values, 2)])  # off the line through the two samples before
-    after = np.concatenate([np.diff(values, 2), [0.0, 0.0]])  # off the line through the two samples after
     scale = np.concatenate([usual[:1], usual, usual[-1:]])
     for length in range(1, LONGEST_GLITCH + 1):
         first, last = before[: len(values) - length + 1], after[length - 1 :]
