@@ -16,6 +16,7 @@ import numpy as np
 
 from jaxid.catalogue import effect_class
 from jaxid.conventions import runs, samples
+from jaxid.conventions.copies import copies
 from jaxid.conventions.decide import judged
 from jaxid.conventions.finding import Checked, DataFinding
 from jaxid.conventions.law import is_open, law_reading, OTHER, read_as
@@ -27,6 +28,7 @@ from jaxid.conventions.samples import Shown
 from jaxid.data.capacity import give_back
 from jaxid.data.dataset import Dataset
 from jaxid.data.noise import noise_floor
+from jaxid.data.repeats import one_way_sentences
 from jaxid.dynamics.chain import Chain
 from jaxid.dynamics.model_file import sha256_of
 from jaxid.errors import DatasetError, DatasetWarning, UsageError
@@ -50,7 +52,8 @@ def run_check(
     """See `jaxid.check`; with `gap`, findings that need the model are confirmed by simulations, as recorded and mended."""
     began = time.perf_counter()
     found, data, change = _by_itself(dataset, as_recorded)
-    notes: list[str] = []
+    notes = one_way_sentences(data)
+    data = replace(data, notes=(*data.notes, *notes))
     name = digest = ""
     if dataset.experiments and wanted(dataset):
         name = "robot"
@@ -126,14 +129,14 @@ def _by_itself(dataset: Dataset, as_recorded: bool) -> tuple[list[DataFinding], 
         if shown.mending:
             data, total = mended(data, shown.mending), total.then(shown.mending)
 
-    for shown in runs.time_unit(data):
+    for shown in (*runs.time_unit(data), *copies(data)):
         take(shown)
     for channel in runs.outputs_first(data):
         for look in LOOKS:
             if (shown := look(data, channel)) is not None:
                 take(shown)
     if data.experiments:
-        noise = noise_floor(data)
+        noise = noise_floor(data, readings=True)  # what repeats differ by is motion
         for look in RUN_LOOKS:
             for shown in look(data, noise):
                 take(shown)

@@ -10,18 +10,20 @@ import numpy as np
 
 from jaxid.data.dataset import Channel, Dataset, Experiment, Stated
 from jaxid.data.forms import signal
+from jaxid.data.records import MINIMUM_SAMPLES
 from jaxid.data.schema import ChannelEntry
 from jaxid.data.units import Conversion, conversion, UnitError
 
 
 @dataclass(frozen=True)
 class Mending:
-    """Forms by channel (`scale`, `offset`, `unwrap`, `shift` …, on SI values), channels that take each other's samples, and
-    whether a start at rest is no longer claimed."""
+    """Forms by channel (`scale`, `offset`, `unwrap`, `shift` …, on SI values), channels that take each other's samples, whether
+    a start at rest is no longer claimed, and samples `(run, first, stop)` that are left out: before anything else is changed."""
 
     forms: dict[str, dict[str, Any]] = field(default_factory=dict)
     exchanged: tuple[tuple[str, str], ...] = ()
     moving: bool = False
+    left_out: tuple[tuple[str, int, int], ...] = ()
 
     def then(self, other: Mending) -> Mending:
         """Both, one after the other; scales and offsets of a channel compose."""
@@ -37,17 +39,32 @@ class Mending:
                     own[key] = own.get(key, 0) + value
                 else:
                     own[key] = value
-        return Mending(forms, self.exchanged + other.exchanged, self.moving or other.moving)
+        return Mending(forms, self.exchanged + other.exchanged, self.moving or other.moving, self.left_out + other.left_out)
 
     def __bool__(self) -> bool:
-        return bool(self.forms or self.exchanged or self.moving)
+        return bool(self.forms or self.exchanged or self.moving or self.left_out)
 
 
 def mended(dataset: Dataset, mending: Mending) -> Dataset:
     """The dataset with these changes made to every run."""
     if not mending:
         return dataset
-    return replace(dataset, experiments=tuple(_run(dataset, e, mending) for e in dataset.experiments))
+    kept = [_without(e, mending.left_out) for e in dataset.experiments]
+    return replace(dataset, experiments=tuple(_run(dataset, e, mending) for e in kept if e is not None))
+
+
+def _without(e: Experiment, left_out: tuple[tuple[str, int, int], ...]) -> Experiment | None:
+    """A run without some of its samples: the longest stretch of the others, or None where that is too short to say anything."""
+    taken = np.zeros(len(e), bool)
+    for name, first, stop in left_out:
+        if name == e.name:
+            taken[first:stop] = True
+    if not taken.any():
+        return e
+    edges = np.flatnonzero(np.diff(np.concatenate([[True], taken, [True]]).astype(int)))
+    stretches = edges.reshape(-1, 2)
+    first, stop = max(stretches.tolist(), key=lambda s: s[1] - s[0], default=(0, 0))
+    return None if stop - first < MINIMUM_SAMPLES else e.piece(first, stop, name=e.name, split=e.split, past=first)
 
 
 def _run(dataset: Dataset, e: Experiment, mending: Mending) -> Experiment:

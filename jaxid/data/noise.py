@@ -15,6 +15,7 @@ from math import comb, sqrt
 import numpy as np
 
 from jaxid.data.dataset import Channel, Dataset, Experiment
+from jaxid.data.repeats import one_way, repeats, together
 from jaxid.data.units import si_unit
 
 
@@ -39,14 +40,23 @@ Window = Callable[[Experiment], float]
 def noise_floor(dataset: Dataset, readings: bool = False, window: Window | None = None) -> dict[str, Noise]:
     """Output channel -> its noise. Report runs are not looked at unless there is no other run. `readings`: without what the
     machine does differently from run to run, which is motion, too. `window`: the length, s, of parts of a run that each have a
-    start of their own; what repeats differ by is then what they differ by within one, not what has added up since they began."""
+    start of their own; what repeats differ by is then what they differ by within one, not what has added up since they began.
+    Repeats that change one way, report runs among them, tell no scatter: their drift is none, and hides what there is."""
     runs = [e for e in dataset.experiments if e.split != "report"] or list(dataset.experiments)
     groups = [] if readings else repeats(runs)
-    return {channel.name: _floor(channel, i, runs, groups, window) for i, channel in enumerate(dataset.outputs)}
+    drifting = {e.name for w in one_way(dataset.experiments) for e in w.runs} if groups else set()
+    scattered = [g for g in groups if g[0].name not in drifting]
+    alone = "for repeats change one way" if len(scattered) < len(groups) else "for no run was repeated"
+    return {channel.name: _floor(channel, i, runs, scattered, window, alone) for i, channel in enumerate(dataset.outputs)}
 
 
 def _floor(
-    channel: Channel, column: int, runs: Sequence[Experiment], groups: list[list[Experiment]], window: Window | None
+    channel: Channel,
+    column: int,
+    runs: Sequence[Experiment],
+    groups: list[list[Experiment]],
+    window: Window | None,
+    why_alone: str,
 ) -> Noise:
     parts = [(run, at) for run in runs for at in _evenly(run.read[:, column])]
     series = [run.y[at, column] for run, at in parts]
@@ -80,7 +90,7 @@ def _floor(
         std, text = _LEAST_SHARE * motion, f"no noise visible, {_LEAST_SHARE:g} of the motion is used"
     if not std > 0:  # an output that never moves, by a reading that never flickers
         std, text = HELD, f"it never moves, {HELD:g} {channel.unit} is used"
-    alone = "" if groups else "; the sensor's alone, for no run was repeated"
+    alone = "" if groups else f"; the sensor's alone, {why_alone}"
     return Noise(float(std), source, channel.unit, f"{channel.name}: {std:.3g} {channel.unit} ({text}{alone})")
 
 
@@ -99,11 +109,12 @@ def sensor_noise(series: Sequence[np.ndarray]) -> float:
 
     Where fifth differences give less than half of it, the motion shows in the third ones and the fifth are used.
     """
-    third, fifth = (_from_differences(series, order) for order in (3, 5))
+    third, fifth = (from_differences(series, order) for order in (3, 5))
     return fifth if fifth < 0.5 * third else third
 
 
-def _from_differences(series: Sequence[np.ndarray], order: int) -> float:
+def from_differences(series: Sequence[np.ndarray], order: int) -> float:
+    """The standard deviation of white noise on series `[time]` by differences of this order, the median over blocks."""
     variances: list[np.ndarray] = []
     for y in series:
         squares = (np.diff(y, order) / sqrt(comb(2 * order, order))) ** 2
@@ -167,45 +178,6 @@ def _grid_of(values: np.ndarray) -> tuple[float, bool, float] | None:
     # Repeated values speak for a step; so do many distances of several steps (one step each is but steady motion).
     enough = bool(len(distinct) <= len(values) / 2 or np.count_nonzero(multiple > 1.5) >= 12)
     return step, enough, float(on_grid.mean())
-
-
-def repeats(runs: Sequence[Experiment]) -> list[list[Experiment]]:
-    """Groups of two and more runs with the same inputs at the same times, the same constants and the same start, or of which one
-    is stated to repeat the other; one may stop before the other, but not before half of it."""
-    groups: list[list[Experiment]] = []
-    for run in runs:
-        group = next((g for g in groups if _same_conditions(g[0], run)), None)
-        if group is None:
-            groups.append([run])
-        else:
-            group.append(run)
-    return [g for g in groups if len(g) > 1]
-
-
-def _same_conditions(a: Experiment, b: Experiment) -> bool:
-    count = min(len(a), len(b))
-    if 2 * count < max(len(a), len(b)):
-        return False
-    times = float(np.max(np.abs((a.t[:count] - a.t[0]) - (b.t[:count] - b.t[0]))))
-    if times > 0.01 * float(np.median(np.diff(a.t))):
-        return False
-    stated = a.repeat_of == b.name or b.repeat_of in (a.name, a.repeat_of or b.name)
-    if stated:
-        return True
-    if not np.array_equal(a.u[:count], b.u[:count]):
-        return False
-    if (a.constants, a.initial, a.at_rest) != (b.constants, b.initial, b.at_rest):
-        return False
-    if a.initial is not None or a.at_rest:
-        return True
-    # A start that nobody states must at least look the same.
-    return bool(np.all(np.abs(a.y[0] - b.y[0]) <= 0.02 * np.ptp(a.y, axis=0)))
-
-
-def together(group: Sequence[Experiment]) -> np.ndarray:
-    """The motions of repeats as far as they all go [runs time ny]."""
-    count = min(map(len, group))
-    return np.stack([e.motion()[:count] for e in group])
 
 
 def edges(e: Experiment, length: float) -> np.ndarray:

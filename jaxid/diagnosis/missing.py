@@ -13,7 +13,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from jaxid.data.dataset import Experiment
-from jaxid.data.noise import repeats, together
+from jaxid.data.repeats import repeats, together
 from jaxid.dynamics.joint_readings import joint_motion, stated_positions
 from jaxid.fitting.problem_builder import Bench
 from jaxid.fitting.scores import free_runs

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from jaxid.data.noise import repeats
+from jaxid.data.repeats import repeats
 
 
 if TYPE_CHECKING:

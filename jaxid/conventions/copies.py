@@ -1,0 +1,160 @@
+"""One recording under two names: runs that hold the same samples, noise and all. They are neither repeats nor fit and validation.
+
+No two recordings share their noise. A copy may be cut shorter, begin later, carry other time stamps, or be rounded anew.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+import numpy as np
+
+from jaxid.conventions.finding import DataFinding
+from jaxid.conventions.mending import Mending
+from jaxid.conventions.samples import LONGEST, Shown
+from jaxid.data.dataset import Dataset, Experiment
+from jaxid.data.noise import from_differences, quantisation_step
+
+
+#: Samples that are looked for in the other run: where (share of the run), and how many in a row.
+ANCHORS, IN_A_ROW = (0.05, 0.25, 0.5, 0.75, 0.95), 8
+#: Rows that have to be the same, and places in the other run beyond which what is looked for stands everywhere.
+FEWEST, EVERYWHERE = 30, 20
+#: Two readings are one where they differ by no more than that share of the noise, or of the step that either is rounded to. Of
+#: independent readings three in four differ by more than half their noise.
+OF_NOISE, OF_STEP = 0.5, 0.505
+#: Share of a number that six digits round away, and a float32.
+DIGITS = 2e-6
+#: No machine repeats its motion to that share of it: codes that change at the same rows so often that it would have to.
+REPEATS_TO = 1e-5
+SPLITS = "fit", "validation", "report"
+
+
+@dataclass(frozen=True)
+class Run:
+    """All samples of a run [time channels], outputs first, and by how much a reading may be off in a copy [channels]."""
+
+    experiment: Experiment
+    samples: np.ndarray
+    loose: np.ndarray
+    noisy: bool
+
+
+@dataclass(frozen=True)
+class Same:
+    """Rows `first` to `stop` of a copy are those of another run from row `at` on."""
+
+    first: int
+    stop: int
+    at: int
+
+
+def copies(dataset: Dataset) -> Iterator[Shown]:
+    """Runs of which another one holds samples: what comes later, in the order fit, validation, report, is the copy."""
+    order = sorted(dataset.experiments, key=lambda e: SPLITS.index(e.split))
+    runs = [_run(dataset, e) for e in order]
+    gone: set[str] = set()
+    for k, copy in enumerate(runs):
+        for other in runs[:k]:
+            if other.experiment.name in gone or copy.experiment.name in gone:
+                continue
+            same = _same(other, copy)
+            if same is None:
+                continue
+            shown = _shown(other, copy, same)
+            if shown.finding.decisive and _whole(copy, same):
+                gone.add(copy.experiment.name)
+            yield shown
+
+
+def _run(dataset: Dataset, e: Experiment) -> Run:
+    """A run with what its channels are rounded to, and whether its outputs show noise."""
+    samples = np.concatenate([e.y, e.u], axis=1)[:LONGEST]
+    steps = [quantisation_step([x]) or 0.0 for x in samples.T]
+    noise = [min(from_differences([x], 3), from_differences([x], 5)) if len(x) > 8 else 0.0 for x in samples.T]
+    digits = DIGITS * np.max(np.abs(samples), axis=0, initial=0.0)
+    loose = np.max([OF_NOISE * np.array(noise), OF_STEP * np.array(steps), digits], axis=0)
+    ny = e.y.shape[1]
+    noisy = any(_noise_shows(x, step, d) for x, step, d in zip(samples.T[:ny], steps, digits, strict=False))
+    return Run(e, samples, loose, noisy)
+
+
+def _noise_shows(x: np.ndarray, step: float, digits: float) -> bool:
+    """Whether no second recording would give this reading [time]: it shows noise, or so many codes change that no machine would
+    change them at the same rows again. Without either a motion that is simulated twice is the same."""
+    if len(x) < FEWEST:
+        return False
+    third, fifth = from_differences([x], 3), from_differences([x], 5)
+    if third > max(step, digits):
+        return fifth > 0.5 * third  # white noise is the same in both, motion is less in the fifth
+    changes = np.count_nonzero(np.diff(x))
+    return bool(step > 10 * digits and step < REPEATS_TO * changes * np.ptp(x))
+
+
+def _same(other: Run, copy: Run) -> Same | None:
+    """The rows that both hold, the most of them; None where they share none."""
+    if other.samples.shape[1] != copy.samples.shape[1] or min(len(other.samples), len(copy.samples)) < FEWEST:
+        return None
+    loose = np.maximum(other.loose, copy.loose)
+    found = [_along(other, copy, offset, loose) for offset in _offsets(other.samples, copy.samples, loose)]
+    return max((s for s in found if s is not None), key=lambda s: s.stop - s.first, default=None)
+
+
+def _offsets(other: np.ndarray, copy: np.ndarray, loose: np.ndarray) -> set[int]:
+    """By how many rows samples of a copy [time channels] stand later in the other run."""
+    varied = int(np.argmax([len(np.unique(x)) for x in copy.T]))
+    found: set[int] = set()
+    for share in ANCHORS:
+        first = min(int(share * len(copy)), len(copy) - IN_A_ROW)
+        places = np.flatnonzero(np.abs(other[:, varied] - copy[first, varied]) <= loose[varied])
+        for k in range(IN_A_ROW):
+            places = places[places + k < len(other)]
+            near = np.abs(other[places + k] - copy[first + k]) <= loose
+            places = places[np.all(near, axis=1)]
+        if len(places) <= EVERYWHERE:
+            found |= set((places - first).tolist())
+    return found
+
+
+def _along(other: Run, copy: Run, offset: int, loose: np.ndarray) -> Same | None:
+    """The rows of a copy that lie within the other run, which stands so many rows later; None where any of them differs."""
+    first = max(0, -offset)
+    stop = min(len(copy.samples), len(other.samples) - offset)
+    if stop - first < FEWEST:
+        return None
+    apart = np.abs(copy.samples[first:stop] - other.samples[first + offset : stop + offset])
+    moves = np.any(np.ptp(copy.samples[first:stop, : copy.experiment.y.shape[1]], axis=0) > 0)
+    return Same(first, stop, first + offset) if moves and np.all(apart <= loose) else None
+
+
+def _whole(copy: Run, same: Same) -> bool:
+    """Whether hardly anything of a copy is its own."""
+    return len(copy.samples) - (same.stop - same.first) < FEWEST
+
+
+def _shown(other: Run, copy: Run, same: Same) -> Shown:
+    name, of = copy.experiment.name, other.experiment.name
+    whole = _whole(copy, same)
+    count = same.stop - same.first
+    t, there = copy.experiment.t, other.experiment.t
+    if whole and count == len(other.samples):
+        holds = f"{name} holds {of} sample for sample"
+    elif whole:
+        holds = f"{name} holds {count} samples of {of}, from {there[same.at]:.4g} s on, sample for sample"
+    else:
+        holds = f"{name} holds {count} samples of {of} from {t[same.first]:.4g} s to {t[same.stop - 1]:.4g} s, sample for sample"
+    noise = ", noise and all" if copy.noisy else ""
+    doubt = "" if copy.noisy else " Without noise a simulation that is run twice does so, too: nothing is left out here."
+    what = name if whole else f"these samples of {name}"
+    finding = DataFinding(
+        "copy",
+        name,
+        float(count),
+        f"{holds}{noise}: one recording under two names, neither a validation of the other nor a repeat. Leave {what} out."
+        f"{doubt}",
+        decisive=copy.noisy,
+        headline=f"{holds}; everything below leaves {'it' if whole else 'these samples'} out",
+    )
+    rows = (0, len(copy.experiment)) if whole else (same.first, same.stop)
+    return Shown(finding, Mending(left_out=((name, *rows),)) if copy.noisy else Mending())
