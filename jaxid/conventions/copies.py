@@ -156,5 +156,5 @@ def _shown(other: Run, copy: Run, same: Same) -> Shown:
         decisive=copy.noisy,
         headline=f"{holds}; everything below leaves {'it' if whole else 'these samples'} out",
     )
-    rows = (0, len(copy.experiment)) if whole else (same.first, same.stop)
-    return Shown(finding, Mending(left_out=((name, *rows),)) if copy.noisy else Mending())
+    first, stop = (0, len(copy.experiment)) if whole else (same.first, same.stop)
+    return Shown(finding, Mending(left_out=((name, first, stop),)) if copy.noisy else Mending())
