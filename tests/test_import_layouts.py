@@ -106,12 +106,6 @@ def test_refusals_of_what_is_packed(tmp_path):
     (tmp_path / "a.csv.gz").write_bytes(b"\x1f\x8b\x08\x00rest")
     with pytest.raises(DatasetError, match="compressed.*gunzip"):
         run(tmp_path / "a.csv.gz", tmp_path / "out")
-    half = "\n".join(
-        ["t,q,tau", *(f"{t},{'' if k % 2 else q},{u}" for k, (t, q, u) in enumerate(zip(T, Q, TAU, strict=True))), ""]
-    )
-    (tmp_path / "half.csv").write_text(half)
-    with pytest.raises(DatasetError, match="row 3, column q: missing; so 30 rows"):
-        run(tmp_path / "half.csv", tmp_path / "out")
 
 
 @pytest.mark.parametrize(

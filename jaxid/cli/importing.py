@@ -46,7 +46,8 @@ def header_row(_ctx, _param, value: str | None) -> int | None:
 @click.option("--overwrite", is_flag=True, help="Replace a folder that has other content.")
 @click.option("--channel", "channels", multiple=True, metavar="NAME=COLUMN:UNIT[:ROLE]", 
               help="Tables: a channel, or t; repeat it. COLUMN: name, number, or pattern, 'q*=positions[*]:rad'.")  # fmt: skip
-@click.option("--join", type=click.Path(path_type=Path), metavar="FILE", help="Tables: another file whose columns are taken too.")
+@click.option("--join", type=click.Path(path_type=Path), multiple=True, metavar="FILE", 
+              help="Tables: another file whose columns are taken too; repeat it.")  # fmt: skip
 @click.option("--rows", callback=interval, metavar="FIRST:END", help="Tables: samples to take, chosen before anything is judged.")
 @click.option("--rate", type=click.FloatRange(0, min_open=True), metavar="HZ", help="Tables without times: the sampling rate.")
 @click.option("--separator", metavar="C", help="Text: what stands between columns; default: recognised.")

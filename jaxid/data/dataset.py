@@ -329,8 +329,8 @@ class Dataset:
 
         Settings of a run (one value for all, or a list with one a run): `split` ("fit"), `at_rest`, `initial`
         (state -> value), `constants`, `initial_window_s`, `split_at_gaps`, `names`. Of a channel (channel -> value):
-        `noise_std`, `resolution`, `hold`. Of the dataset: `name`, `description`, `source`, `model` (an id or a
-        `ModelSpec`), `controller` (a `Controller`), `check_model` (True).
+        `noise_std`, `resolution`, `hold`, `valid` (arrays like its values: 0 where it was not read). Of the dataset:
+        `name`, `description`, `source`, `model` (an id or a `ModelSpec`), `controller` (a `Controller`), `check_model` (True).
 
         Raises `DatasetError` with every fault; `file` is then the run's name and `row` the index into the array.
         """

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import csv
 import io
-import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -12,6 +11,7 @@ from typing import Any
 
 import numpy as np
 
+from jaxid.data.list_cells import with_list_elements
 from jaxid.errors import nearest, Problem
 
 
@@ -189,12 +189,12 @@ def _read_parquet(file: str, content: bytes) -> Table:
     if not content:
         return _broken(file, None, "the file is empty", "Write a header row and samples")
     try:
-        whole = pq.ParquetFile(pa.BufferReader(content))
+        whole = pq.ParquetFile(pa.BufferReader(content))  # without threads, see `_owned_by_arrow`
         names, rows = whole.schema_arrow.names, whole.metadata.num_rows
         if len(set(names)) == whole.metadata.num_columns and not any("." in n for n in names):  # one at a time, for memory's sake
-            read = [_arrow_column(whole.read(columns=[n]).column(0)) for n in names]
+            read = [_arrow_column(whole.read(columns=[n], use_threads=False).column(0)) for n in names]
         else:
-            table = whole.read()
+            table = whole.read(use_threads=False)
             read = [_arrow_column(table.column(i)) for i in range(table.num_columns)]
         named, twice = distinct(names, read)
         columns = with_list_elements(named)
@@ -275,9 +275,10 @@ def _read_numbers(file: str, content: bytes) -> Table | None:
     names = [n.strip() for n in next(csv.reader([head.decode().strip()], skipinitialspace=True), [])]
     if not all(names) or len(set(names)) < len(names) or all(_cell(n)[1] is None for n in names):
         return None
+    owned = _owned_by_arrow(content)
     try:
         table = arrow.read_csv(
-            pa.BufferReader(content),
+            pa.BufferReader(owned),
             arrow.ReadOptions(skip_rows=1, column_names=names),
             arrow.ParseOptions(ignore_empty_lines=False),
             arrow.ConvertOptions(null_values=[""], strings_can_be_null=False),
@@ -290,6 +291,19 @@ def _read_numbers(file: str, content: bytes) -> Table | None:
         return None
     columns = {name: _arrow_column(table.column(i)) for i, name in enumerate(names)}
     return Table(file, columns, table.num_rows, np.arange(table.num_rows) + 2)
+
+
+def _owned_by_arrow(content: bytes) -> Any:
+    """The bytes in memory of Arrow's own, for its reader of CSV, which always has a thread read ahead.
+
+    Bytes of Python may be let go last by such a thread. Where that happens while the interpreter ends, the process is aborted
+    ("terminate called without an active exception"). So Arrow's threads hold no memory of Python.
+    """
+    import pyarrow as pa
+
+    buffer = pa.allocate_buffer(len(content))
+    memoryview(buffer).cast("B")[:] = content
+    return buffer
 
 
 def _header_fault(file: str, header: Sequence[str], lines: Sequence[Sequence[str]]) -> Problem | None:
@@ -349,39 +363,3 @@ def distinct(names: Sequence[str], columns: Sequence[Any]) -> tuple[dict[str, An
         out[name if len(places[name]) == 1 else f"{name} (column {k + 1})"] = column
     equal = lambda a, b: list(columns[a - 1]) == list(columns[b - 1])
     return out, {name: at for name, at in places.items() if len(at) > 1 and not all(equal(at[0], k) for k in at[1:])}
-
-
-def with_list_elements(columns: Mapping[str, Any]) -> dict[str, Any]:
-    """Columns whose cells are lists of one length (`[0.1, -0.2]`) as one column an element too: `positions[0]` …"""
-    out = dict(columns)
-    for name, cells in columns.items():
-        rows = _lists(cells)
-        if rows is not None and rows.ndim >= 2:
-            out |= {f"{name}[{']['.join(map(str, k))}]": rows[(slice(None), *k)] for k in np.ndindex(rows.shape[1:])}
-    return out
-
-
-def _lists(cells: Any) -> np.ndarray | None:
-    import json
-
-    first = next((c for c in cells if c is not None and c != ""), None) if isinstance(cells, list) else None
-    if isinstance(first, str) and not re.match(r"(array|tensor)?[\[(]", first.strip()):
-        return None
-    if not isinstance(first, str | list | tuple):
-        return None
-    try:
-        parsed = [json.loads(_list_text(c)) if isinstance(c, str) else c for c in cells]
-        return np.array(parsed, dtype=float)
-    except (ValueError, TypeError):
-        return None
-
-
-def _list_text(cell: str) -> str:
-    """A list as JSON writes it, of one that Python or NumPy wrote: `(1, 2)`, `[1. 2.]`, `array([1, 2], dtype=float32)`."""
-    text = cell.strip()
-    if wrapped := re.fullmatch(r"(?:array|tensor)\((?:'\w', *)?(.*?)(?:, *dtype=[\w.']+)?\)", text, re.DOTALL):
-        text = wrapped[1]
-    text = text.replace("(", "[").replace(")", "]")
-    if "," not in text:
-        text = re.sub(r"(?<=[\d.\]])\s+(?=[-+.\d\[])", ", ", text)
-    return re.sub(r"(\d)\.(?=[,\s\]eE]|$)", r"\1", text)

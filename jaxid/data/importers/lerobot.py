@@ -166,13 +166,21 @@ def _read(path: Path) -> Episodes:
 
 
 def _names(info: Any, feature: str, count: int) -> tuple[str, ...]:
-    """Names of a feature's elements without what they measure (`pan.pos`): a list, or lists by group, in v2 and v3."""
+    """Names of a feature's elements without what they measure (`pan.pos`), from lists and mappings in one another."""
     found = ((info.get("features") or {}).get(feature) or {}).get("names")
-    while isinstance(found, Mapping):
-        found = [n for group in found.values() for n in (group if isinstance(group, list) else [group])]
-    names = [str(n) for n in found] if isinstance(found, list) else []
-    names = [n.removesuffix(".pos").removeprefix("main_") for n in names]
+    names = [n.removesuffix(".pos").removeprefix("main_") for n in _leaves(found)]
     return tuple(names) if len(names) == count == len(set(names)) else tuple(f"joint_{k + 1}" for k in range(count))
+
+
+def _leaves(names: Any) -> list[str]:
+    """The names in lists and mappings, however deep they lie in one another, in their order."""
+    if isinstance(names, Mapping) and names and all(isinstance(place, int) for place in names.values()):
+        return sorted(names, key=lambda name: names[name])
+    if isinstance(names, Mapping):
+        return [leaf for group in names.values() for leaf in _leaves(group)]
+    if isinstance(names, list):
+        return [leaf for one in names for leaf in _leaves(one)]
+    return [] if names is None else [str(names)]
 
 
 def _normalised(sets: Sequence[Episodes], j: int) -> str:

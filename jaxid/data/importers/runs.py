@@ -51,7 +51,7 @@ def runs_of(name: str, t: np.ndarray, columns: Mapping[str, np.ndarray], file: s
     order = np.argsort(t, kind="stable")
     late = int(np.sum(t < np.maximum.accumulate(t)))
     sorted_t, sorted_columns = t[order], {k: v[order] for k, v in columns.items()}
-    torn = [k for k in np.flatnonzero(np.diff(sorted_t) == 0) if any(v[k] != v[k + 1] for v in sorted_columns.values())]
+    torn = _differing(sorted_t, sorted_columns)
     if torn:
         message = f"{late} rows run backwards in time, and {len(torn)} of the times stand there twice with other values"
         remedy = (
@@ -63,12 +63,19 @@ def runs_of(name: str, t: np.ndarray, columns: Mapping[str, np.ndarray], file: s
     return [run]
 
 
+def _differing(t: np.ndarray, columns: Mapping[str, np.ndarray]) -> list[int]:
+    """Rows whose time the next one repeats with other values; two blank cells are alike."""
+    repeated = np.flatnonzero(np.diff(t) == 0)
+    alike = lambda v: np.array_equal(v[:1], v[1:], equal_nan=True)
+    return [int(k) for k in repeated if not all(alike(v[k : k + 2]) for v in columns.values())]
+
+
 def _counted(name: str, t: np.ndarray, columns: Mapping[str, np.ndarray]) -> Run:
     """Without repeated times, which are counted; what is missing is counted too."""
     keep = np.concatenate([[True], np.diff(t) > 0]) if len(t) else np.zeros(0, bool)
     notes = []
     if repeated := int(np.sum(~keep)):
-        torn = [k for k in np.flatnonzero(np.diff(t) == 0) if any(v[k] != v[k + 1] for v in columns.values())]
+        torn = _differing(t, columns)
         other = f", {len(torn)} of them with other values" if torn else ""
         notes.append(f"{name}: {repeated} rows repeat a time{other}; the first of each was kept")
     t = t[keep] - (t[keep][0] if keep.any() else 0.0)
@@ -98,7 +105,8 @@ def save_runs(
     notes: Sequence[str] = (),
 ) -> Path:
     """Writes the dataset folder. `roles`: channel, or its name without the joint -> role (None: by convention) and unit;
-    `joints`: channel of a position -> the joint's own name; every note is warned of and stands in the description."""
+    `joints`: channel of a position -> the joint's own name. A sample that is NaN was not read (`valid` in
+    `dataset.toml`); every note is warned of and stands in the description."""
     names = [c for c in runs[0].columns if all(c in r.columns for r in runs)]
     notes = [*notes, *(n for r in runs for n in r.notes)]
     if left := sorted({c for r in runs for c in r.columns} - set(names)):
@@ -106,10 +114,11 @@ def save_runs(
     stem = lambda c: c if c in roles else re.sub(r"\d+", "", c)
     role = {c: roles[stem(c)][0] or role_of(c) for c in names}
     for c in names:  # a joint that nobody moved would make the whole dataset unreadable
-        if role[c] == "output" and all(np.ptp(r.columns[c]) == 0 for r in runs):
+        if role[c] == "output" and all(np.ptp(r.columns[c][np.isfinite(r.columns[c])]) == 0 for r in runs):
             role[c] = "auxiliary"
             notes.append(f"{c} never moves and is kept as an auxiliary channel")
     pick = lambda wanted: {c: [r.columns[c] for r in runs] for c in names if role[c] == wanted}
+    blank = [c for c in names if any(np.isnan(r.columns[c]).any() for r in runs)]
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", DatasetWarning)  # the same is said below, in words that name the file
         dataset = Dataset.from_arrays(
@@ -123,6 +132,7 @@ def save_runs(
             source={"source": kind, "files": ", ".join(r.name for r in runs)},
             names=_unique([r.name for r in runs]),
             split_at_gaps=True,
+            valid={c: [np.isfinite(r.columns[c]).astype(float) for r in runs] for c in blank},
             resolution={c: v for c in names for s, v in (resolution or {}).items() if stem(c) == s},
             model=ModelSpec(joints=dict(joints)) if joints else None,
             time_unit="s",  # stated or judged by the importer

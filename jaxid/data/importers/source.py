@@ -13,6 +13,7 @@ import numpy as np
 from jaxid.data.importers.arrays import Arrays, kind_of, read_arrays
 from jaxid.data.importers.runs import refused
 from jaxid.data.importers.text import read_text, Stated
+from jaxid.data.records import MINIMUM_SAMPLES
 from jaxid.data.table import read_table, Table
 from jaxid.data.time_axis import contradicted, impossible, PER_SECOND, since_start
 from jaxid.errors import DatasetError, Problem
@@ -145,14 +146,24 @@ def times_of(
     return t, start
 
 
-def numbers_of(source: Source, cells: Any, column: str, chosen: slice, length: int) -> np.ndarray:
-    """A column as numbers at the chosen rows, or the first cell that is none."""
+def numbers_of(source: Source, cells: Any, column: str, chosen: slice, length: int, notes: list[str] | None = None) -> np.ndarray:
+    """A column as numbers at the chosen rows; raises `DatasetError` with the first cell that is none.
+
+    With `notes`, blank cells are NaN, which a note counts; without, they are at fault like any other.
+    """
     table = Table(source.path.name, {column: cells}, len(cells), source.rows)
     numbers = table.numbers(column)
     values = numbers.values[chosen]
     if len(values) != length:
         raise refused(source.path, f"{column!r} has {len(values)} samples, the time {length}", "Name arrays of one recording")
     bad = sorted(k for k in numbers.faults if k in range(*chosen.indices(len(cells))))
+    blank = [k for k in bad if numbers.faults[k] == "missing" and k not in source.ragged]
+    if notes is not None and blank:
+        bad = [k for k in bad if k not in set(blank)]
+        if length - len(blank) < MINIMUM_SAMPLES:
+            message = f"{column!r} holds {length - len(blank)} readings in {length} rows; the other cells are blank"
+            raise refused(source.path, message, f"Leave it out; fewer than {MINIMUM_SAMPLES} readings say too little")
+        notes.append(f"{source.path.name}: {len(blank)} of {length} cells of {column} are blank, no reading there")
     if bad:
         torn = source.ragged.get(bad[0])
         what = f"{torn} fields where the others have {len(source.columns)}" if torn is not None else numbers.faults[bad[0]]

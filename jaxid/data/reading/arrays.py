@@ -20,6 +20,7 @@ from jaxid.errors import DatasetError, nearest, Problem
 RUN_SETTINGS = ("split", "at_rest", "initial", "constants", "initial_window_s", "split_at_gaps", "repeat_of")
 FORMS = ("scale", "offset", "unwrap", "drop_glitches", "sampled_every", "shift", "delay_s", "clock_ppm")
 CHANNEL_SETTINGS = ("noise_std", "resolution", "hold", *FORMS)
+VALID = ".valid"  # behind a channel's name: the column that says where it was read; no channel can have such a name
 DATASET_SETTINGS = ("name", "time_unit", "names", "description", "source", "model", "controller", "check_model")
 
 # The conventions of names; a number behind a name is a joint.
@@ -59,7 +60,7 @@ def from_arrays(
     **settings: Any,
 ) -> Dataset:
     """See `Dataset.from_arrays`."""
-    allowed = (*RUN_SETTINGS, *CHANNEL_SETTINGS, *DATASET_SETTINGS)
+    allowed = (*RUN_SETTINGS, *CHANNEL_SETTINGS, "valid", *DATASET_SETTINGS)
     for key in settings:
         if key not in allowed:
             raise TypeError(f"from_arrays has no argument {key!r}{nearest(key, allowed)}")
@@ -70,12 +71,16 @@ def from_arrays(
     if twice:
         raise DatasetError([Problem(name, None, twice[0], "the channel has two roles", "Give it one role")])
     count = _runs(t)
+    valid = settings.get("valid") or {}
+    signals |= {f"{channel}{VALID}": read for channel, read in valid.items()}
     runs = [(t, signals)] if count is None else _each_run(name, t, signals, count)
     entries = _run_entries(name, count, settings)
     channels = {channel: _channel(channel, role, units, settings) for role, group in roles.items() for channel in group}
+    for channel in valid.keys() & channels.keys():
+        channels[channel]["valid"] = f"{channel}{VALID}"
     problems = [
         Problem(name, None, key, f"{what} names a channel that is not there{nearest(key, signals)}", "Correct the name")
-        for what, given in (("units", units), *((s, settings.get(s) or {}) for s in CHANNEL_SETTINGS))
+        for what, given in (("units", units), ("valid", valid), *((s, settings.get(s) or {}) for s in CHANNEL_SETTINGS))
         for key in given
         if key not in signals
     ]
