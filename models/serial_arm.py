@@ -23,6 +23,8 @@ class DriveGain(InputEffect):
     """What a drive makes of its command: N m per unit of the input. Known, not fitted: any error of it scales every inertia."""
 
     name: ClassVar[str] = "drive_gain"
+    #: What else happens to a command happens to it in its own unit.
+    stage: ClassVar[int] = 2
     equation: ClassVar[str] = "u -> gain u"
     signature: ClassVar[str] = "all torques of a joint in one proportion"
     source: ClassVar[str] = "paper 001: tau = K i"
@@ -35,6 +37,12 @@ class DriveGain(InputEffect):
 
     def __call__(self, u, s, z):
         return self.gain * u, z
+
+    def known_gain(self):
+        return self.gain
+
+    def transfer(self, omega):
+        return self.gain + 0 * omega[:, None], 0 * self.gain * omega[:, None]
 
 
 def signatures_of(prismatic: tuple[bool, ...]) -> tuple[Signature, ...]:

@@ -17,14 +17,13 @@ from jaxid.errors import UsageError  # noqa: E402
 from jaxid.identification.regression import every_row, LAWS, read_run  # noqa: E402
 from jaxid.identification.run import identify  # noqa: E402
 from jaxid.problem.binding import bind, resolve_model  # noqa: E402
-from jaxid.problem.torque_filter import drive_gains  # noqa: E402
 from test_identification import excitation, LOAD, NOISE, recording, torque  # noqa: E402
 
 
 def rows_of(data: Dataset, law: str, exponent: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Unfiltered columns and torque of the first run."""
     chain = resolve_model(None, data)
-    run = read_run(data, data.experiments[0], chain, chain.mechanism.base(), 5.0, 10.0, drive_gains(chain))  # type: ignore[attr-defined]
+    run = read_run(data, data.experiments[0], chain, chain.mechanism.base(), 5.0, 10.0)  # type: ignore[attr-defined]
     return np.concatenate([W for _, _, W in every_row(run, LAWS[law], exponent)]), run.tau_raw
 
 

@@ -15,6 +15,7 @@ from jaxid.numerics.export_cache import key_of, Traced
 from jaxid.numerics.kept import shared
 from jaxid.numerics.precision import float64
 from jaxid.problem.binding import Binding
+from jaxid.problem.torque_filter import drive_torque
 
 
 #: Rows at which the force is looked at, and at which readings are gone through; samples of one call: what is compiled is compiled
@@ -76,7 +77,12 @@ class Forces:
             return self.at(theta[None], m)[0]
         base, slopes = self.columns(m)
         found = base + slopes @ (theta - self.binding.theta)[self.free]
-        return found + m.u if self.additive else found
+        return found + self._driven(m) if self.additive else found
+
+    def _driven(self, m: Any) -> np.ndarray:
+        """Joint torque [rows nq] of the inputs, whose gains no fit of these moves."""
+        b = self.binding
+        return drive_torque(b.layout, b.theta, m.u, np.concatenate([m.q, m.qd], 1))
 
     def columns(self, m: Any) -> tuple[np.ndarray, np.ndarray]:
         """Of a linear model: the force [rows nq] at the binding's numbers, without the drive where that is but added, and its
@@ -106,7 +112,7 @@ class Forces:
             return False
         (driven, by), (still, without) = (self._with_slopes(m, u) for u in (m.u, 0 * m.u))
         size = 1e-9 * (float(np.abs(driven).max()) + 1e-300)
-        return np.allclose(driven - still, m.u, rtol=0, atol=size) and np.allclose(by, without, rtol=1e-9, atol=size)
+        return np.allclose(driven - still, self._driven(m), rtol=0, atol=size) and np.allclose(by, without, rtol=1e-9, atol=size)
 
     @cached_property
     def _steps(self) -> np.ndarray:

@@ -20,6 +20,7 @@ from jaxid.data.signals import filter_ends, zero_phase
 from jaxid.dynamics.joint_readings import cutoffs, joint_motion, stated_positions
 from jaxid.numerics.boxed import within_box
 from jaxid.problem.binding import Binding
+from jaxid.problem.torque_filter import drive_torque
 from jaxid.simulation.sample_buffers import columns
 
 
@@ -227,8 +228,12 @@ class ForceFit:
         chain = self.binding.chain
         if not self.driven or any(unit in GOALS for _, unit in chain.signature.commands):
             return np.zeros(self.nq)
-        u = m.mean(m.u) if chain.direct else self.pushed(m, theta)
+        u = m.mean(self._torque(m, theta)) if chain.direct else self.pushed(m, theta)
         return np.sqrt(np.mean((u - (u.mean(0) if len(u) else 0)) ** 2, axis=0))
+
+    def _torque(self, m: Motion, theta: np.ndarray) -> np.ndarray:
+        """Joint torque [samples nq] of inputs that make it by themselves."""
+        return drive_torque(self.binding.layout, theta, m.u, np.concatenate([m.q, m.qd], 1))
 
     def pushed(self, m: Motion, theta: np.ndarray) -> np.ndarray:
         """Force of the inputs [rows nq] at these numbers, beside what the drive makes of the motion alone."""

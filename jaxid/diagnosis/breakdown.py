@@ -8,11 +8,10 @@ from dataclasses import dataclass
 import numpy as np
 
 from jaxid.diagnosis.evidence import HeldOut
-from jaxid.diagnosis.missing import Missing
+from jaxid.diagnosis.missing import joint_load, Missing
 from jaxid.diagnosis.regimes import regimes
 from jaxid.fitting.problem_builder import Bench
 from jaxid.fitting.scores import scored
-from jaxid.simulation.sample_buffers import columns
 
 
 #: A regime with fewer samples is left out.
@@ -52,12 +51,11 @@ def by_regime(bench: Bench, split: str, models: Sequence[HeldOut]) -> tuple[Shar
     keep = [scored(e, split) for e in runs]
     if any([len(r) for r in m.residual] != [int(np.sum(k)) for k in keep] for m in models):
         return ()
-    iu, _ = columns(b.dataset, b.chain)
     out = []
     moved = []
     for e in runs:
         m = b.motions[e.name]
-        load = e.u[:, iu[: b.chain.nq]] if b.chain.direct and len(iu) else np.zeros((len(e.t), b.chain.nq))
+        load = joint_load(b, e, m)
         none = np.zeros((0, len(e.t), b.chain.nq))
         moved.append(Missing(e, np.ones(len(e.t), bool), m.q, m.qd, m.qdd, load, none, none))
     for j, joint in enumerate(b.chain.signature.joints):

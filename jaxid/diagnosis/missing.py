@@ -18,8 +18,10 @@ from jaxid.dynamics.joint_readings import joint_motion, stated_positions
 from jaxid.fitting.problem_builder import Bench
 from jaxid.fitting.scores import free_runs
 from jaxid.problem.binding import Binding
+from jaxid.problem.measured_motion import Motion
 from jaxid.problem.problem import Problem
 from jaxid.problem.residual import InverseDynamics, Runs
+from jaxid.problem.torque_filter import drive_torque
 from jaxid.simulation import sample_buffers as samples
 
 
@@ -49,7 +51,7 @@ def missing_forces(bench: Bench, theta: np.ndarray, starts: np.ndarray, seed: in
     residual = InverseDynamics(decimate=1)
     runs = bench.runs(residual, "fit")
     experiments = b.experiments("fit")
-    iu, iy = samples.columns(b.dataset, b.chain)
+    _, iy = samples.columns(b.dataset, b.chain)
     problem = bench.problem(residual, "fit", [], theta)
     rng = np.random.default_rng(seed)
     nulls: list[list[np.ndarray]] = [[] for _ in experiments]
@@ -75,9 +77,19 @@ def missing_forces(bench: Bench, theta: np.ndarray, starts: np.ndarray, seed: in
         record = runs.record(runs.records[k])
         keep = np.zeros(len(e.t), bool)
         keep[np.searchsorted(_positions(runs, k), record.samples)] = True
-        load = e.u[:, iu[: b.chain.nq]] if b.chain.direct and len(iu) else np.zeros((len(e.t), b.chain.nq))
+        load = joint_load(b, e, m)
         out.append(Missing(e, keep, m.q[keep], m.qd[keep], m.qdd[keep], load[keep], force[k], np.array(nulls[k])))
     return out
+
+
+def joint_load(binding: Binding, e: Experiment, m: Motion) -> np.ndarray:
+    """Joint torque [time nq] that was recorded along a motion; nothing where the inputs are no torques."""
+    chain = binding.chain
+    iu, _ = samples.columns(binding.dataset, chain)
+    if not chain.direct or not len(iu):
+        return np.zeros((len(e.t), chain.nq))
+    motion = np.concatenate([m.q, m.qd], 1)
+    return drive_torque(binding.layout, binding.theta, e.u[:, iu], motion)
 
 
 def what_repeats_differ_by(binding: Binding) -> dict[str, list[np.ndarray]]:

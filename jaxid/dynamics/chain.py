@@ -17,6 +17,7 @@ import numpy as np
 from jaxtyping import Array, Bool, Float
 
 from jaxid.dynamics.carry import Carry, first_command, first_state
+from jaxid.dynamics.drive_torque import is_direct, records_torque
 from jaxid.dynamics.dry_friction import solve_dry
 from jaxid.dynamics.effect import (
     BodyEffect,
@@ -88,14 +89,13 @@ class Chain(eqx.Module):
 
     @property
     def direct(self) -> bool:
-        """Whether each input is the drive torque or force of a joint."""
-        inputs = self.signature.commands
-        return len(inputs) == self.nq and all(unit in ("N m", "N") for _, unit in inputs)
+        """Whether each input, times its drive gain, is the drive torque or force of a joint."""
+        return is_direct(self)
 
     @property
     def torque_channels(self) -> tuple[tuple[str, str], ...]:
         """(name, unit) of each joint's drive torque: the input channels, or the joints where inputs are something else."""
-        if self.direct:
+        if self.direct and records_torque(self):
             return self.signature.commands
         return tuple((f"torque at {joint}", self.signature.unit("{F}")) for joint in self.signature.joints)
 

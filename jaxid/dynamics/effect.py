@@ -123,6 +123,10 @@ class InputEffect(Effect):
         """By how much it delays each command, s; None: not at all."""
         return None
 
+    def known_gain(self) -> Array | None:
+        """Joint torque that a drive is known to make of one unit of each command [nu]; None: it says nothing of that."""
+        return None
+
     @abc.abstractmethod
     def __call__(self, u: Float[Array, " nu"], s: Signals, z: Any) -> tuple[Float[Array, " nu"], Any]: ...
 

@@ -16,6 +16,7 @@ from jaxid.data.dataset import Channel, Dataset, Experiment, ModelSpec
 from jaxid.data.limits import Limits
 from jaxid.data.model_names import is_model_file
 from jaxid.dynamics.chain import Chain
+from jaxid.dynamics.drive_torque import drive_gains
 from jaxid.dynamics.parameter_vector import Layout
 from jaxid.errors import nearest, UsageError
 from jaxid.excitation.bounds import Bounds, bounds_of
@@ -262,9 +263,8 @@ def _torques(chain: Chain, q: np.ndarray, qd: np.ndarray, qdd: np.ndarray) -> An
     import jax
 
     run = jax.jit(jax.vmap(lambda q, qd, qdd: required(chain, q, qd, qdd)))
-    gains = [np.asarray(e.gain) for e in chain.effects if e.name == "drive_gain"]  # pyright: ignore[reportAttributeAccessIssue]
     tau = run(*(jnp.asarray(x) for x in (q, qd, qdd)))
-    return tau / np.prod(gains, 0) if gains else tau
+    return tau / drive_gains(chain)
 
 
 def _torque_noise(chain: Chain, bounds: Bounds, omega: float) -> tuple[np.ndarray, str]:

@@ -17,6 +17,7 @@ import numpy as np
 
 from jaxid.data.dataset import Channel, Dataset, Experiment
 from jaxid.dynamics.chain import Chain
+from jaxid.dynamics.drive_torque import drive_gains
 from jaxid.dynamics.parameter import Reference
 from jaxid.dynamics.parameter_vector import Layout
 from jaxid.errors import UsageError
@@ -140,7 +141,7 @@ def largest_inputs(chain: Chain, bounds: Bounds) -> np.ndarray:
     with float64():
         run = jax.jit(jax.vmap(lambda *x: required(chain, *x)))
         tau = np.asarray(run(*(jnp.asarray(x) for x in (q, qd, qdd))))
-    return np.abs(tau).max(0)
+    return np.abs(tau).max(0) / np.asarray(drive_gains(chain))
 
 
 class Bench:

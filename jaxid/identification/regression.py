@@ -18,8 +18,10 @@ from jaxid.data.noise import noise_floor
 from jaxid.data.signals import differentiate, filter_ends, STRETCH, zero_phase, zero_phase_stretches
 from jaxid.dynamics.base_parameters import BaseParameters, torque_columns
 from jaxid.dynamics.chain import Chain
+from jaxid.dynamics.parameter_vector import Layout
 from jaxid.errors import UsageError
 from jaxid.identification.fourier import harmonic_motion
+from jaxid.problem.torque_filter import drive_torque
 from jaxid.simulation.sample_buffers import columns
 
 
@@ -116,10 +118,9 @@ def read_run(
     base: BaseParameters,
     cutoff_hz: float,
     motion_hz: float,
-    gains: np.ndarray,
     fourier: bool = False,
 ) -> Run:
-    """Rows of one experiment; `gains` [n] turns its inputs into joint torque. `fourier`: rates by its harmonics."""
+    """Rows of one experiment. `fourier`: rates by its harmonics."""
     iu, iy = columns(dataset, chain)
     rate = 1 / float(np.median(np.diff(e.t)))
     if cutoff_hz >= rate / 2.5:
@@ -131,7 +132,7 @@ def read_run(
         q, qd, qdd = harmonic_motion(e.t, e.motion()[:, iy], min(motion_hz, rate / 2.5))
     else:
         q, qd, qdd, _ = differentiate(e.t, e.motion()[:, iy], min(motion_hz, rate / 2.5))
-    tau = e.u[:, iu] * gains
+    tau = drive_torque(Layout(chain), None, e.u[:, iu], np.concatenate([q, qd], 1))
     ends = filter_ends(e.t, cutoff_hz)
     kept = slice(ends, len(e.t) - ends)
     if len(e.t) - 2 * ends < 20:

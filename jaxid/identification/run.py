@@ -42,7 +42,6 @@ from jaxid.identification.result import Identification, LawTrial, RunScore
 from jaxid.identification.stated import answered
 from jaxid.identification.trust import NEAR_THE_FILE, nearer_the_file, spread_of
 from jaxid.problem.binding import resolve_model
-from jaxid.problem.torque_filter import drive_gains
 from jaxid.robots.arms import as_arm
 from jaxid.robots.floating import refuse_free
 from jaxid.robots.origin import origin_on
@@ -104,9 +103,9 @@ def identify(
     if not hasattr(arm, "base"):
         raise UsageError(f"identify needs a serial arm (ur10, ur10e, panda, serial_arm); {arm.name} is none. Use jaxid fit")
     refuse_too_large(need("identify", data, chain.nq))
-    base, gains = arm.base(), drive_gains(chain)
+    base = arm.base()
     motion_hz = motion_hz or 2 * cutoff_hz
-    runs = [read_run(data, e, chain, base, cutoff_hz, motion_hz, gains, fourier) for e in data.experiments]
+    runs = [read_run(data, e, chain, base, cutoff_hz, motion_hz, fourier) for e in data.experiments]
     by = None
     if method == "iv":
         by = [instruments(data, e, chain, base, r) for e, r in zip(data.experiments, runs, strict=True) if r.split == "fit"]

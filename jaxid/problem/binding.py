@@ -6,34 +6,28 @@ from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field, replace
 from typing import Any, cast
 
-import jax
-import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Float
 
 from jaxid import catalogue, wording
 from jaxid.data.capacity import Need, need
-from jaxid.data.dataset import Dataset, Experiment, ParameterPrior
+from jaxid.data.dataset import Dataset, Experiment, ModelSpec, ParameterPrior
 from jaxid.data.joint_names import in_chain_order, joint_names
 from jaxid.data.noise import Noise, noise_floor, Window
 from jaxid.data.time_stamps import scattered_stamps, Stamps, with_scatter
 from jaxid.data.units import si_unit
 from jaxid.dynamics.chain import Chain
+from jaxid.dynamics.drive_torque import FORCES
 from jaxid.dynamics.effect import Effect, JointEffect, neutral
 from jaxid.dynamics.joint_readings import all_read, with_speeds
 from jaxid.dynamics.mechanism import Mechanism, Signature
 from jaxid.dynamics.parameter import Reference, settings, with_settings
 from jaxid.dynamics.parameter_vector import Layout
 from jaxid.errors import nearest, UsageError
-from jaxid.numerics.export_cache import key_of, Traced
-from jaxid.numerics.kept import shared
-from jaxid.numerics.precision import float64
 from jaxid.problem import measured_motion
 from jaxid.problem.measured_motion import Motion
 from jaxid.problem.named_model import named_model
-from jaxid.problem.torque_filter import drive_torque
+from jaxid.problem.typical import typical_magnitudes
 from jaxid.robots import match as robots
-from jaxid.simulation import sample_buffers as samples
 
 
 #: The effect whose strength is read off the recording: it is noise, which no residual shows the size of.
@@ -128,6 +122,7 @@ def resolve_model(model: object, dataset: Dataset, without: Iterable[str] = ()) 
     if not isinstance(model, Chain):
         raise UsageError(f"a model is an id, a mechanism or a chain, not {type(model).__name__}")
     _check_drive(model)
+    _check_gains(model, spec)
     if set(constants) & set(settings(model.mechanism)):
         model = model.with_mechanism(with_settings(model.mechanism, constants))
     out = [*(spec.without if spec is not None else ()), *without]
@@ -153,6 +148,29 @@ def _check_drive(chain: Chain) -> None:
         raise UsageError(
             f"{counted}: write `drive` in {type(chain.mechanism).__name__}, the law that makes joint torques of inputs, as in "
             "`def drive(self, signature, u, q, qd): return jnp.stack([...])`, one entry for each joint"
+        )
+
+
+def _check_gains(chain: Chain, spec: ModelSpec | None) -> None:
+    """A command in another unit than its joint's torque needs its drive gain stated, in the dataset or in the chain."""
+    stated = {*spec.constants, *spec.parameters} if spec is not None else set()
+    layout = Layout(chain)
+    missing = []
+    for effect in chain.effects:
+        if getattr(effect, "known_gain", lambda: None)() is None:
+            continue
+        places = dict(chain.signature.commands)
+        for i in layout.of_effect(effect.name):
+            unit = places[layout.entries[i].location]
+            if unit not in FORCES and layout.names[i] not in stated and layout.values[i] == 1.0:
+                missing.append((layout.entries[i].location, unit, layout.names[i]))
+    if missing:
+        channels = wording.listed([channel for channel, _, _ in missing])
+        unit = missing[0][1]
+        lines = ", ".join(f"{name} = …" for _, _, name in missing)
+        raise UsageError(
+            f"{channels}: in {unit}, and nothing says how much joint torque one {unit} makes. State it in N m/{unit} (torque "
+            f"constant times gear ratio) under [model.constants]: {lines}"
         )
 
 
@@ -274,7 +292,7 @@ def bind(
     motions: dict[str, Motion] = {}
     if all_read(chain):
         motions = {e.name: measured_motion.motion(dataset, e, chain, readings) for e in dataset.experiments}
-    references, inputs = _references(dataset, layout, theta, motions)
+    references, inputs = typical_magnitudes(dataset, layout, theta, motions)
     lower, upper, scale = layout.boxes(references, inputs)
     for name, prior in priors.items():
         i = layout.index(name)
@@ -340,57 +358,3 @@ def _stated_scales(
             said.append(f"{name} is searched {'by its logarithm' if prior.log else 'linearly'} (stated)")
     said += [f"prior of {', '.join(names)}: {text} (stated)" for text, names in alike.items()]
     return known, tuple(said)
-
-
-def inertia_torque(chain: Chain, q: Float[Array, "n nq"], qdd: Float[Array, "n nq"]) -> Float[Array, "n nq"]:
-    """Torque that accelerations take at rest, at each of n positions."""
-    body, still = chain.body(), jnp.zeros(chain.nq)
-    return jax.vmap(lambda q, a: body.inverse(q, still, a) - body.inverse(q, still, still))(q, qdd)
-
-
-def _inertia_program(layout: Layout) -> Traced:
-    """`inertia_torque` by all numbers of a layout, one program for all chains of its structure."""
-    form = layout.form
-    program = lambda theta, q, qdd: inertia_torque(form.model(theta), q, qdd)
-    return shared("inertia", form, lambda: Traced(program, key_of(inertia_torque, form.bare)))
-
-
-def _references(
-    dataset: Dataset, layout: Layout, theta: np.ndarray, motions: dict[str, Motion]
-) -> tuple[list[Reference], list[Reference]]:
-    """Typical magnitudes of each joint and of each input channel, in the recordings to fit, or in all where none is."""
-    fit = dataset.split("fit") or dataset.experiments
-    chain, nq = layout.chain, layout.chain.nq
-    iu, iy = samples.columns(dataset, chain)
-    size = [float(np.percentile(np.abs(np.concatenate([e.u[:, i] for e in fit])), 99)) for i in iu] if fit else []
-    direct = chain.direct
-    law = bool(iu) and not direct
-    if not fit:
-        omega = np.concatenate([r.omega for r in dataset.responses])
-        joints = [Reference(1.0, 1.0, 1.0, 2 * np.pi / float(omega.min()), np.pi / float(omega.max()))] * nq
-        size = [1.0] * len(iu)
-    elif not motions:
-        step = float(np.median(np.diff(fit[0].t)))
-        duration = max(float(e.t[-1] - e.t[0]) for e in fit)
-        torque = size if direct and size else [1.0] * nq
-        if law:
-            u = np.concatenate([e.u[:, iu] for e in fit])
-            driven = drive_torque(layout, theta, u, np.zeros((len(u), 2 * nq)))
-            torque = [s or 1.0 for s in np.percentile(np.abs(driven), 99, axis=0)]
-        joints = [Reference(torque[min(j, len(torque) - 1)], 1.0, 1.0, duration, step) for j in range(nq)]
-    else:
-        used = [motions[e.name] for e in fit]
-        q, qdd = (np.concatenate([getattr(m, k) for m in used]) for k in ("q", "qdd"))
-        pick = np.linspace(0, len(q) - 1, 2000).astype(int)
-        with float64():
-            torque = _inertia_program(layout)(theta, q[pick], qdd[pick])
-            inertia = np.percentile(np.abs(np.asarray(torque)), 99, axis=0)
-        if (asks := getattr(chain.mechanism, "drive_law", None)) is not None:  # what the law asks for says more
-            asked = asks.size(np.concatenate([e.u[:, iu[:nq]] for e in fit]) - np.concatenate([m.q for m in used]))
-            inertia = np.maximum(inertia, asked)
-        elif law:
-            parts = zip(fit, used, strict=True)
-            driven = [drive_torque(layout, theta, e.u[:, iu], np.concatenate([m.q, m.qd], 1)) for e, m in parts]
-            inertia = np.maximum(inertia, np.percentile(np.abs(np.concatenate(driven)), 99, axis=0))
-        joints = measured_motion.references(fit, used, iu[:nq] if direct else [], inertia)
-    return joints, [joints[min(k, nq - 1)]._replace(torque=max(s, 1e-9)) for k, s in enumerate(size)]

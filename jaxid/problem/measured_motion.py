@@ -34,18 +34,18 @@ def motion(dataset: Dataset, experiment: Experiment, chain: Chain, noise: np.nda
 
 
 def references(
-    experiments: Sequence[Experiment], motions: Sequence[Motion], inputs: Sequence[int], inertia_torque: np.ndarray
+    experiments: Sequence[Experiment], motions: Sequence[Motion], driven: np.ndarray, inertia_torque: np.ndarray
 ) -> list[Reference]:
-    """Typical magnitudes per joint; without inputs the torque that moves the inertia stands in for the drive."""
+    """Typical magnitudes per joint, of a drive with torques `driven` [samples nq]; where that has no columns, or does nothing,
+    the torque that moves the inertia stands in for it."""
     out = []
     nq = motions[0].q.shape[1]
     for j in range(nq):
         qd = np.concatenate([m.qd[:, j] for m in motions])
         q = np.concatenate([m.q[:, j] for m in motions])
         torque = 0.0
-        if j < len(inputs):
-            u = np.concatenate([e.u[:, inputs[j]] for e in experiments])
-            torque = float(np.percentile(np.abs(u), 99))
+        if j < driven.shape[1]:
+            torque = float(np.percentile(np.abs(driven[:, j]), 99))
         if torque <= 0:
             torque = float(inertia_torque[j])
         duration = max(float(e.t[-1] - e.t[0]) for e in experiments)

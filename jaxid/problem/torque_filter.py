@@ -13,6 +13,7 @@ import numpy as np
 
 from jaxid.data.dataset import Dataset, Experiment
 from jaxid.dynamics.chain import Chain
+from jaxid.dynamics.drive_torque import drive_gains, driven
 from jaxid.dynamics.effect import Command, Signals
 from jaxid.dynamics.parameter_vector import Layout
 from jaxid.errors import UsageError
@@ -153,22 +154,18 @@ def own_numbers(chain: Chain) -> int:
     return max(1, sum(not e.spec.fixed and e.name not in held for e in own))
 
 
-def drive_gains(chain: Chain) -> np.ndarray:
-    """What turns each input into joint torque, [nu]: the model's drive gains, 1 where it has none."""
-    gains = [np.asarray(e.gain, float) for e in chain.effects if e.name == "drive_gain"]  # pyright: ignore
-    return np.prod(gains, 0) if gains else np.ones(max(1, len(chain.signature.inputs)))
-
-
 #: Length of a step in which nothing changes, s.
 MOMENT = 1e-9
 
 
 def drive_torque(layout: Layout, theta: np.ndarray | None, u: np.ndarray, motion: np.ndarray) -> np.ndarray:
-    """Joint torque that the drive makes of recorded inputs u [time nu] in a measured motion (q, qd, ...) [time 2 nq or more],
-    with the numbers theta (None: those of the layout), [time nq]."""
+    """Joint torque (N m, N) that the drive makes of recorded inputs u [time nu], each in the unit of its channel, in a measured
+    motion (q, qd, ...) [time 2 nq or more], with the numbers theta (None: those of the layout), [time nq]. Whatever compares
+    recorded inputs with torques takes them from here."""
     chain, nq = layout.chain, layout.chain.nq
     if chain.direct and not chain.signature.beside:
-        return u * (drive_gains(chain) if theta is None else drive_gains(layout.model(theta)))
+        model = chain if theta is None else layout.model(theta)
+        return u * np.asarray(drive_gains(model), float)
     form = layout.form
     made = lambda: Traced(lambda theta, *args: _driven(form.model(theta), *args), key_of(_driven, form.bare))
     room = bucket(len(u)) - len(u)  # runs of other lengths meet the same program
@@ -179,16 +176,17 @@ def drive_torque(layout: Layout, theta: np.ndarray | None, u: np.ndarray, motion
 
 def _driven(chain: Chain, u: Any, q: Any, qd: Any) -> Any:
     body = chain.body()
-    return jax.vmap(lambda u, q, qd: body.drive(chain.signature, _asked(chain, body, u, q, qd), q, qd))(u, q, qd)
+    return jax.vmap(lambda u, q, qd: _torque(chain, body, u, q, qd))(u, q, qd)
 
 
-def _asked(chain: Chain, body: Any, u: Any, q: Any, qd: Any) -> Any:
-    """What a law makes of a goal that has been there for long, in a motion; other inputs as they are."""
+def _torque(chain: Chain, body: Any, u: Any, q: Any, qd: Any) -> Any:
+    """Of a law that which it makes of a goal that has been there for long; of other inputs what the drive is known to make."""
     if getattr(chain.mechanism, "drive_law", None) is None:
-        return u
+        return driven(chain, body, u, q, qd)
     command = Command(jnp.zeros(()), jnp.asarray(MOMENT), u, u, lambda delay: u)
     signals = Signals(command.t, q, qd, jnp.zeros_like(q), command.h, command, qd)
-    return chain.commanded(signals, chain.start(q, qd, u, body).z)[0]
+    asked = chain.commanded(signals, chain.start(q, qd, u, body).z)[0]
+    return body.drive(chain.signature, asked, q, qd)
 
 
 def decimated_torque_lane(taps: np.ndarray) -> Lane:

@@ -1,0 +1,90 @@
+"""Typical magnitudes of a recording: what joints and inputs do in it, by which bounds, scales and probes are sized."""
+
+from __future__ import annotations
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float
+
+from jaxid.data.dataset import Dataset, Experiment
+from jaxid.dynamics.chain import Chain
+from jaxid.dynamics.parameter import Reference
+from jaxid.dynamics.parameter_vector import Layout
+from jaxid.numerics.export_cache import key_of, Traced
+from jaxid.numerics.kept import shared
+from jaxid.numerics.precision import float64
+from jaxid.problem import measured_motion
+from jaxid.problem.measured_motion import Motion
+from jaxid.problem.torque_filter import drive_torque
+from jaxid.simulation import sample_buffers as samples
+
+
+def inertia_torque(chain: Chain, q: Float[Array, "n nq"], qdd: Float[Array, "n nq"]) -> Float[Array, "n nq"]:
+    """Torque that accelerations take at rest, at each of n positions."""
+    body, still = chain.body(), jnp.zeros(chain.nq)
+    return jax.vmap(lambda q, a: body.inverse(q, still, a) - body.inverse(q, still, still))(q, qdd)
+
+
+def _inertia_program(layout: Layout) -> Traced:
+    """`inertia_torque` by all numbers of a layout, one program for all chains of its structure."""
+    form = layout.form
+    program = lambda theta, q, qdd: inertia_torque(form.model(theta), q, qdd)
+    return shared("inertia", form, lambda: Traced(program, key_of(inertia_torque, form.bare)))
+
+
+def typical_magnitudes(
+    dataset: Dataset, layout: Layout, theta: np.ndarray, motions: dict[str, Motion]
+) -> tuple[list[Reference], list[Reference]]:
+    """Of each joint, in N m and rad (N, m), and of each input channel, in its own unit, in the recordings to fit, or in all where
+    none is."""
+    fit = dataset.split("fit") or dataset.experiments
+    chain, nq = layout.chain, layout.chain.nq
+    iu, _ = samples.columns(dataset, chain)
+    size = [float(np.percentile(np.abs(np.concatenate([e.u[:, i] for e in fit])), 99)) for i in iu] if fit else []
+    if not fit:
+        omega = np.concatenate([r.omega for r in dataset.responses])
+        joints = [Reference(1.0, 1.0, 1.0, 2 * np.pi / float(omega.min()), np.pi / float(omega.max()))] * nq
+        size = [1.0] * len(iu)
+    elif not motions:
+        step = float(np.median(np.diff(fit[0].t)))
+        duration = max(float(e.t[-1] - e.t[0]) for e in fit)
+        torque = [1.0] * nq
+        if iu:
+            still = [np.zeros((len(e.t), 2 * nq)) for e in fit]
+            torque = [s or 1.0 for s in _largest(_driven(layout, theta, fit, iu, still))]
+        joints = [Reference(torque[j], 1.0, 1.0, duration, step) for j in range(nq)]
+    else:
+        used = [motions[e.name] for e in fit]
+        inertia = _of_inertia(layout, theta, used)
+        driven = np.zeros((0, 0))
+        if (asks := getattr(chain.mechanism, "drive_law", None)) is not None:  # what the law asks for says more
+            asked = asks.size(np.concatenate([e.u[:, iu[:nq]] for e in fit]) - np.concatenate([m.q for m in used]))
+            inertia = np.maximum(inertia, asked)
+        elif iu:
+            driven = _driven(layout, theta, fit, iu, [np.concatenate([m.q, m.qd], 1) for m in used])
+        if driven.size and not chain.direct:
+            inertia, driven = np.maximum(inertia, _largest(driven)), np.zeros((0, 0))
+        joints = measured_motion.references(fit, used, driven, inertia)
+    return joints, [joints[min(k, nq - 1)]._replace(torque=max(s, 1e-9)) for k, s in enumerate(size)]
+
+
+def _largest(x: np.ndarray) -> np.ndarray:
+    """What the columns of a series [samples n] seldom exceed."""
+    return np.percentile(np.abs(x), 99, axis=0)
+
+
+def _of_inertia(layout: Layout, theta: np.ndarray, used: list[Motion]) -> np.ndarray:
+    """Torque [nq] that the accelerations of motions seldom exceed."""
+    q, qdd = (np.concatenate([getattr(m, k) for m in used]) for k in ("q", "qdd"))
+    pick = np.linspace(0, len(q) - 1, 2000).astype(int)
+    with float64():
+        return _largest(np.asarray(_inertia_program(layout)(theta, q[pick], qdd[pick])))
+
+
+def _driven(
+    layout: Layout, theta: np.ndarray, runs: tuple[Experiment, ...], iu: list[int], motions: list[np.ndarray]
+) -> np.ndarray:
+    """Joint torque [samples nq] of the inputs of runs, along motions [time 2 nq]."""
+    pairs = zip(runs, motions, strict=True)
+    return np.concatenate([drive_torque(layout, theta, e.u[:, iu], motion) for e, motion in pairs])

@@ -1,0 +1,184 @@
+"""The way from a recorded channel to joint torque: the same recording in A, mA, counts and N m gives the same answers."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import Any
+
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+import jaxid
+from jaxid.conventions.missing_force import ForceFit, measured
+from jaxid.data.dataset import ModelSpec
+from jaxid.diagnosis.missing import joint_load
+from jaxid.diagnosis.torque.study import Study
+from jaxid.dynamics.chain import Chain
+from jaxid.dynamics.effect import Command, Signals
+from jaxid.dynamics.kinematics import modified_dh
+from jaxid.dynamics.parameter_vector import Layout
+from jaxid.errors import UsageError
+from jaxid.fitting.problem_builder import Bench
+from jaxid.identification.regression import read_run
+from jaxid.identification.run import _stated
+from jaxid.models import Joint, Panda, SerialArm, UR10, UR10e
+from jaxid.models.effects import CoulombFriction, DeadZone, ViscousFriction
+from jaxid.numerics.precision import float64
+from jaxid.problem.binding import bind, resolve_model
+from jaxid.problem.residual import InverseDynamics, OutputError
+from jaxid.problem.torque_filter import drive_torque
+
+
+TWO = modified_dh(a=[0, 0.4], alpha=[0, 0], d=[0.1, 0])
+ARMS = {"two": SerialArm(TWO), "ur10": UR10(), "ur10e": UR10e(), "panda": Panda()}
+UNITS = ("A", "mA", "count")
+#: A count of the drive, A.
+COUNT = 2.69e-3
+
+
+def gains_of(arm: Any) -> np.ndarray:
+    return np.array([14.87, 13.26, 11.13, 10.62, 11.03, 11.47, 9.0][: len(arm.prismatic)])
+
+
+def motion(n: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """t, joint positions and torques [time n] of a motion."""
+    t = np.arange(0, 4, 0.01)
+    phase = 2 * np.pi * np.outer(t, 0.3 + 0.11 * np.arange(n))
+    q = 0.5 * np.sin(phase + np.arange(n)) + 1e-5 * np.random.default_rng(0).standard_normal(phase.shape)
+    return t, q, 8.0 * np.cos(phase) + 3.0 * np.sign(np.cos(phase)) + 0.05 * np.sin(41 * phase)
+
+
+def recorded(arm: Any, unit: str) -> jaxid.Dataset:
+    """The same recording of an arm, its torque as a torque or as the current that makes it."""
+    n, gains = len(arm.prismatic), gains_of(arm)
+    t, q, tau = motion(n)
+    outputs = {f"q{j + 1}": q[:, j] for j in range(n)}
+    names = [f"tau{j + 1}" if unit == "N m" else f"current{j + 1}" for j in range(n)]
+    amperes = {"N m": 1 / gains, "A": np.ones(n), "mA": np.full(n, 1e-3), "count": np.full(n, COUNT)}[unit]
+    raw = tau / gains / amperes
+    if unit == "count":  # recorded as counts, with a scale that was stated
+        raw = raw * COUNT
+    inputs = dict(zip(names, raw.T, strict=True))
+    constants = {} if unit == "N m" else {f"drive_gain{j + 1}": float(gain) for j, gain in enumerate(gains)}
+    units = dict.fromkeys(inputs, "A" if unit == "count" else unit) | dict.fromkeys(outputs, "rad")
+    return jaxid.Dataset.from_arrays(
+        t, inputs, outputs, units=units, model=ModelSpec(arm.name, constants=constants), check_model=False
+    )
+
+
+def same(found: Any, wanted: Any) -> None:
+    """Equal to nine digits of the largest."""
+    found, wanted = np.asarray(found, float), np.asarray(wanted, float)
+    assert np.all(np.isfinite(wanted)) and np.any(wanted)
+    np.testing.assert_allclose(found, wanted, rtol=1e-9, atol=1e-9 * np.abs(wanted).max())
+
+
+@pytest.fixture(scope="module")
+def two() -> dict[str, Any]:
+    """The arm of two joints bound to its recording in each unit."""
+    return {unit: bind(ARMS["two"], recorded(ARMS["two"], unit), splits=False) for unit in ("N m", *UNITS)}
+
+
+@pytest.mark.parametrize("kind", ARMS)
+def test_every_arm_and_unit_gives_the_torque(kind: str) -> None:
+    arm, (_, q, tau) = ARMS[kind], motion(len(ARMS[kind].prismatic))
+    for unit in ("N m", *UNITS):
+        data = recorded(arm, unit)
+        chain = _chain(arm, data)
+        assert chain.direct and all(u == "N m" for _, u in chain.torque_channels)
+        same(drive_torque(Layout(chain), None, data.experiments[0].u, np.concatenate([q, 0 * q], 1)), tau)
+
+
+def _chain(arm: Any, data: jaxid.Dataset) -> Chain:
+    return _stated(resolve_model(arm, data), data)
+
+
+def _residual(binding: Any, residual: Any) -> np.ndarray:
+    problem = Bench(binding).problem(residual, "fit", binding.free, binding.theta)
+    return np.concatenate([r.ravel() for r in problem.residuals(problem.z(binding.theta))])
+
+
+def _missing(binding: Any) -> np.ndarray:
+    m = measured(binding)
+    assert m is not None
+    fit = ForceFit(binding, m)
+    return np.concatenate([fit.missing(binding.theta, m).ravel(), fit.norm(m)])
+
+
+def _by_torque(binding: Any) -> np.ndarray:
+    study = Study(binding, [CoulombFriction, ViscousFriction, DeadZone], None, None, False)
+    rows, _ = study.rows_with_effects(study.theta)
+    return np.concatenate([study.theta[binding.free], study.noise, *(x[:, :, -1].ravel() for x in rows.rows)])
+
+
+def _identified(binding: Any) -> np.ndarray:
+    chain = binding.chain
+    return read_run(binding.dataset, binding.dataset.experiments[0], chain, chain.mechanism.base(), 5.0, 10.0).tau
+
+
+def _load(binding: Any) -> np.ndarray:
+    (e,) = binding.dataset.experiments
+    return joint_load(binding, e, binding.motions[e.name])
+
+
+ROADS = {
+    "inverse_dynamics": lambda b: _residual(b, InverseDynamics()),
+    "output_error": lambda b: _residual(b, OutputError()),
+    "check": _missing,
+    "torque": _by_torque,
+    "identify": _identified,
+    "where": _load,
+    "typical": lambda b: np.array([r.torque for r in b.references]),
+}
+
+
+@pytest.mark.parametrize("unit", UNITS)
+@pytest.mark.parametrize("road", ROADS)
+def test_every_road_takes_a_current_for_its_torque(road: str, unit: str, two: dict[str, Any]) -> None:
+    same(ROADS[road](two[unit]), ROADS[road](two["N m"]))
+
+
+@pytest.mark.parametrize("unit,size", [("mN m", 1e-3), ("N cm", 1e-2), ("kgf cm", 0.0980665)])
+def test_a_joint_in_other_units_of_torque(unit: str, size: float) -> None:
+    t, q, tau = motion(1)
+    bound = [
+        bind(Joint(), jaxid.Dataset.from_arrays(t, {"tau": tau[:, 0] / s}, {"q": q[:, 0]}, units={"tau": u}), splits=False)
+        for u, s in (("N m", 1.0), (unit, size))
+    ]
+    for road in (lambda b: _residual(b, InverseDynamics()), _missing):
+        same(road(bound[1]), road(bound[0]))
+
+
+def test_an_effect_at_the_input_acts_in_the_unit_of_the_channel() -> None:
+    """A dead zone of a current is one of so many amperes, whatever an ampere makes."""
+    arm = ARMS["two"]
+    binding = bind(arm, recorded(arm, "A"), effects=["dead_zone@current1"], splits=False)
+    (i,) = binding.layout.of_effect("dead_zone", "current1")
+    assert binding.layout.entries[i].unit == "A"
+    chain = binding.layout.model(np.where(np.arange(len(binding.theta)) == i, 0.1, binding.theta))
+    with float64():
+        u, zero = jnp.array([0.3, 0.3]), jnp.zeros(2)
+        command = Command(jnp.zeros(()), jnp.full((), 1e-3), u, u, lambda d: u)
+        signals = Signals(command.t, zero, zero, zero, command.h, command, zero)
+        after, _ = chain.commanded(signals, chain.start(zero, zero, u).z)
+        same(after, gains_of(arm) * np.array([0.2, 0.3]))
+
+
+def test_a_response_counts_the_gain() -> None:
+    """Whatever a linear chain answers to a torque, it answers to a current times its gain."""
+    chain = _chain(ARMS["two"], recorded(ARMS["two"], "A"))
+    (gain,) = [e for e in chain.effects if e.name == "drive_gain"]
+    with float64():
+        found = gain.transfer(jnp.array([1.0, 9.0]))
+        assert found is not None
+        same(found[0], np.tile(gains_of(ARMS["two"]), (2, 1)))
+        assert not np.any(np.asarray(found[1]))
+
+
+def test_a_current_without_a_gain_is_refused() -> None:
+    data = recorded(ARMS["two"], "A")
+    assert data.model is not None
+    bare = replace(data, model=replace(data.model, constants={"drive_gain1": 14.87}))
+    with pytest.raises(UsageError, match="current2: in A.*drive_gain2"):
+        bind(ARMS["two"], bare)
