@@ -49,6 +49,15 @@ def joined_files(sources: Sequence[Source]) -> list[Joined]:
     return found
 
 
+def names_once(series: Arrays, joined: Sequence[Joined]) -> list[str]:
+    """Every column of all files under one name: its own, or `file.column` where another file has that too."""
+    names = list(series)
+    for join in joined:
+        taken = {own for name, own in join.names.items() if name == own and name not in series}
+        names += [name for name, own in join.names.items() if name in taken or (name != own and own not in taken)]
+    return names
+
+
 def join_columns(
     join: Joined,
     clock: Clock,

@@ -15,7 +15,7 @@ import numpy as np
 
 from jaxid.data.importers.arrays import Arrays
 from jaxid.data.importers.command import Asked, full_command
-from jaxid.data.importers.joining import Clock, join_columns, Joined, joined_files
+from jaxid.data.importers.joining import Clock, join_columns, Joined, joined_files, names_once
 from jaxid.data.importers.propose import proposal
 from jaxid.data.importers.runs import Paths, paths_of, refused, role_of, Run, runs_of, save_runs
 from jaxid.data.importers.source import find_column, numbers_of, parts_of, read_source, series_of, Source, stated_rate, times_of
@@ -70,7 +70,7 @@ def import_table(
     asked = Asked(sources, [j.source for j in joined], stated, rows, rate, out, overwrite)
     time = [w for w in wanted if w.name == "t"]
     if len(time) > 1 or len(wanted) == len(time) or (not time and rate is None and stated_rate(sources[0]) is None):
-        raise UsageError(proposal(asked.sources[0], out))  # TEMP
+        raise UsageError(proposal(asked))
     clock = Clock(time[0].column, time[0].unit) if time else Clock("", None)
     runs: list[Run] = []
     notes: list[str] = []
@@ -151,7 +151,7 @@ def _expanded(
     everything = list(dict.fromkeys([*series, *(name for join in joined for name in join.names)]))
     for w in wanted:
         if "*" in w.name:
-            names = captures_of(w.column, everything) or {}
+            names = captures_of(w.column, names_once(series, joined)) or captures_of(w.column, everything) or {}
             if not names:
                 message = f"no column matches {w.column!r} (there is: {', '.join(everything[:20])})"
                 problems.append(Problem(source.path.name, None, w.column, message, "Write 'q*=pos_*:rad' or 'q*=q[*]:rad'"))

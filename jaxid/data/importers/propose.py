@@ -3,12 +3,15 @@
 from __future__ import annotations
 
 import re
-import shlex
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
 
 from jaxid.data.importers.arrays import Arrays
+from jaxid.data.importers.channels import channels_of, Proposed
+from jaxid.data.importers.command import Asked, command_with
+from jaxid.data.importers.joining import joined_files, names_once
 from jaxid.data.importers.source import parts_of, series_of, Source, stated_rate
 from jaxid.data.table import Table
 from jaxid.data.time_axis import contradicted, impossible, PER_SECOND
@@ -18,31 +21,72 @@ from jaxid.data.time_axis import contradicted, impossible, PER_SECOND
 _TIME = re.compile(
     r"(?:.*[./])?_*(?:t|time|timestamp|time_?stamp|stamp|zeit|temps|x_value|clock)s?(?:_?(s|ms|us|ns|sec|seconds))?", re.I
 )
-_SHOWN, _EXAMPLES = 20, 2
+_SHOWN = 40  # columns and channels that are listed
 
 
-def proposal(source: Source, out: Any) -> str:
-    """The columns of a file, and a command with its time and two of its channels."""
+def proposal(asked: Asked) -> str:
+    """The columns of the files, and a command with all channels that they could be, which runs as it is printed."""
+    source = asked.sources[0]
     part = parts_of(source)[0]  # of several recordings, all of which are read by the same names
     series = series_of(part.columns, None)
-    shown = (
-        ", ".join(f"{n} ({source.units[n]})" if n in source.units else n for n in list(series_of(source.columns, None))[:_SHOWN])
-        or "no columns"
-    )
-    words = f" ({source.words})" if source.words else ""
-    time = _time(part, series)
+    joined = joined_files(asked.joined)
+    others = {name: (join, own) for join in joined for name, own in join.names.items() if name not in series}
+    time = None if asked.rate is not None else _time(part, series)
     clock = "" if time is None else time.removeprefix("t=").rpartition(":")[0] or time.removeprefix("t=")
-    rest = [n for n in series if n != clock and np.size(series[n]) != 1]
-    said = [*([] if time is None else [time]), *_channels(part, rest, clock)]
-    example = " ".join(
-        [f"jaxid import {source.kind}", shlex.quote(str(source.path)), *(f"--channel {shlex.quote(c)}" for c in said)]
-    )
+    own = [n for n in series if n != clock and np.size(series[n]) != 1 and _takes(n, series)]
+    once = names_once(series, joined)
+    more = [n for n, (join, k) in others.items() if n in once and k != clock and _takes(k, join.series)]
+    units = {n: join.source.units.get(k, "") for n, (join, k) in others.items()} | part.units
+    channels = channels_of([*own, *more], units, once)
+    said = [str(c) for c in channels[:_SHOWN]]
+    no_time = time is None and asked.rate is None and stated_rate(part) is None
+    command = command_with(asked, asked.stated.options(), [*([] if time is None else [time]), *said], asked.rate)
+    command = command.replace(" --channel ", " --rate HZ --channel ", 1) if no_time else command
+    words = f" ({source.words})" if source.words else ""
+    listed = _listed([*series_of(source.columns, None), *more], units)
+    return f"{source.path.name}{words} holds: {listed}; {_needed(part, time, no_time)}: {command} ({_remarks(channels)})"
+
+
+def _listed(names: Sequence[str], units: Mapping[str, str]) -> str:
+    """The columns with the units that the file states; of more than are shown, how many, and how to see them."""
+    shown = [f"{n} ({units[n]})" if units.get(n) else n for n in names[:_SHOWN]]
+    left = len(names) - len(shown)
+    more = f", and {left} more, the last {names[-1]!r} (name any of them, or a pattern such as 'q*=q_*:rad')" if left else ""
+    return (", ".join(shown) or "no columns") + more
+
+
+def _needed(part: Source, time: str | None, no_time: bool) -> str:
+    if no_time:
+        return "no column of times is found; state the sampling rate in place of HZ, and at least one channel with its unit"
     rate = stated_rate(part)
-    needed = "the time and " if time is not None or rate is None else f"(sampled at {rate[1]:g} Hz by {rate[0]!r}) "
-    return (
-        f"{source.path.name}{words} holds: {shown}; state {needed}at least one channel with its unit: {example} --out {out} "
-        "(roles input, output, auxiliary behind the unit where the name does not say it; --rate HZ where no time was recorded)"
-    )
+    if time is None and rate is not None:
+        return f"state (sampled at {rate[1]:g} Hz by {rate[0]!r}) at least one channel with its unit"
+    return "state the time and at least one channel with its unit"
+
+
+def _remarks(channels: Sequence[Proposed]) -> str:
+    """What of the proposal is a guess, and what only the user knows."""
+    said = ["roles input, output, auxiliary are proposed by the names; correct them"]
+    if unknown := [c.column for c in channels[:_SHOWN] if not c.unit]:
+        said.append(f"unit 1 stands where the file states none ({', '.join(unknown[:6])}): write theirs")
+    if drives := [c for c in channels if c.quantity == "current" and c.role == "input"]:
+        said.append(
+            f"{drives[0].column} is a current: a model that takes a force needs its constant, N/A or N m/A, as `scale` "
+            'of a channel with unit = "N" or "N m" in dataset.toml'
+        )
+    if (left := len(channels) - _SHOWN) > 0:
+        said.append(f"{left} more channels are left out of the command")
+    return "; ".join([*said, "--rate HZ where no time was recorded"])
+
+
+def _takes(name: str, series: Arrays) -> bool:
+    """Whether a column is one of numbers, and not the same as its only element."""
+    return f"{name}[1]" not in series and not (_alone(name, series)) and _numeric(series[name])
+
+
+def _alone(name: str, series: Arrays) -> bool:
+    base, _, element = name.rpartition("[") if name.endswith("]") else (name, "", "")
+    return bool(element) and base in series and f"{base}[1]" not in series and _numeric(series[base])
 
 
 def _time(source: Source, series: Arrays) -> str | None:
@@ -50,10 +94,12 @@ def _time(source: Source, series: Arrays) -> str | None:
     names = [n for n in series if _TIME.fullmatch(n)]
     if not names and stated_rate(source) is not None:
         return None
-    name = names[0] if names else next(iter(series), "TIME")
+    name = names[0] if names else next(iter(series), "")
     if name not in series:
-        return f"t={name}:s"
+        return None
     numbers = Table(source.path.name, {name: series[name]}, len(series[name]), source.rows).numbers(name).values
+    if not names and not (np.diff(numbers) > 0).all():
+        return None
     if not np.isfinite(numbers).any():  # dates
         return f"t={name}"
     match = _TIME.fullmatch(name)
@@ -67,23 +113,6 @@ def _unit(numbers: np.ndarray) -> str:
         return why[1]
     found = re.search(r'time_unit = "(\w+)"', " ".join(impossible(np.sort(numbers[np.isfinite(numbers)])) or ()))
     return found[1] if found else "s"
-
-
-def _channels(source: Source, names: list[str], clock: str) -> list[str]:
-    """`NAME=COLUMN:UNIT` of the first columns of numbers; elements of an array together."""
-    series = series_of(source.columns, None)
-    said: dict[str, str] = {}
-    for n in names:
-        base, _, element = n.rpartition("[") if n.endswith("]") else (n, "", "")
-        if (f"{n}[1]" in series) or (element and base in names and f"{base}[1]" not in series) or not _numeric(series[n]):
-            continue
-        word = re.sub(r"\W+", "_", re.split(r"[./](?=[^./]+$)", base)[-1]).strip("_")
-        word = word if re.match(r"[A-Za-z]", word) else "q" if "q" not in said else f"channel_{word}"
-        column = f"{base}[*]" if element and not clock.startswith(f"{base}[") else n
-        said.setdefault(word, f"{word}{'*' if column != n else ''}={column}:{source.units.get(n, 'UNIT')}")
-        if len(said) == _EXAMPLES:
-            break
-    return list(said.values())
 
 
 def _numeric(cells: Any) -> bool:

@@ -67,6 +67,15 @@ class Stated:
     header: int | None = None
     first: int | None = None
 
+    def options(self) -> str:
+        """The options that say it again."""
+        named = {"\t": "tab", " ": "space"}
+        said = [f"--separator {shlex.quote(named.get(self.separator, self.separator))}"] if self.separator else []
+        said += [f"--decimal {self.decimal}"] if self.decimal else []
+        said += [f"--header {self.header or 'none'}"] if self.header is not None else []
+        said += [f"--first {self.first}"] if self.first is not None else []
+        return " ".join(said)
+
 
 def read_text(path: Path, content: bytes, stated: Stated) -> tuple[Table, dict[str, str], Form]:
     """The table, units of its columns where the file has them, and how it is written.
