@@ -2,10 +2,8 @@
 
 from __future__ import annotations
 
-import sys
-
-from jaxid.cli.app import main
+from jaxid.cli.app import run
 
 
 if __name__ == "__main__":
-    sys.exit(main())
+    run()

@@ -1,8 +1,6 @@
 """`python -m jaxid.cli`."""
 
-import sys
-
-from jaxid.cli.app import main
+from jaxid.cli.app import run
 
 
-sys.exit(main())
+run()

@@ -6,6 +6,7 @@ import importlib
 import json
 import os
 import sys
+from contextlib import AbstractContextManager, nullcontext, suppress
 from keyword import iskeyword
 from pathlib import Path
 
@@ -29,7 +30,7 @@ from jaxid.cli.options import (
 )
 from jaxid.cli.output import Output
 from jaxid.errors import explain, FAILED, SUCCESS
-from jaxid.storage.stopping import INTERRUPTED
+from jaxid.storage.stopping import INTERRUPTED, stoppable
 
 
 #: Commands that live in modules of their own, as light to import as this one: name -> module that has it under that name.
@@ -300,6 +301,27 @@ def catalogue(kind: str, name: str | None, as_json: bool, quiet: bool) -> int:
     return SUCCESS
 
 
+#: Commands that end in their own way: a robot is brought to a stop, workers are told.
+IN_THEIR_OWN_WAY = ("record", "emulate", "batch")
+
+
+def run() -> None:
+    """The command line as a process, which ends with it: threads that still compile are not waited for."""
+    code = main()
+    if code == INTERRUPTED and not set(sys.argv[1:2]) & set(IN_THEIR_OWN_WAY):
+        for stream in (sys.stdout, sys.stderr):
+            with suppress(OSError, ValueError):
+                stream.flush()
+        os._exit(code)
+    sys.exit(code)
+
+
+def watched(arguments: list[str] | None) -> AbstractContextManager[None]:
+    """Within it Ctrl-C ends the process in time, also where compiled code does not hear of it."""
+    first = (sys.argv[1:] if arguments is None else arguments)[:1]
+    return nullcontext() if set(first) & set(IN_THEIR_OWN_WAY) else stoppable(terminal.interrupted)
+
+
 def main(arguments: list[str] | None = None) -> int:
     """Runs the command line and returns the exit code."""
     for stream in (sys.stdout, sys.stderr):
@@ -307,7 +329,7 @@ def main(arguments: list[str] | None = None) -> int:
         if callable(reconfigure := getattr(stream, "reconfigure", None)):
             reconfigure(errors="replace")
     try:
-        with terminal.warnings_said_once():
+        with terminal.warnings_said_once(), watched(arguments):
             code = cli.main(args=arguments, prog_name="jaxid", standalone_mode=False)
         sys.stdout.flush()
         return code or SUCCESS
@@ -330,4 +352,4 @@ def main(arguments: list[str] | None = None) -> int:
 
 
 if __name__ == "__main__":
-    sys.exit(main())
+    run()

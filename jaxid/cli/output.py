@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import json
 import os
-import sys
 from collections.abc import Callable
 from contextlib import ExitStack, suppress
 from pathlib import Path
@@ -29,6 +28,7 @@ class Output:
         self.out, self.as_json, self.quiet = out, as_json, quiet
         self.kept: Path | None = None  # what is saved by now
         self._latest: Any = None
+        self._told = False  # what was kept, after an interruption
         self._stack = ExitStack()
 
     def __enter__(self) -> Output:
@@ -90,10 +90,12 @@ class Output:
         from jaxid.storage.result_files import save_partial
 
         if result is None:
+            self._told = True
             return terminal.complain("nothing was finished yet")
         try:
             if result is not self._latest:
                 self.kept = save_partial(result, self.out, page=False)
+            self._told = True
             terminal.complain(f"what was finished is in {self.kept}")
             save_partial(result, self.out, page=True)
         except NotSaved as unsaved:
@@ -104,10 +106,10 @@ class Output:
         terminal.complain(f"{error}{kept}. Make room, or name another folder with --out")
 
     def _last_words(self) -> None:
-        """For a process that does not hear; its terminal gets back the cursor that a progress bar hides."""
-        with suppress(OSError):
-            if sys.stderr.isatty():
-                sys.stderr.write("\r\x1b[K\x1b[?25h")
+        """For a process that does not end in time."""
+        terminal.give_back()
+        if self._told:
+            return terminal.complain("interrupted")
         kept = "nothing was finished yet" if self.kept is None else f"what was finished is in {self.kept}"
         terminal.complain(f"interrupted; {kept}")
 

@@ -6,7 +6,7 @@ import sys
 import time
 import warnings
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from typing import Any
 
 from jaxid.errors import DatasetWarning
@@ -32,6 +32,19 @@ def warnings_said_once() -> Iterator[None]:
 
         warnings.showwarning = say_once
         yield
+
+
+def give_back() -> None:
+    """Shows the cursor again that a progress bar hides, for a process that ends at once."""
+    with suppress(OSError):
+        if sys.stderr.isatty():
+            sys.stderr.write("\r\x1b[K\x1b[?25h")
+
+
+def interrupted() -> None:
+    """The last words of a process that does not end in time and has nothing to keep."""
+    give_back()
+    complain("interrupted")
 
 
 #: Seconds between two lines of progress where standard error is no terminal.

@@ -11,8 +11,9 @@ from typing import Any
 
 
 INTERRUPTED = 130
-#: Seconds that work may take to hear of a signal: compiled code does not, and a compilation can take minutes.
-PATIENCE_S = 2.0
+#: Seconds from a signal to the end of the process: compiled code does not hear of it, a compilation can take minutes, and so can
+#: what is made of what was finished.
+PATIENCE_S = 1.5
 
 
 def ending() -> list[int]:
@@ -23,12 +24,12 @@ def ending() -> list[int]:
 
 @contextmanager
 def stoppable(last_words: Callable[[], None]) -> Iterator[None]:
-    """Inside, the first signal raises `KeyboardInterrupt`; where that is not heard in time, and at a second signal, the process
-    ends after its `last_words`. Everything worth keeping must be on the disk by then."""
+    """Inside, the first signal raises `KeyboardInterrupt`. Where what is inside has not ended in time all the same, and at a
+    second signal, the process ends after its `last_words`. Everything worth keeping must be on the disk by then."""
     if threading.current_thread() is not threading.main_thread():
         yield
         return
-    ends, heard = ending(), threading.Event()
+    ends, heard, over = ending(), threading.Event(), threading.Event()
 
     def stop(number: int, frame: Any) -> None:
         if heard.is_set():
@@ -38,7 +39,7 @@ def stoppable(last_words: Callable[[], None]) -> Iterator[None]:
 
     def watch() -> None:
         while got := os.read(reader, 1):
-            if got[0] in ends and not heard.wait(PATIENCE_S):
+            if got[0] in ends and not over.wait(PATIENCE_S):
                 last_words()
                 os._exit(INTERRUPTED)
         os.close(reader)
@@ -51,6 +52,7 @@ def stoppable(last_words: Callable[[], None]) -> Iterator[None]:
     try:
         yield
     finally:
+        over.set()
         signal.set_wakeup_fd(woken)
         os.close(writer)
         for number, handler in before.items():
