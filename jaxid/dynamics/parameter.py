@@ -34,10 +34,15 @@ class Reference(NamedTuple):
 
 @dataclasses.dataclass(frozen=True)
 class Quantity:
-    """A number in reference units, `coefficient * torque**a * speed**b * ...`."""
+    """A number in reference units, `coefficient * torque**a * speed**b * ...`, no more than `most` where that is physical."""
 
     coefficient: float
     powers: tuple[tuple[str, int], ...] = ()
+    most: float | None = None
+
+    def up_to(self, most: float) -> Quantity:
+        """The same, and no more than this many SI units, whatever the data show."""
+        return dataclasses.replace(self, most=most)
 
     def __mul__(self, other: Quantity | float) -> Quantity:
         return self._combine(other, 1)
@@ -65,13 +70,13 @@ class Quantity:
         value = self.coefficient
         for name, power in self.powers:
             value *= getattr(reference, name) ** power
-        return float(value)
+        return float(value) if self.most is None else min(float(value), self.most)
 
     def __str__(self) -> str:
         text = f"{self.coefficient:g}"
         for name, power in self.powers:
             text += f" {'*' if power > 0 else '/'} {name}" + (f"^{abs(power)}" if abs(power) > 1 else "")
-        return text
+        return text if self.most is None else f"{text}, at most {self.most:g}"
 
 
 TORQUE = Quantity(1.0, (("torque", 1),))

@@ -13,7 +13,7 @@ from typing import Any
 INTERRUPTED = 130
 #: Seconds from a signal to the end of the process: compiled code does not hear of it, a compilation can take minutes, and so can
 #: what is made of what was finished.
-PATIENCE_S = 1.5
+PATIENCE_S = 1.0
 
 
 def ending() -> list[int]:

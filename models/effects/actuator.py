@@ -87,7 +87,7 @@ class ActuatorLag(InputEffect):
     excitation: ClassVar[str] = "one multisine with energy up to ten times the bandwidth: a lag bends the phase, a delay does not"
     axis: ClassVar[str] = "command"
     seen: ClassVar[str] = "wherever the command changes faster than in {lag}"
-    plain: ClassVar[str] = "The drive follows its command with a time constant of {lag}."
+    plain: ClassVar[str] = "The drive answers late: it follows its command with a time constant of {lag}."
     check: ClassVar[str] = "Look at the step response of the current; the bandwidth of the current loop or a valve."
     lag: Array = param(0.0, 0.0, 0.3, scale=0.003, unit="s", meaning="time constant of the drive")
     probes: ClassVar[tuple[dict[str, Quantity | float], ...]] = ({"lag": 0.001}, {"lag": 0.006}, {"lag": 0.03}, {"lag": 0.12})
@@ -194,7 +194,7 @@ class BackEmf(InputEffect):
 
 
 class TorqueRipple(JointEffect):
-    """Torque that repeats with position: cogging, torque ripple, gear eccentricity."""
+    """Torque that repeats with position, at least once within the travel: cogging, torque ripple, gear eccentricity."""
 
     name: ClassVar[str] = "torque_ripple"
     equation: ClassVar[str] = "f = sine sin(order q) + cosine cos(order q)"
@@ -203,13 +203,13 @@ class TorqueRipple(JointEffect):
     excitation: ClassVar[str] = "slow constant speed over the whole travel, both ways"
     axis: ClassVar[str] = "position"
     seen: ClassVar[str] = "over and over with position, once every {order:period}"
-    plain: ClassVar[str] = "The torque pulsates with position: cogging of the motor or an eccentric gear."
+    plain: ClassVar[str] = "The torque repeats with position: cogging of the motor or an eccentric gear."
     check: ClassVar[str] = "Turn slowly over a whole revolution and compare the period with poles and teeth."
     sine: Array = param(0.0, -TORQUE, TORQUE, scale=0.02 * TORQUE, unit="{F}", meaning="amplitude of the sine")
     cosine: Array = param(0.0, -TORQUE, TORQUE, scale=0.02 * TORQUE, unit="{F}", meaning="amplitude of the cosine")
     order: Array = param(
         10.0,
-        4 / ANGLE,
+        6.2832 / ANGLE,
         400 / ANGLE,
         scale=0.5 / ANGLE,
         unit="rad/{X}",

@@ -214,6 +214,7 @@ class LuGreFriction(JointEffect):
     """Bristle friction: dry friction that builds up over a distance, with presliding before it.
 
     The bristle is followed exactly at the step's middle speed and enters the step implicitly, so it may be as stiff as it likes.
+    It gives over a small distance, and its own damping is over in milliseconds: what is softer is a spring or play.
     """
 
     name: ClassVar[str] = "lugre_friction"
@@ -232,13 +233,13 @@ class LuGreFriction(JointEffect):
     presliding: Array = param(
         0.01,
         1e-5 * ANGLE,
-        0.3 * ANGLE,
+        (0.3 * ANGLE).up_to(0.1),
         scale=1e-3 * ANGLE,
         unit="{X}",
         meaning="distance over which friction builds up",
         log=True,
     )
-    relaxation: Array = param(0.0, 0.0, 0.05, scale=0.002, unit="s", meaning="damping of the bristle over its stiffness")
+    relaxation: Array = param(0.0, 0.0, 0.01, scale=0.002, unit="s", meaning="damping of the bristle over its stiffness")
     probes: ClassVar[tuple[dict[str, Quantity | float], ...]] = (
         {"level": 0.05 * TORQUE, "presliding": 3e-4 * ANGLE},
         {"level": 0.05 * TORQUE, "presliding": 3e-3 * ANGLE},
@@ -297,10 +298,10 @@ class PositionDependentFriction(JointEffect):
 
 
 class TemperatureDependentFriction(JointEffect):
-    """Viscous friction that changes as the joint warms up by its own motion; a run starts cold.
+    """Viscous friction that changes with the work of the last seconds to minutes, as a joint warms up; a run starts cold.
 
     No recorded temperature is read: the warmth is a state of the joint, the mean of qd^2 (what viscous friction turns into heat)
-    over its time constant.
+    over its time constant. What follows the speed within a second warms nothing: it is another law of the speed, a cubic one.
     """
 
     name: ClassVar[str] = "temperature_dependent_friction"
@@ -310,18 +311,16 @@ class TemperatureDependentFriction(JointEffect):
     excitation: ClassVar[str] = "the same motion for many minutes from a cold start, with a long rest before it is repeated"
     axis: ClassVar[str] = "time"
     seen: ClassVar[str] = "otherwise late in a run than early, and after rests"
-    plain: ClassVar[str] = "Friction changes by {change} as the joint warms up, within about {time}."
-    check: ClassVar[str] = "Repeat a run cold and warm; measure the temperature of the gear."
+    plain: ClassVar[str] = "Friction changes by {change} with the work of the last {time}, as when a joint warms up."
+    check: ClassVar[str] = "Repeat a run cold and warm; measure the temperature of motor and gear."
     change: Array = param(
         0.0, -20 * TORQUE / (SPEED * SPEED * SPEED), 20 * TORQUE / (SPEED * SPEED * SPEED),
         scale=0.1 * TORQUE / (SPEED * SPEED * SPEED), unit="{F} s^3/{X}^3",
         meaning="viscous coefficient gained (lost where negative) per squared speed",
     )  # fmt: skip
-    time: Array = param(
-        10.0, 0.02 * DURATION, 5 * DURATION, scale=0.1 * DURATION, unit="s", meaning="time constant of warming", log=True
-    )
+    time: Array = param(10.0, 1.0, 5 * DURATION, scale=0.1 * DURATION, unit="s", meaning="time constant of warming", log=True)
     probes: ClassVar[tuple[dict[str, Quantity | float], ...]] = tuple(
-        {"change": -0.1 * TORQUE / (SPEED * SPEED * SPEED), "time": time * DURATION} for time in (0.05, 0.3, 2.0)
+        {"change": -0.1 * TORQUE / (SPEED * SPEED * SPEED), "time": time * DURATION} for time in (0.15, 0.3, 2.0)
     )
 
     def start(self, q):

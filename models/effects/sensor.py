@@ -64,7 +64,7 @@ class SensorScale(OutputEffect):
 
 
 class SensorLag(OutputEffect):
-    """A sensor or filter of first order, exact for a signal that runs straight from step to step, also before the run."""
+    """A sensor or its filter of first order, exact for a signal that runs straight from step to step, also before the run."""
 
     name: ClassVar[str] = "sensor_lag"
     equation: ClassVar[str] = "lag dy'/dt = y - y'"
@@ -73,9 +73,11 @@ class SensorLag(OutputEffect):
     excitation: ClassVar[str] = "one multisine with energy up to ten times the bandwidth, with a second sensor or a clock pulse"
     axis: ClassVar[str] = "reading"
     seen: ClassVar[str] = "wherever the reading changes faster than in {lag}"
-    plain: ClassVar[str] = "The reading follows with a time constant of {lag}: a filter in the sensor."
-    check: ClassVar[str] = "Look up the filter of the sensor or drive, and switch it off for the recording."
-    lag: Array = param(0.0, 0.0, 0.3, scale=0.003, unit="s", meaning="time constant of the sensor")
+    plain: ClassVar[str] = "The reading is filtered: it follows with a time constant of {lag}."
+    check: ClassVar[str] = (
+        "Look up the filter of the sensor, and switch it off for the recording; a drive that answers late looks alike."
+    )
+    lag: Array = param(0.0, 0.0, 0.1, scale=0.003, unit="s", meaning="time constant of the sensor")
     probes: ClassVar[tuple[dict[str, Quantity | float], ...]] = ({"lag": 0.001}, {"lag": 0.006}, {"lag": 0.03})
 
     def start(self, y, rate):

@@ -6,7 +6,7 @@ import numpy as np
 
 from jaxid.diagnosis.torque.library import Unit
 from jaxid.dynamics.effect import Effect
-from jaxid.dynamics.parameter import resolve, specs
+from jaxid.dynamics.parameter import Bound, resolve, specs
 from jaxid.problem.binding import Binding
 
 
@@ -27,7 +27,16 @@ def at_levels(kind: type[Effect], levels: np.ndarray) -> list[dict[str, float]]:
 
 def probes_of(b: Binding, kind: type[Effect], place: int) -> list[dict[str, float]]:
     reference = b.reference(kind, place)
-    found = [{f: float(resolve(v, reference)) for f, v in probe.items()} for probe in kind.probes]
+    own = specs(kind)
+
+    def within(field: str, value: Bound) -> float:
+        """A probe that the bounds allow: the numbers of a law that are not fitted here stay as they are probed."""
+        if field not in own:
+            return float(resolve(value, reference))
+        lower, upper = resolve(own[field].lower, reference), resolve(own[field].upper, reference)
+        return float(np.clip(resolve(value, reference), lower, upper))
+
+    found = [{f: within(f, v) for f, v in probe.items()} for probe in kind.probes]
     return [dict(x) for x in dict.fromkeys(tuple(p.items()) for p in found)]
 
 
