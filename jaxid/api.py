@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import time
 import warnings
 from collections.abc import Iterable, Mapping
 from dataclasses import replace
@@ -67,6 +68,7 @@ def fit(
     """
     from jaxid.fitting.recursion import in_blocks, Recursion
 
+    began = time.perf_counter()
     along = None
     if window is not None or forgetting is not None or block_s is not None:
         if window is None and forgetting is None:
@@ -88,7 +90,8 @@ def fit(
         data = in_blocks(data, block_s)
     binding = bind(model, data, effects=effects, without=without)
     compared = resolve_residual(residual, cutoff_hz) if cutoff_hz is not None else residual
-    return replace(_fit(binding, fitter, compared, loss, seed, budget, progress, solver, along), data=checked.findings)
+    found = _fit(binding, fitter, compared, loss, seed, budget, progress, solver, along)
+    return replace(found, data=checked.findings, wall_time_s=time.perf_counter() - began)
 
 
 def _checked(model: object, dataset: Dataset, without: tuple[str, ...], as_recorded: bool) -> Checked:

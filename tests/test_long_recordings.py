@@ -153,8 +153,10 @@ def test_the_estimate_grows_with_what_there_is():
     small, large = recording(1600), recording(16_000)
     assert capacity.need("fit", small, 1).bytes < capacity.need("fit", large, 1).bytes
     assert capacity.need("fit", large, 1).seconds < capacity.need("diagnose", large, 1, 10).seconds
-    many = dataclasses.replace(capacity.need("fit", large, 1), bytes=3.2e9, seconds=1200.0)
-    assert many.large and str(many) == "fit of 16,000 rows in 1 run: about 3.2 GB and 20 minutes"
+    many = dataclasses.replace(capacity.need("diagnose", large, 1, 10), bytes=3.2e9, seconds=1200.0)
+    assert many.large and str(many) == "diagnose of 16,000 rows in 1 run: about 3.2 GB and 20 minutes"
+    fit = dataclasses.replace(capacity.need("fit", large, 1), bytes=1e9, seconds=1e5)
+    assert not fit.large and str(fit) == "fit of 16,000 rows in 1 run: about 1.0 GB", "how far a fit has to go is not known"
 
 
 def test_a_limit_of_the_address_space_counts(monkeypatch):

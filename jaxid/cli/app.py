@@ -324,6 +324,7 @@ def watched(arguments: list[str] | None) -> AbstractContextManager[None]:
 
 def main(arguments: list[str] | None = None) -> int:
     """Runs the command line and returns the exit code."""
+    terminal.begin()
     for stream in (sys.stdout, sys.stderr):
         # A terminal that cannot show `±` gets `?` instead of an error; streams replaced by others stay as they are.
         if callable(reconfigure := getattr(stream, "reconfigure", None)):

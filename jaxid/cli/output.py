@@ -76,6 +76,7 @@ class Output:
             terminal.say(text(result))
             if (page := self.out / "report.html").is_file() and self.kept is None:
                 terminal.say(f"The report with pictures: {page}")
+            terminal.say_time()
 
     def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, trace: Any) -> None:
         self._progress.stop()

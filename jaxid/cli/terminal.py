@@ -10,7 +10,7 @@ from contextlib import contextmanager, suppress
 from typing import Any
 
 from jaxid.errors import DatasetWarning
-from jaxid.wording import clean, complain as complain, one_line
+from jaxid.wording import clean, complain as complain, number, one_line
 
 
 def say(text: object) -> None:
@@ -32,6 +32,19 @@ def warnings_said_once() -> Iterator[None]:
 
         warnings.showwarning = say_once
         yield
+
+
+_BEGAN = [time.monotonic()]  # the command; one process may run several, one after the other
+
+
+def begin() -> None:
+    """A command begins."""
+    _BEGAN[0] = time.monotonic()
+
+
+def say_time() -> None:
+    """How long the command took, reading, checking, compiling and its page included."""
+    say(f"The command took {number(time.monotonic() - _BEGAN[0])} s")
 
 
 def give_back() -> None:

@@ -35,7 +35,8 @@ PER_CANDIDATE = 1.5
 
 @dataclass(frozen=True)
 class Need:
-    """What some work on so many rows of so many runs needs: bytes at its peak and seconds, both within a factor of about two."""
+    """What some work on so many rows of so many runs needs: bytes at its peak and seconds, both within a factor of about two. The
+    seconds of a fit depend on its fitter and on how far it has to go: nobody is told them."""
 
     work: str
     rows: int
@@ -44,14 +45,17 @@ class Need:
     seconds: float
 
     def __str__(self) -> str:
-        minutes = f"{self.seconds / 60:.0f} minutes" if self.seconds > 90 else "a minute or two"
         runs = "1 run" if self.runs == 1 else f"{self.runs:,} runs"
-        return f"{self.work} of {self.rows:,} rows in {runs}: about {self.bytes / 1e9:.1f} GB and {minutes}"
+        said = f"{self.work} of {self.rows:,} rows in {runs}: about {self.bytes / 1e9:.1f} GB"
+        if self.work == "fit":
+            return said
+        minutes = f"{self.seconds / 60:.0f} minutes" if self.seconds > 90 else "a minute or two"
+        return f"{said} and {minutes}"
 
     @property
     def large(self) -> bool:
         """Whether it is worth a word before it begins."""
-        return self.bytes > SMALL_BYTES or self.seconds > SMALL_S
+        return self.bytes > SMALL_BYTES or (self.work != "fit" and self.seconds > SMALL_S)
 
 
 def need(work: str, dataset: Dataset, joints: int, candidates: int = 0) -> Need:

@@ -18,7 +18,7 @@ from jaxid.diagnosis import how_far as shrinking, jitter as timing
 from jaxid.diagnosis.account import effect_estimates, fit_of, notes_of, ranked, traces, where_it_lies
 from jaxid.diagnosis.believable import beside_bounds, doubts
 from jaxid.diagnosis.claim import Judge
-from jaxid.diagnosis.goals.run import begin_simulations, dear, diagnose_led, led, Offer, REFITS, stands, TOO_DEAR
+from jaxid.diagnosis.goals.run import begin_simulations, dear, diagnose_led, led, Offer, REFITS, TOO_DEAR
 from jaxid.diagnosis.hypothesis import candidates, check_asked, possible, Search
 from jaxid.diagnosis.last_resort import asked_last, first_asked
 from jaxid.diagnosis.next_experiment import advice, rivals_of
@@ -120,7 +120,7 @@ def begin_compiling(
 
 def _looked_at(nominal: Chain, dataset: Dataset, library: Sequence[type[Effect]]) -> Dataset:
     """As much of a dataset as there is room and time for."""
-    refits = REFITS if led(nominal) and stands(nominal, dataset) else sum(len(nominal.offers(k)) for k in library)
+    refits = REFITS if led(nominal) else sum(len(nominal.offers(k)) for k in library)
     return shortened(dataset, need("diagnose", dataset, nominal.nq, refits)) if dataset.experiments else dataset
 
 

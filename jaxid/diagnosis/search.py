@@ -33,6 +33,7 @@ from jaxid.diagnosis.selection import (
     close_to_noise,
     equals,
     finished,
+    in_lead,
     indistinct,
     joint_loss,
     mirrored,
@@ -350,7 +351,8 @@ class Searcher:
             self.progress("screen", len(h.effects), 3, f"{len(ranked or by_torque)} candidates react to the data")
         kept = shortlist(self.bench, ranked, by_torque, lambda c: bool(base[str(c)]), not h.effects)
         if self.progress:
-            self.progress("refit", len(h.effects), 3, f"{len(kept)} candidates")
+            told = (f"{len(kept)} candidates", in_lead(self.known.values()))
+            self.progress("refit", len(h.effects), 3, "; ".join(filter(None, told)))
         return self.refit(beside(self.bench, h, kept, by_torque, base))
 
     def _questioned(self, h: Hypothesis) -> Hypothesis:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 
 import numpy as np
 
@@ -12,12 +12,21 @@ from jaxid.diagnosis.shortlist import TIMING
 from jaxid.diagnosis.thresholds import LIMITS
 from jaxid.fitting.problem_builder import Bench
 from jaxid.problem.residual import Residual
+from jaxid.wording import listed, times
 
 
 def joint_loss(h: Hypothesis) -> float:
     """Mean square over fit and validation samples together."""
     total = h.fit_loss * h.path.count + h.validation.loss * h.validation.count
     return total / (h.path.count + h.validation.count)
+
+
+def in_lead(known: Iterable[Hypothesis]) -> str:
+    """What explains most by now, and what it leaves, as a line of progress says it; nothing before anything was refitted."""
+    lead = min((h for h in known if h.effects), key=joint_loss, default=None)
+    if lead is None:
+        return ""
+    return f"so far {listed(map(str, lead.effects))}: {times(np.sqrt(joint_loss(lead)))} times the noise left"
 
 
 def significant(before: Hypothesis, after: Hypothesis) -> bool:

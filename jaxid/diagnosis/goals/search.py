@@ -10,7 +10,7 @@ import numpy as np
 from jaxid.diagnosis.evidence import held_out, knowledge
 from jaxid.diagnosis.goals.propose import as_vector, candidates_of, Proposal
 from jaxid.diagnosis.hypothesis import Candidate, Hypothesis, Search
-from jaxid.diagnosis.selection import indistinct, significant
+from jaxid.diagnosis.selection import in_lead, indistinct, joint_loss, significant
 from jaxid.diagnosis.thresholds import LIMITS
 from jaxid.diagnosis.verdict import judge, level
 from jaxid.dynamics.effect import JointEffect
@@ -42,13 +42,14 @@ class Decider:
     total: int = 1
     evaluations: int = field(default=0)
     slopes: Slopes | None = None  # of the nominal model's free runs, where its fit ended
+    lead: list[Hypothesis] = field(default_factory=list)  # what explained most so far, for the line of progress
     asked: frozenset[int] = frozenset()  # numbers of the model that are asked for as effects
 
     def refit(self, effects: Sequence[Candidate], theta: np.ndarray, like: Path | None = None) -> Hypothesis:
         """A model with these effects fitted to the free runs from numbers theta; its runs begin as those of `like`."""
-        told = " and ".join(map(str, effects)) or "nominal model"
+        told = (" and ".join(map(str, effects)) or "nominal model", in_lead(self.lead))
         if self.progress:
-            self.progress("simulated", self.done, self.total, told)
+            self.progress("simulated", self.done, self.total, "; ".join(filter(None, told)))
         free = [*(i for i in self.bench.binding.free if i not in self.asked), *(i for c in effects for i in c.index)]
         p = self.bench.problem(OutputError(), "fit", free, theta)
         if like is None:
@@ -69,7 +70,10 @@ class Decider:
     def _judged(self, effects: Sequence[Candidate], path: Path) -> Hypothesis:
         theta = path.problem.theta(path.z)
         splits = [held_out(self.bench, "validation", [theta], OutputError(), [knowledge(path)])]
-        return Hypothesis(tuple(effects), theta, path, splits[0][0])
+        found = Hypothesis(tuple(effects), theta, path, splits[0][0])
+        if effects:
+            self.lead = [min([*self.lead, found], key=joint_loss)]
+        return found
 
     def settled(self, h: Hypothesis) -> Hypothesis:
         """The same refitted to the fit and validation runs: once these have chosen, its numbers are those of all of them."""
