@@ -204,7 +204,6 @@ def test_an_approximate_row_says_so_and_is_near(bench, name, parameters, effects
     found, share, size = error_over_size(bench, name, parameters, effects, tmp_path)
     assert {r.how for r in found.rows} == {"approximate"}
     assert size > 1e-3 and share < 0.1, f"{name}: {100 * share:.2f} % of {size:.3g} rad"
-    assert "solreffriction" in (tmp_path / "arm.xml").read_text()
 
 
 # ---- the user's own text
@@ -478,6 +477,50 @@ def test_base_parameters_go_to_the_nearest_bodies_that_can_exist(tmp_path):
     np.testing.assert_allclose(base.values(phi), beta, atol=2e-3 * np.abs(beta).max())
 
 
+def branched(tmp_path) -> Path:
+    """A URDF of two joints in a row, with a third one on a branch of its own."""
+    link = (
+        '<inertial><origin xyz="{at} 0 0"/><mass value="{m}"/><inertia ixx="1e-3" ixy="0" ixz="0" iyy="9e-3" iyz="0" izz="9e-3"/>'
+    )
+    joint = '<joint name="{j}" type="revolute"><parent link="{up}"/><child link="{l}"/><origin xyz="0.3 0 0"/><axis xyz="0 1 0"/>'
+    joint += '<limit lower="-2" upper="2" effort="9" velocity="9"/></joint>'
+    rows = [("lift", "trunk", "upper", 1.6, 0.12), ("bend", "upper", "fore", 0.9, 0.1), ("pan", "trunk", "head", 0.8, 0.05)]
+    made = [
+        f'<link name="{l}">{link.format(at=at, m=m)}</inertial></link>{joint.format(j=j, up=up, l=l)}' for j, up, l, m, at in rows
+    ]
+    path = tmp_path / "branched.urdf"
+    path.write_text(f'<robot name="b"><link name="trunk"/>{made}</robot>')
+    return path
+
+
+@pytest.mark.parametrize("names", [("lift", "bend"), ("q1", "q2")])
+def test_an_identified_chain_of_a_file_that_branches(tmp_path, names):
+    from jaxid.models import SerialArm
+    from jaxid.robots.arms import table_of
+    from jaxid.robots.urdf_tree import read_urdf_tree
+
+    path = branched(tmp_path)
+    tree = read_urdf_tree(path)
+    arm: Any = SerialArm(table_of(tree.locked({"pan": 0.0})))
+    base = arm.base()
+    split = lambda name: (name.rstrip("0123456789"), int(name[-1]) - 1)
+    phi = np.array([float(np.asarray(getattr(arm, kind))[j]) for kind, j in map(split, base.standard)])
+    beta = base.values(phi) * np.where(np.array([n.startswith("mx") for n in base.names]), 1.3, 1.0)
+    rows = [{"name": n, "value": float(b), "std": 1e-3, "unit": "kg m"} for n, b in zip(base.names, beta, strict=True)]
+    friction = [{"joint": j, "F_c": entry(0.3), "F_v": entry(0.2)} for j in names]
+    content = {"kind": "identification", "model": "serial_arm", "base_parameters": rows, "friction": friction}
+    found = export(content, "urdf", robot=path)
+    after = read_urdf_tree(path, found.files["branched.urdf"])
+    head = tree.links.index("head")
+    np.testing.assert_array_equal(after.inertia[head], tree.inertia[head])
+    assert after.frictionloss.tolist() == [0.3, 0.3, 0.0] and after.damping[:, 0].tolist() == [0.2, 0.2, 0.0]
+    assert not np.allclose(after.inertia[1], tree.inertia[1])
+    short = content | {"friction": friction[:1]}
+    short["friction"][0] = {**friction[0], "joint": "q1"}
+    with pytest.raises(jaxid.UsageError, match=r"model\.joints"):  # the first of either branch
+        export(short, "urdf", robot=path)
+
+
 # ---- what strangers write
 
 
@@ -728,3 +771,71 @@ def test_a_limit_in_one_direction_is_not_called_exact(arm):
     rows = export(fit({"damping@lift": 0.3}, path=arm, drive=law), "mjcf").rows
     (row,) = [r for r in rows if r.effect == "saturation"]
     assert row.how == "approximate" and "no limit in one direction" in row.note
+
+
+# ---- what is written is nearer to the recording
+
+
+#: One joint that a drive holds, run in steps of 4 ms: first-order steps make its inertia h / 2 (0.8 + 3) more.
+STEPPED = """<mujoco><compiler angle="radian"/><option timestep="{step}" integrator="{integrator}" gravity="0 0 0"/>
+<worldbody><body><joint name="q" axis="0 1 0" armature="{armature}" damping="0.8" frictionloss="{dry}"/>
+<inertial pos="0 0 0" mass="1" diaginertia="1e-3 1e-3 1e-3"/></body></worldbody>
+<actuator><position joint="q" kp="60" kv="3"/></actuator></mujoco>"""
+
+
+def stepped_fit(path: Path, armature: float, effects=(), **numbers: float):
+    law = {"kp": 60.0, "kd": 3.0, "gain": 1.0, "lowest": None, "highest": None, "offset": 0.0, "delay": 0.0, "lag": 0.0}
+    drive = {"origin": "file", "kind": "pd", "period": 0.0, "joints": {"q": law}}
+    return fit({"armature@q": armature} | numbers, effects, path, joints=["q"], drive=drive)
+
+
+def samples(text: str, late: float = 0.0) -> np.ndarray:
+    """Positions every 4 ms of a run of 1 s to goals that jump every 40 ms, `late` s late."""
+    model = mujoco.MjModel.from_xml_string(text)
+    data, step = mujoco.MjData(model), float(model.opt.timestep)
+    goals = np.random.default_rng(3).normal(0, 0.5, 25)
+    goals[0] = 0.0
+    every, rows = round(0.004 / step), []
+    for k in range(round(1.0 / step)):
+        if k % every == 0:
+            rows.append(data.qpos[0])
+        data.ctrl[0] = goals[int((max(0.0, k * step - late) + 1e-9) / 0.04)]
+        mujoco.mj_step(model, data)
+    return np.array(rows)
+
+
+@pytest.mark.parametrize("integrator", ["Euler", "implicitfast"])
+def test_what_the_files_steps_add_is_not_written_a_second_time(tmp_path, integrator):
+    path = tmp_path / "one.xml"
+    path.write_text(STEPPED.format(step=0.004, integrator=integrator, armature=0.03, dry=0))
+    truth = samples(STEPPED.format(step=1e-4, integrator="RK4", armature=0.12, dry=0), late=0.02)
+    found = export(stepped_fit(path, 0.12, [("input_delay", "q_cmd", {"delay": 0.02})]), "mjcf")
+    off = np.sqrt(np.mean((samples(found.files["one.xml"]) - truth) ** 2))
+    plain = STEPPED.format(step=0.004, integrator=integrator, armature=0.12, dry=0)
+    twice = np.sqrt(np.mean((samples(plain, late=0.02) - truth) ** 2))
+    assert off < 0.2 * twice, f"{off:.3g} rad, {twice:.3g} without the steps"
+    assert any(integrator.lower() in note for note in found.notes)
+
+
+def test_a_number_that_the_files_steps_explain_stays(tmp_path):
+    path = tmp_path / "one.xml"
+    path.write_text(STEPPED.format(step=0.004, integrator="implicitfast", armature=0.12, dry=0))
+    assert not export(stepped_fit(path, 0.12 + 0.002 * 3.8), "mjcf").carries
+    assert not export(stepped_fit(path, 0.12), "mjcf").carries  # of a machine that does not step
+
+
+def test_friction_is_hardened_only_where_the_recording_is_nearer_with_it(tmp_path):
+    path = tmp_path / "one.xml"
+    path.write_text(STEPPED.format(step=0.001, integrator="implicitfast", armature=0.03, dry=0.1))
+    found = stepped_fit(path, 0.03, (), **{"frictionloss@q": 1.5})
+    untried = export(found, "mjcf")
+    assert "solreffriction" not in untried.files["one.xml"] and any("--data" in n for n in untried.notes)
+    for hard in (True, False):
+        asked: list[bool] = []
+
+        def trial(files, name, hard=hard, asked=asked):
+            asked.append("solreffriction" in files[name])
+            return {"q": 1.0 if asked[-1] == hard else 2.0}
+
+        told = export(found, "mjcf", trial=trial)
+        assert ("solreffriction" in told.files["one.xml"]) == hard and True in asked and False in asked

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
@@ -20,23 +21,27 @@ from jaxid.errors import FAILED, SUCCESS, UsageError
 @click.option("--to", required=True, metavar="F", help=f"{', '.join(TARGETS)}.")
 @click.option("--robot", type=click.Path(path_type=Path), metavar="FILE", help="The file to patch; default: the result's own.")
 @click.option("--ranges", is_flag=True, help="Also ranges for domain randomisation, by what the data leave open.")
+@click.option("--data", type=click.Path(path_type=Path), metavar="DIR", help="The recording to try an MJCF's patch on.")
 @OUT
 @output_options
-def export(result, to, robot, ranges, out, as_json, quiet) -> int:
+def export(result, to, robot, ranges, data, out, as_json, quiet) -> int:
     """Carry a diagnosis, a fit or an identification back into a simulator.
 
     Writes the patched file or the code, export.json (for each effect and number the field that carries it) and source.json into
-    DIR; with --ranges also ranges.json. Exit code 1 where nothing can be carried over.
+    DIR; with --ranges also ranges.json. A patched MJCF is tried in MuJoCo on the recording, which is looked for beside the
+    robot's file and the result. Exit code 1 where nothing can be carried over.
     """
     content = read_result(result)
     from jaxid import runtime
 
     runtime.prepare()
+    from jaxid.fitting.tried import recording_of
     from jaxid.report.carried_text import export_text
     from jaxid.robots.export.run import export as exported
     from jaxid.robots.export.save import save
 
-    found = exported(content, to, robot, ranges, result.parent)
+    trial = recording_of(content, result.parent, data) if to == "mjcf" and isinstance(content, Mapping) else None
+    found = exported(content, to, robot, ranges, result.parent, trial)
     writable_folder(out)
     save(found, out)
     if as_json:

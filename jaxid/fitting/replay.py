@@ -84,7 +84,7 @@ def run_replay(dataset: Dataset, robot: Path, against: Path | None) -> Replay:
     source = None if against is not None else _source(robot)
     notes: list[str] = []
     simulated, starts = (None, None) if against is not None else _by_jaxid(dataset, data, robot, tree, source, notes)
-    starts = starts or [_measured_start(e, data, joints_of(data, tree)) for e in data.experiments]
+    starts = starts or [measured_start(e, data, joints_of(data, tree)) for e in data.experiments]
     ours = in_mujoco(data, robot, tree, source, starts, notes)
     other = "jaxid" if against is None else "against"
     if against is not None:
@@ -183,7 +183,7 @@ def _own_actuators(tree: Tree, joints: tuple[str, ...]) -> bool:
     return all(j in tree.actuators and tree.actuators[j].kind == "position" for j in joints)
 
 
-def _measured_start(e: Experiment, data: Dataset, joints: tuple[str, ...]) -> np.ndarray:
+def measured_start(e: Experiment, data: Dataset, joints: tuple[str, ...]) -> np.ndarray:
     """The stated start, else positions of the first sample and speeds of the first samples, 0 where the run begins at rest."""
     columns = [[c.name for c in data.outputs].index(j) for j in joints]
     y = e.y[:, columns]

@@ -6,6 +6,7 @@ from typing import TYPE_CHECKING
 
 from jaxid import wording
 from jaxid.report import plot, text
+from jaxid.report.other_numbers import first_of_all, other_numbers, other_places
 from jaxid.report.page import Section
 
 
@@ -48,7 +49,7 @@ def words(effect: EffectEstimate) -> str:
 def headline(diagnosis: Diagnosis) -> str:
     which = diagnosis.which
     if which.verdict == "none":
-        return "Nothing is missing: the model reaches the noise."
+        return other_numbers(diagnosis) or "Nothing is missing: the model reaches the noise."
     if not text.measured(diagnosis.how_far):
         return "Nothing can be judged: the data kept for it stand still."
     if which.verdict == "unknown":
@@ -59,6 +60,8 @@ def headline(diagnosis: Diagnosis) -> str:
 def where_card(diagnosis: Diagnosis) -> tuple[str, list[str]]:
     if diagnosis.which.verdict != "none" and not diagnosis.where:
         return "In no one place", ["No joint, direction or time holds more of it than chance would put there."]
+    if other_numbers(diagnosis):
+        return other_places(diagnosis)
     if diagnosis.which.verdict == "none":
         return "Nowhere above the noise", ["What the simulation misses is no more than noise."]
     first = diagnosis.where[0]
@@ -86,7 +89,8 @@ def which_card(diagnosis: Diagnosis) -> tuple[str, list[str]]:
         hidden = [u for u in diagnosis.unseen if u.moved and not u.absorbed]
         many = f"{len(hidden)} effects" if len(hidden) > 1 else "one effect"
         rest = f"Other motions may show more: {many} could hide in these recordings (below)." if hidden else ""
-        return fact, [s for s in (which.text or text.which_sentence(which), rest) if s]
+        said = first_of_all(diagnosis, which.text or text.which_sentence(which))
+        return fact, [s for s in (said, rest) if s]
     sentences = text.meaning(which)
     for effect in which.effects:
         prefix = f"{words(effect)}: " if len(which.effects) > 1 else ""

@@ -9,6 +9,7 @@ from typing import Any, TYPE_CHECKING
 from jaxid.conventions.finding import data_lines
 from jaxid.diagnosis.cause import words
 from jaxid.diagnosis.reasons import WithinAStep
+from jaxid.report.other_numbers import first_of_all
 from jaxid.wording import (
     by_effect,
     CLOSE,
@@ -262,13 +263,16 @@ def diagnosis_text(diagnosis: Diagnosis) -> str:
     """About ten lines: where, which, how far, what next."""
     which, how_far = diagnosis.which, diagnosis.how_far
     channels = telling(how_far)[:3]
+    verdict = first_of_all(diagnosis, which_sentence(which, how_far))
     parts = [
         *map(wrapped, data_lines(diagnosis.data)),
         f"{one_line(diagnosis.dataset)}, model {one_line(diagnosis.model)}{COMPARED.get(diagnosis.final.simulation, '')}",
         joint_table(how_far.per_joint),
         paragraph("STATED", stated_sentences(diagnosis.final.stated, diagnosis.which.effects)),
         "" if which.verdict == "none" else paragraph("WHERE", (where_sentence(f) for f in diagnosis.where[:2])),
-        paragraph("WHICH", [which_sentence(which, how_far), *meaning(which), confusable_sentence(which)]),
+        paragraph(
+            "WHICH", [first_of_all(diagnosis, which_sentence(which, how_far)), *meaning(which), confusable_sentence(which)]
+        ),
         paragraph(
             "HOW FAR",
             [

@@ -17,6 +17,7 @@ from jaxid.dynamics.rigid_body import about_origin
 from jaxid.errors import UsageError
 from jaxid.robots.bodies import fault
 from jaxid.robots.mjcf_text import expanded
+from jaxid.robots.steps import steps_of
 from jaxid.robots.tree import Actuator, Coupling, Tree, turned
 from jaxid.wording import listed
 
@@ -216,6 +217,7 @@ class _Reader:
             np.full(len(j), np.inf), np.array([max(abs(low), abs(high)) for low, high in force]),
             couplings, actuators, self.poses(number, joints), tuple(map(float, m.opt.gravity)), "world", (),  # type: ignore[arg-type]
             tuple(dict.fromkeys(self.notes)), trunk=tuple(trunk.tolist()), root=tuple(root.ravel().tolist()), carrier=base,
+            steps=steps_of(self.mj, m),
         )  # fmt: skip
         return tree.locked(fixed)
 

@@ -15,6 +15,7 @@ import numpy as np
 
 from jaxid.dynamics.rigid_body import moved, Placements
 from jaxid.errors import nearest, UsageError
+from jaxid.robots.steps import Steps
 
 
 #: Nodes of a base that floats, from the world to the base: three slides, then Rz(yaw) Ry(pitch) Rx(roll).
@@ -58,7 +59,8 @@ class Tree:
     "" for a node between two joints of one body). `damping` [n 3]: f = d1 v + d2 v |v| + d3 v^3. Limits are infinite where
     unknown. `held`: where joints of the file that do not move here stand. `trunk`: ten numbers of the base itself about the
     base's frame, `carrier` that link's name, and `root` [16], row by row, its pose in it where it is free to move in the file.
-    `floats`: the first six nodes are the base's own freedom (see `robots.floating`).
+    `floats`: the first six nodes are the base's own freedom (see `robots.floating`). `steps`: those of the simulator that the
+    file is of, where they add to its numbers.
     """
 
     file: str
@@ -92,6 +94,7 @@ class Tree:
     root: tuple[float, ...] = tuple(np.eye(4).ravel().tolist())
     carrier: str = "base"
     floats: bool = False
+    steps: Steps | None = None
 
     @property
     def n(self) -> int:
@@ -270,7 +273,8 @@ class Stated:
 
     def __init__(self, tree: Tree):
         self.tree = tree
-        parts = [repr(v) if not isinstance(v, np.ndarray) else v.tobytes().hex() for v in vars(tree).values()]
+        own = [v for k, v in vars(tree).items() if k != "steps"]  # which are of another simulator
+        parts = [repr(v) if not isinstance(v, np.ndarray) else v.tobytes().hex() for v in own]
         self._key = hashlib.sha256("\n".join(parts).encode()).hexdigest()
 
     def __eq__(self, other: object) -> bool:

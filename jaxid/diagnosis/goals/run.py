@@ -147,6 +147,8 @@ def diagnose_led(
         found = answer(own, names if stated.lacks else (), lambda b, offer: road(taken.off(b), offer, stated.decided), step)
         found = replace(found, which=replace(found.which, text=f"{found.which.text} {stated.said()}".strip()))
         notes.append(taken.said(plain))
+        # The readings have gone through the steps of the file's simulator already: delays are its own.
+        found = replace(found, final=replace(found.final, robot={**found.final.robot, "taken_off": True}))
     elif strange:  # what is left is judged by the readings' own noise, and nothing is asked
         found = answer(plain, (), lambda bench, offer: road(bench, offer, with_sets([])), step)
         found = replace(found, which=replace(found.which, text=f"{found.which.text} {strange}"))

@@ -33,11 +33,35 @@ def identified(found: Outcome, tree: Tree, path: Path | None) -> Sheet:
             {**found.robot["held"], **{j: tree.neutral(j) for j in tree.leading if j not in {*own, *found.robot["held"]}}}
         )
     friction = found.content.get("friction") or []
-    if not isinstance(friction, list) or len(friction) != tree.n:
-        raise UsageError(f"{path} has {tree.n} joints that move, the identification {len(friction)}")
+    if not isinstance(friction, list):
+        raise UsageError("friction of the result is no list")
+    tree = _chain(tree, [str(r.get("joint")) for r in friction if isinstance(r, Mapping)], path)
     sheet = of_tree(tree, tree.joints, found.robot)
     _bodies(sheet, found, tree)
     return carried(sheet, replace(found, parameters=_friction(friction, tree), effects=_effects(friction, tree)))
+
+
+def _chain(tree: Tree, names: list[str], path: Path | None) -> Tree:
+    """The tree with all joints held that were not identified: as in the identification, they stand at zero, and what hangs on
+    them belongs to the link that carries it. Raises `UsageError` where it is not plain which were."""
+    if len(names) == tree.n:
+        return tree
+    chain = _in_file(tree, names)
+    if chain is None:
+        raise UsageError(
+            f"{path} has the joints {', '.join(tree.joints)}, the identification {', '.join(names)}: say which these are under "
+            '[model.joints] of dataset.toml (q1 = "NAME"), and identify again'
+        )
+    return tree.locked({j: 0.0 for j in tree.joints if j not in chain})
+
+
+def _in_file(tree: Tree, names: list[str]) -> tuple[str, ...] | None:
+    """The joints of that name, else those of the one chain from the base that has as many."""
+    if all(name in tree.joints for name in names):
+        return tuple(names)
+    chains = [tree.path_to(link) for link in tree.links if link]
+    as_long = [chain for chain in chains if len(chain) == len(names)]
+    return as_long[0] if len(as_long) == 1 else None
 
 
 def _friction(rows: list[Any], tree: Tree) -> dict[str, Number]:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from copy import deepcopy
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -14,6 +15,7 @@ from jaxid.robots.export.laws import code, lawful
 from jaxid.robots.export.mjcf_code import callback, snippet, spec_code
 from jaxid.robots.export.mjcf_drive import DriveWords, ENDLESS, HISTORY
 from jaxid.robots.export.mjcf_file import compiled, MjcfFile
+from jaxid.robots.export.mjcf_friction import friction_field, UNTRIED
 from jaxid.robots.export.outcome import AS_STATED, Outcome
 from jaxid.robots.export.sheet import Body, Change, from_ten, JointNumbers, Sheet
 from jaxid.robots.export.target import (
@@ -23,8 +25,10 @@ from jaxid.robots.export.target import (
     EXACT,
     Field,
     joined,
+    nearer,
     Row,
     row,
+    Trial,
     value_of,
     was,
     Written,
@@ -34,9 +38,6 @@ from jaxid.wording import listed
 
 
 NAME, VERSION, FILES = "mjcf", "MuJoCo 4.0", (".xml", ".mjcf")
-#: Dry friction is a soft constraint in MuJoCo: with these it holds a joint 50 times better than with the defaults.
-HOLDS = {"solreffriction": "0.004 1", "solimpfriction": "0.99 0.9999"}
-SOFT = "a soft constraint in MuJoCo: with solreffriction and solimpfriction as set here it creeps by less than 1e-4 rad/s"
 UNLIMITED = (
     "[controller] states no limit (saturation), so that the runs were simulated without the file's: it is left as it is at {}"
 )
@@ -52,25 +53,46 @@ class Op:
     attributes: Mapping[str, Any]
 
 
-def write(sheet: Sheet, found: Outcome, path: Path | None) -> Written:
-    """The patched file, `apply.py`, and `effects.py` for laws that no attribute says."""
+def write(sheet: Sheet, found: Outcome, path: Path | None, trial: Trial | None = None) -> Written:
+    """The patched file, `apply.py`, and `effects.py` for laws that no attribute says. What nothing asked for (how hard friction
+    is) is written only where the recording is nearer with it in MuJoCo, which `trial` says."""
     if path is None:
         return snippet(sheet, found)
-    return _Patch(sheet, MjcfFile(path)).written()
+    patch = lambda holding: _Patch(deepcopy(sheet), MjcfFile(path), holding).written()
+    out = patch(frozenset())
+    stick = [j for j, n in sheet.changed.items() if n.frictionloss > 0 and n.frictionloss != sheet.before[j].frictionloss]
+    if not stick or path.name not in out.files:
+        return out
+    if trial is None:
+        out.notes.append(UNTRIED)
+        return out
+    chosen, off = frozenset[str](), trial(out.files, path.name)
+    for joint in stick:
+        more = patch(chosen | {joint})
+        off_then = trial(more.files, path.name)
+        if nearer(off_then, off):
+            chosen, off, out = chosen | {joint}, off_then, more
+    return out
+
+
+def texts_of(path: Path) -> dict[str, str]:
+    """The file and what it includes, as they stand."""
+    return {name: text.result() for name, text in MjcfFile(path).texts.items()}
 
 
 class _Patch:
-    def __init__(self, sheet: Sheet, file: MjcfFile):
-        self.sheet, self.file = sheet, file
+    """`holding`: joints whose dry friction is hardened beside being written."""
+
+    def __init__(self, sheet: Sheet, file: MjcfFile, holding: frozenset[str]):
+        self.sheet, self.file, self.holding = sheet, file, holding
         self.ops: list[Op] = []
         self.rows: list[Row] = []
         self.notes: list[str] = []
         self.lacking = coded(CALLBACK)
 
     def written(self) -> Written:
-        joints = self.sheet.changed | self._that_stick()
         fields: dict[tuple[str, str], Field | None] = {}
-        for joint, now in joints.items():
+        for joint, now in self.sheet.changed.items():
             fields |= self._joint(joint, self.sheet.before[joint], now)
         self._stated_law(fields)
         for link, (before, after) in self.sheet.bodies.items():
@@ -86,11 +108,6 @@ class _Patch:
         if laws := lawful(c for r, c in zip(self.rows, self.sheet.changes, strict=False) if r.how == CODE):
             out.files[CALLBACK] = code(laws, f"Laws that no field of an MJCF says; written for {VERSION}.", callback(laws))
         return out
-
-    def _that_stick(self) -> dict[str, JointNumbers]:
-        """Joints whose dry friction the result confirms: it has to hold in MuJoCo too."""
-        named = {c.place for c in self.sheet.changes if c.quantity == "frictionloss"}
-        return {j: n for j, n in self.sheet.after.items() if j in named and n.frictionloss > 0}
 
     def _row(self, change: Change, fields: Mapping[tuple[str, str], Field | None]) -> Row:
         own = fields.get((change.quantity, change.place))
@@ -151,16 +168,12 @@ class _Patch:
                 poly.pop()
             own["damping"] = poly
             fields |= {(k, joint): Field(f"{at}damping") for k in ("damping", "quadratic", "cubic")}
-        if "frictionloss" in changed or joint in self._that_stick():
+        if "frictionloss" in changed:
             own["frictionloss"] = more("frictionloss")
-            stated = [k for k in HOLDS if k in present]
-            own |= {k: v for k, v in HOLDS.items() if k not in stated and now.frictionloss > 0}
-            note = (
-                SOFT
-                if not stated
-                else f"the file states {' and '.join(stated)}, which are left: they say how well friction holds"
-            )
-            fields["frictionloss", joint] = Field(f"{at}frictionloss", EXACT if now.frictionloss == 0 else APPROXIMATE, note)
+            hardened = joint in self.holding
+            field, more_of_it = friction_field(joint, now.frictionloss, present, hardened)
+            fields["frictionloss", joint] = field
+            own |= more_of_it
         if "armature" in changed:
             own["armature"] = more("armature")
             fields["armature", joint] = Field(f"{at}armature")

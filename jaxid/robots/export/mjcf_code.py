@@ -18,7 +18,7 @@ SPEC = {"solreffriction": "solref_friction", "solimpfriction": "solimp_friction"
 PLAIN = {
     "damping": Field("joint[{joint}]@damping"), "quadratic": Field("joint[{joint}]@damping"),
     "cubic": Field("joint[{joint}]@damping"),
-    "frictionloss": Field("joint[{joint}]@frictionloss", "approximate", "a soft constraint: set solreffriction, solimpfriction"),
+    "frictionloss": Field("joint[{joint}]@frictionloss", "approximate", "a soft constraint that creeps"),
     "armature": Field("joint[{joint}]@armature"), "stiffness": Field("joint[{joint}]@stiffness"),
     "springref": Field("joint[{joint}]@springref", note="in the file's angles; radians here"),
     "kp": Field("position[{joint}]@kp"), "kd": Field("position[{joint}]@kv"), "force": Field("position[{joint}]@forcerange"),
@@ -134,8 +134,6 @@ def snippet(sheet: Sheet, found: Outcome) -> Written:
         for k in ("frictionloss", "armature", "stiffness", "springref"):
             if k in own:
                 attributes[k] = number(getattr(now, k))
-        if "frictionloss" in own and now.frictionloss > 0:
-            attributes |= {"solreffriction": "0.004 1", "solimpfriction": "0.99 0.9999"}
         if attributes:
             lines.append(f"<joint name={quoteattr(joint)} {' '.join(f'{k}={quoteattr(v)}' for k, v in attributes.items())}/>")
     out = Written(rows_of(sheet, PLAIN, coded("effects.py")))

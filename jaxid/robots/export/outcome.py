@@ -182,6 +182,7 @@ def robot_entry(robot: Mapping[str, Any]) -> dict[str, Any]:
         | ({"kind": "free"} if base.get("kind") == "free" else {}),
         "without": [_name(n, "robot.without") for n in robot.get("without") or []],
         "drive": own,
+        "taken_off": robot.get("taken_off") is True,
     }
 
 

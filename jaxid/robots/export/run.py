@@ -8,12 +8,14 @@ from pathlib import Path
 from typing import Any
 
 from jaxid.errors import nearest, UsageError
+from jaxid.robots.export import mjcf
 from jaxid.robots.export.apply import carried
 from jaxid.robots.export.kept import kept
 from jaxid.robots.export.outcome import Outcome, outcome
 from jaxid.robots.export.ranges import ranges_of
 from jaxid.robots.export.sheet import of_tree, Sheet
-from jaxid.robots.export.target import Row
+from jaxid.robots.export.stepped import stepped
+from jaxid.robots.export.target import NEARER, Row, Trial
 from jaxid.robots.export.targets import TARGETS
 from jaxid.robots.floating import based
 from jaxid.robots.mjcf import read_mjcf
@@ -21,6 +23,7 @@ from jaxid.robots.origin import digest
 from jaxid.robots.tree import Tree
 from jaxid.robots.urdf_tree import read_urdf_tree
 from jaxid.storage.small_files import read_small, TooLarge
+from jaxid.wording import listed, number
 
 
 @dataclass(frozen=True)
@@ -49,12 +52,21 @@ class Exported:
         return [r.to_dict() for r in self.rows]
 
 
-def export(content: Any, to: str, robot: str | Path | None = None, ranges: bool = False, beside: Path | None = None) -> Exported:
+def export(
+    content: Any,
+    to: str,
+    robot: str | Path | None = None,
+    ranges: bool = False,
+    beside: Path | None = None,
+    trial: Trial | None = None,
+) -> Exported:
     """What a result (the content of its JSON) says, in the terms of a framework; nothing is written.
 
     `robot` is the file to patch, else the one that the result is of, looked for as it was named and then in `beside`, the folder
-    of the result. Raises `UsageError` for an unknown framework, a content that is no result, and a file that is missing, has
-    changed since, or has not the joints of the result.
+    of the result. `trial` runs a patch on the recording: see `target.Trial`.
+
+    Raises `UsageError` for an unknown framework, a content that is no result, and a file that is missing, has changed since, or
+    has not the joints of the result.
     """
     if to not in TARGETS:
         raise UsageError(f"--to {to}: no such target{nearest(to, TARGETS)}")
@@ -62,18 +74,40 @@ def export(content: Any, to: str, robot: str | Path | None = None, ranges: bool 
     path = _file(found, robot, beside)
     target = TARGETS[to]
     tree = None if path is None else based(read_tree(path), (found.robot.get("base") or {}).get("kind") == "free")
-    told = kept(found)
+    in_steps, said = _in_steps(found, tree, path) if to == "mjcf" else (found, ())
+    told = kept(in_steps)
     sheet = _sheet(told, tree, path)
+    sheet.notes += said
     patches = path is not None and path.suffix.lower() in target.FILES
     if target.FILES and path is not None and not patches and to in ("mjcf", "urdf"):
         sheet.notes.append(f"{path.name} is no {to.upper()}, so nothing was patched: give one with --robot FILE")
-    written = target.write(sheet, told, path if patches else None)
+    if to == "mjcf" and patches and path is not None:
+        written = mjcf.write(sheet, told, path, trial)
+        written.notes += _compared(written.files, path, trial)
+    else:
+        written = target.write(sheet, told, path if patches else None)
     more = ranges_of(found, to) if ranges else None
     rows = tuple(written.rows)
     files = {**written.files, **(more.files if more else {})}
     source = {"schema": 1, "kind": "export", "to": to, "robot": _of_file(found, path), "result": _numbers(found)}
     notes = (*_caveats(found), *sheet.notes, *written.notes, *(more.notes if more else ()))
     return Exported(to, rows, files, notes, source, more.table if more else None)
+
+
+def _compared(files: Mapping[str, str], path: Path, trial: Trial | None) -> list[str]:
+    """What a patch changes of the robot's run on the recording."""
+    if trial is None or path.name not in files:
+        return []
+    now, before = trial(files, path.name), trial(mjcf.texts_of(path), path.name)
+    if now is None or before is None:
+        return []
+    moved = [j for j in now if abs(now[j] - before[j]) > NEARER * before[j]]
+    if not moved:
+        return []
+    course = listed(f"{j} {number(before[j])} → {number(now[j])}" for j in moved)
+    worse = [j for j in moved if now[j] > before[j]]
+    warning = f"; {listed(worse)} further off than before: do not take that over unseen" if worse else ""
+    return [f"in MuJoCo on the recording, rms error before and after (rad or m): {course}{warning}"]
 
 
 def read_tree(path: Path) -> Tree:
@@ -142,6 +176,13 @@ def _as_recorded(found: Outcome, tree: Tree, path: Path | None) -> Tree:
         f"{path} has the joints {', '.join(tree.leading)}, the result of model {found.model!r} speaks of {', '.join(joints)}: "
         "the robot's file goes with results of that robot"
     )
+
+
+def _in_steps(found: Outcome, tree: Tree | None, path: Path | None) -> tuple[Outcome, tuple[str, ...]]:
+    """The result in the terms of the file's simulator, and what is to be said of that."""
+    if tree is None or found.kind == "identification":
+        return found, ()
+    return stepped(found, of_tree(_as_recorded(found, tree, path), _joints(found), found.robot))
 
 
 def _joints(found: Outcome) -> list[str]:

@@ -13,6 +13,22 @@ from jaxid.robots.export.outcome import AS_STATED
 from jaxid.robots.export.sheet import Change, Sheet
 
 
+#: From the files of a patch (name -> text) and the name of the robot's among them to how far its run in a simulator is from the
+#: recording, rms by joint; None where it has no run.
+Trial = Callable[[Mapping[str, str], str], Mapping[str, float] | None]
+#: By so much of its own size at one joint a run has to be nearer to a recording than another.
+NEARER = 0.01
+
+
+def nearer(off: Mapping[str, float] | None, than: Mapping[str, float] | None) -> bool:
+    """Whether one run of a robot is nearer to the recording than another one: the likelihood of all joints together, with the
+    size of each one's noise unknown."""
+    if off is None or than is None:
+        return False
+    gained = sum(np.log(max(than[joint], 1e-300) / max(left, 1e-300)) for joint, left in off.items())
+    return bool(gained > NEARER)
+
+
 EXACT, APPROXIMATE, CODE, NONE = "exact", "approximate", "code", "none"
 
 

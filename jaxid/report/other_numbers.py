@@ -1,0 +1,78 @@
+"""Where no effect is missing, but a stated number is another one: that is the answer."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+from jaxid.wording import listed, number, one_line
+
+
+if TYPE_CHECKING:
+    from jaxid.diagnosis.result import Diagnosis
+    from jaxid.fitting.stated import Stated
+
+
+#: Numbers in words, where these are not their names.
+WORDS = {
+    "frictionloss": "dry friction", "armature": "rotor inertia", "kp": "gain kp", "kd": "gain kd", "ki": "gain ki",
+    "quadratic_damping": "quadratic damping", "cubic_damping": "cubic damping", "springref": "rest position of the spring",
+    "encoder_bias": "encoder offset", "com_x": "centre of mass (x)", "com_y": "centre of mass (y)",
+    "com_z": "centre of mass (z)", "lowest": "lower limit", "highest": "upper limit", "timeconst": "time constant",
+}  # fmt: skip
+#: So many are told one by one.
+FEW = 3
+
+
+def refuted_numbers(diagnosis: Diagnosis) -> list[Stated]:
+    """Stated numbers that the data refute where no effect is missing, worst first; none for another verdict."""
+    if diagnosis.which.verdict != "none":
+        return []
+    refuted = [s for s in diagnosis.final.stated if s.refuted]
+    return sorted(refuted, key=lambda s: -abs(s.deviation or 0.0))
+
+
+def other_numbers(diagnosis: Diagnosis) -> str:
+    """`The shoulder's dry friction is 1.97 N m, not 0.3.`; empty where there is no such number."""
+    refuted = refuted_numbers(diagnosis)
+    if not refuted:
+        return ""
+    told = [_clause(s) for s in refuted[:FEW]]
+    if len(refuted) <= FEW:
+        return f"{_capital(listed(told))}."
+    rest = len(refuted) - FEW
+    return f"{_capital(listed([*told, f'{rest} more stated numbers are not those of the data']))}."
+
+
+def first_of_all(diagnosis: Diagnosis, verdict: str) -> str:
+    """The verdict in plain words; stated numbers that the data refute come before what is not missing."""
+    other = other_numbers(diagnosis)
+    return f"{other} No effect is missing beside that." if other else verdict
+
+
+def other_places(diagnosis: Diagnosis) -> tuple[str, list[str]]:
+    """Where these numbers are: the head of a card, and its sentences."""
+    refuted = refuted_numbers(diagnosis)
+    places = dict.fromkeys(one_line(_place(s) or _word(s)) for s in refuted[:FEW])
+    more = f" and {len(refuted) - FEW} more" if len(refuted) > FEW else ""
+    return f"In what is stated of {listed(places)}{more}", [other_numbers(diagnosis), "Nothing else is above the noise."]
+
+
+def _clause(s: Stated) -> str:
+    unit = "" if s.unit in ("", "1") else f" {one_line(s.unit)}"
+    place = one_line(_place(s))
+    what = f"the {place}'s {_word(s)}" if place else _word(s)
+    return f"{what} is {number(s.fitted, 3)}{unit}, not {number(s.stated, 3)}"
+
+
+def _place(s: Stated) -> str:
+    """The joint of a number, or the link of a body's."""
+    of_body = s.parameter == "mass" or s.parameter.startswith(("com_", "gyration_"))
+    return s.link if of_body and s.link else s.joint
+
+
+def _word(s: Stated) -> str:
+    return WORDS.get(s.parameter, one_line(s.parameter).replace("_", " "))
+
+
+def _capital(text: str) -> str:
+    return f"{text[:1].upper()}{text[1:]}"

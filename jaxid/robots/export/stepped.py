@@ -1,0 +1,74 @@
+"""A result in the terms of a file whose simulator steps: what its steps add by themselves is not written a second time."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import replace
+
+from jaxid.robots.export.outcome import Named, Number, Outcome
+from jaxid.robots.export.sheet import JointNumbers, Sheet
+from jaxid.robots.steps import nearest, Steps
+
+
+ARMATURE = "armature@"
+#: A stated number is refuted beyond so many standard deviations.
+REFUTED = 3.0
+LATE = ("delay@", "input_delay")
+
+
+def stepped(found: Outcome, sheet: Sheet) -> tuple[Outcome, tuple[str, ...]]:
+    """The result with its armatures less, and its delays more, what the steps of the file's simulator make of them; and what is
+    to be said of that. `sheet`: the robot before."""
+    steps = sheet.tree.steps if sheet.tree is not None else None
+    if steps is None:
+        return found, ()
+    stated = _stated(found)
+    numbers = dict(found.parameters)
+    for name, n in found.parameters.items():
+        place = name.partition("@")[2]
+        if name.startswith(ARMATURE) and place in sheet.before:
+            added = _added(steps, found, place, sheet.before[place])
+            held = stated.get(name, sheet.before[place].armature)
+            numbers[name] = replace(n, value=_in_file(held, n, added))
+        elif name.startswith(LATE[0]) and not found.robot.get("taken_off"):
+            numbers[name] = _later(steps, n)
+    effects = tuple(_late(steps, e) for e in found.effects) if not found.robot.get("taken_off") else found.effects
+    changed = effects != found.effects or numbers != found.parameters
+    note = f"armatures and delays are those of {steps.said}, which add h / 2 of all damping to an inertia and act h / 2 early"
+    return replace(found, parameters=numbers, effects=effects), (note,) if changed else ()
+
+
+def _stated(found: Outcome) -> dict[str, float]:
+    rows = found.content.get("stated")
+    out = {}
+    for row in rows if isinstance(rows, list) else []:
+        value = row.get("stated") if isinstance(row, Mapping) else None
+        if isinstance(row, Mapping) and isinstance(value, int | float):
+            out[f"{row.get('parameter')}@{row.get('joint')}"] = float(value)
+    return out
+
+
+def _in_file(stated: float, n: Number, added: float) -> float:
+    """What the file has to state: as near to what it states as `added` allows while the data do not refute that, else all of it
+    less."""
+    near = nearest(stated, n.value, added)
+    refuted = n.std is None or abs(near - stated) > REFUTED * n.std
+    return max(0.0, n.value - added) if refuted else near
+
+
+def _added(steps: Steps, found: Outcome, joint: str, before: JointNumbers) -> float:
+    def value(kind: str, otherwise: float) -> float:
+        own = found.parameters.get(f"{kind}@{joint}")
+        return otherwise if own is None else own.value
+
+    return steps.inertia(value("damping", before.damping), value("kd", before.kd))
+
+
+def _later(steps: Steps, n: Number) -> Number:
+    return replace(n, value=n.value + steps.delay) if n.value > 0 else n
+
+
+def _late(steps: Steps, effect: Named) -> Named:
+    if effect.effect != LATE[1] or "delay" not in effect.numbers:
+        return effect
+    return replace(effect, numbers={**effect.numbers, "delay": _later(steps, effect.numbers["delay"])})
