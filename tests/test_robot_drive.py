@@ -96,6 +96,22 @@ def test_only_numbers_that_the_file_can_have_stand_beside_it():
     assert {r["parameter"] for r in rows} >= {"damping", "armature"} and not {r["parameter"] for r in rows} & {"limit"}
 
 
+def test_what_the_files_steps_add_refutes_no_number_of_it():
+    text = ARM.replace("<worldbody>", '<option timestep="0.01" integrator="implicitfast"/><worldbody>', 1)
+    b = bind(Robot.from_mjcf("arm.xml", text=text), recording())
+    steps = b.chain.mechanism.tree.tree.steps
+    i = b.layout.index("armature@lift")
+    number = lambda name: float(b.theta[b.layout.index(name)])
+    added = 0.005 * (number("damping@lift") + number("kd@lift"))
+    assert steps.step == 0.01 and added > 1e-3
+    std = 0.01 * added
+    for more, refuted in ((0.0, False), (added, False), (-added, True), (2 * added, True)):
+        (row,) = stated(b, {i: Estimate(b.theta[i] + more, std, "kg m^2", 0.0, 9.0)})
+        assert (abs(row["deviation"]) > 3) == refuted, more
+        fitted = b.theta[i] + more - (added if refuted else 0.0)
+        np.testing.assert_allclose(row["fitted"], fitted)
+
+
 @pytest.mark.parametrize("kind", ["pd", "cascade"])
 def test_a_recorded_rate_of_the_goal_drives_too(kind):
     rates = {f"{j}_rate": np.cos(T + k) for k, j in enumerate(JOINTS)}

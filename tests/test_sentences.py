@@ -216,6 +216,26 @@ def test_stated_numbers_are_refuted_as_their_deviations_say(numbers):
         assert len(words) == len(refuted)
 
 
+def test_a_refuted_number_is_the_answer_where_no_effect_is_missing():
+    """The headline, the card and the terminal name it; numbers that agree are not named."""
+    said = "frictionloss of shoulder: 1.97 N m, stated 0.3 (130 standard deviations)"
+    other = Stated("shoulder", "link2", "frictionloss", 0.3, 1.97, 0.013, 130.0, said, "N m")
+    same = Stated("elbow", "link3", "damping", 0.8, 0.81, 0.01, 1.0, "damping of elbow: agrees", "N m s/rad")
+    which = Which("none", (), (), (), "The model reaches the noise floor: there is no gap.")
+    found = replace(SAMPLE, which=which, where=(), final=replace(SAMPLE.final, stated=(other, same)))
+    told = "The shoulder's dry friction is 1.97 N m, not 0.3."
+    assert answer.headline(found) == told
+    fact, words = answer.where_card(found)
+    assert fact == "In what is stated of shoulder" and words[0] == told
+    assert answer.which_card(found)[1][0].startswith(told)
+    terminal = " ".join(text.diagnosis_text(found).split())
+    assert told in terminal and "Nothing is missing" not in terminal and "elbow" not in terminal
+    agreed = replace(found, final=replace(SAMPLE.final, stated=(same,)))
+    assert answer.headline(agreed).startswith("Nothing is missing")
+    named = replace(found, which=SAMPLE.which)
+    assert "dry friction is 1.97" not in answer.headline(named)
+
+
 def test_stated_numbers_of_one_name_are_told_apart_by_their_joints():
     own = lambda joint: Stated(
         joint, "", "armature", 0.028, 0.004, 0.001, -24.0, f"armature of {joint}: 0.004 kg m^2, …", "kg m^2"

@@ -61,7 +61,7 @@ def _clause(s: Stated) -> str:
     unit = "" if s.unit in ("", "1") else f" {one_line(s.unit)}"
     place = one_line(_place(s))
     what = f"the {place}'s {_word(s)}" if place else _word(s)
-    return f"{what} is {number(s.fitted, 3)}{unit}, not {number(s.stated, 3)}"
+    return f"{what} is {number(s.fitted, 3)}{unit}, not {s.stated:.4g}"
 
 
 def _place(s: Stated) -> str:

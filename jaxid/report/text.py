@@ -270,9 +270,7 @@ def diagnosis_text(diagnosis: Diagnosis) -> str:
         joint_table(how_far.per_joint),
         paragraph("STATED", stated_sentences(diagnosis.final.stated, diagnosis.which.effects)),
         "" if which.verdict == "none" else paragraph("WHERE", (where_sentence(f) for f in diagnosis.where[:2])),
-        paragraph(
-            "WHICH", [first_of_all(diagnosis, which_sentence(which, how_far)), *meaning(which), confusable_sentence(which)]
-        ),
+        paragraph("WHICH", [verdict, *meaning(which), confusable_sentence(which)]),
         paragraph(
             "HOW FAR",
             [

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -14,8 +14,8 @@ from jaxid.robots.export.kept import kept
 from jaxid.robots.export.outcome import Outcome, outcome
 from jaxid.robots.export.ranges import ranges_of
 from jaxid.robots.export.sheet import of_tree, Sheet
-from jaxid.robots.export.stepped import stepped
-from jaxid.robots.export.target import NEARER, Row, Trial
+from jaxid.robots.export.stepped import ARMATURE, LATE, stepped
+from jaxid.robots.export.target import joined, NEARER, Row, Trial
 from jaxid.robots.export.targets import TARGETS
 from jaxid.robots.floating import based
 from jaxid.robots.mjcf import read_mjcf
@@ -84,6 +84,7 @@ def export(
     if to == "mjcf" and patches and path is not None:
         written = mjcf.write(sheet, told, path, trial)
         written.notes += _compared(written.files, path, trial)
+        written.rows = [_with_step(r, tree) for r in written.rows]
     else:
         written = target.write(sheet, told, path if patches else None)
     more = ranges_of(found, to) if ranges else None
@@ -92,6 +93,15 @@ def export(
     source = {"schema": 1, "kind": "export", "to": to, "robot": _of_file(found, path), "result": _numbers(found)}
     notes = (*_caveats(found), *sheet.notes, *written.notes, *(more.notes if more else ()))
     return Exported(to, rows, files, notes, source, more.table if more else None)
+
+
+def _with_step(row: Row, tree: Tree | None) -> Row:
+    """The row with the step for which its value holds."""
+    if tree is None or tree.steps is None or row.kept or not row.field:
+        return row
+    if row.effect not in (*LATE, ARMATURE):
+        return row
+    return replace(row, note=joined(row.note, f"holds for {tree.steps.said}"))
 
 
 def _compared(files: Mapping[str, str], path: Path, trial: Trial | None) -> list[str]:

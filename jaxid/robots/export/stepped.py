@@ -10,10 +10,10 @@ from jaxid.robots.export.sheet import JointNumbers, Sheet
 from jaxid.robots.steps import nearest, Steps
 
 
-ARMATURE = "armature@"
+ARMATURE = "armature"
 #: A stated number is refuted beyond so many standard deviations.
 REFUTED = 3.0
-LATE = ("delay@", "input_delay")
+LATE = ("delay", "input_delay")
 
 
 def stepped(found: Outcome, sheet: Sheet) -> tuple[Outcome, tuple[str, ...]]:
@@ -25,13 +25,13 @@ def stepped(found: Outcome, sheet: Sheet) -> tuple[Outcome, tuple[str, ...]]:
     stated = _stated(found)
     numbers = dict(found.parameters)
     for name, n in found.parameters.items():
-        place = name.partition("@")[2]
-        if name.startswith(ARMATURE) and place in sheet.before:
+        kind, _, place = name.partition("@")
+        if kind == ARMATURE and place in sheet.before:
             added = _added(steps, found, place, sheet.before[place])
             held = stated.get(name, sheet.before[place].armature)
             numbers[name] = replace(n, value=_in_file(held, n, added))
-        elif name.startswith(LATE[0]) and not found.robot.get("taken_off"):
-            numbers[name] = _later(steps, n)
+        elif kind == LATE[0] and not found.robot.get("taken_off"):
+            numbers[name] = _later(steps, n, stated.get(name))
     effects = tuple(_late(steps, e) for e in found.effects) if not found.robot.get("taken_off") else found.effects
     changed = effects != found.effects or numbers != found.parameters
     note = f"armatures and delays are those of {steps.said}, which add h / 2 of all damping to an inertia and act h / 2 early"
@@ -64,8 +64,15 @@ def _added(steps: Steps, found: Outcome, joint: str, before: JointNumbers) -> fl
     return steps.inertia(value("damping", before.damping), value("kd", before.kd))
 
 
-def _later(steps: Steps, n: Number) -> Number:
-    return replace(n, value=n.value + steps.delay) if n.value > 0 else n
+def _later(steps: Steps, n: Number, stated: float | None = None) -> Number:
+    """A delay as the file has to state it; one that is stated stays where the data and the steps allow it."""
+    if n.value <= 0:
+        return n
+    later = n.value + steps.delay
+    if stated is not None and n.std is not None:
+        near = nearest(stated, later, steps.delay)
+        later = near if abs(near - stated) <= REFUTED * n.std else later
+    return replace(n, value=later)
 
 
 def _late(steps: Steps, effect: Named) -> Named:
