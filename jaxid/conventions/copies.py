@@ -14,18 +14,23 @@ from jaxid.conventions.finding import DataFinding
 from jaxid.conventions.mending import Mending
 from jaxid.conventions.samples import LONGEST, Shown
 from jaxid.data.dataset import Dataset, Experiment
-from jaxid.data.noise import from_differences, quantisation_step
+from jaxid.data.noise import quantisation_step
+from jaxid.data.time_stamps import differences
 
 
 #: Samples that are looked for in the other run: where (share of the run), and how many in a row.
 ANCHORS, IN_A_ROW = (0.05, 0.25, 0.5, 0.75, 0.95), 8
 #: Rows that have to be the same, and places in the other run beyond which what is looked for stands everywhere.
 FEWEST, EVERYWHERE = 30, 20
-#: Two readings are one where they differ by no more than that share of the noise, or of the step that either is rounded to. Of
-#: independent readings three in four differ by more than half their noise.
-OF_NOISE, OF_STEP = 0.5, 0.505
-#: Share of a number that six digits round away, and a float32.
-DIGITS = 2e-6
+#: Two readings are one where they differ by no more than that share of the step that either is rounded to.
+OF_STEP = 0.505
+#: White noise is as large in differences of these orders, to that share; motion is not.
+ORDERS, ALIKE = (3, 5, 7), 0.25
+#: Its fifth differences change sign between 81 % of neighbours; those of a motion do so seldom, on odd clocks always.
+CHANGE_SIGN = 0.7, 0.9
+MEDIAN = 0.4549  # of the square of a normal number
+#: Share of the largest number that six digits round away; and fewer digits, where all numbers have no more.
+DIGITS, FEWER = 5e-6, (3, 4, 5)
 #: No machine repeats its motion to that share of it: codes that change at the same rows so often that it would have to.
 REPEATS_TO = 1e-5
 SPLITS = "fit", "validation", "report"
@@ -72,22 +77,36 @@ def _run(dataset: Dataset, e: Experiment) -> Run:
     """A run with what its channels are rounded to, and whether its outputs show noise."""
     samples = np.concatenate([e.y, e.u], axis=1)[:LONGEST]
     steps = [quantisation_step([x]) or 0.0 for x in samples.T]
-    noise = [min(from_differences([x], 3), from_differences([x], 5)) if len(x) > 8 else 0.0 for x in samples.T]
-    digits = DIGITS * np.max(np.abs(samples), axis=0, initial=0.0)
-    loose = np.max([OF_NOISE * np.array(noise), OF_STEP * np.array(steps), digits], axis=0)
+    digits = np.array([_rounded_away(x) for x in samples.T])
+    loose = np.maximum(OF_STEP * np.array(steps), digits)
     ny = e.y.shape[1]
-    noisy = any(_noise_shows(x, step, d) for x, step, d in zip(samples.T[:ny], steps, digits, strict=False))
+    noisy = any(_noise_shows(e.t[:LONGEST], x, step, d) for x, step, d in zip(samples.T[:ny], steps, digits, strict=False))
     return Run(e, samples, loose, noisy)
 
 
-def _noise_shows(x: np.ndarray, step: float, digits: float) -> bool:
-    """Whether no second recording would give this reading [time]: it shows noise, or so many codes change that no machine would
-    change them at the same rows again. Without either a motion that is simulated twice is the same."""
+def _rounded_away(x: np.ndarray) -> float:
+    """What the digits of these numbers [time] round away at most."""
+    size = np.abs(x[x != 0])
+    if not len(size):
+        return 0.0
+    first = np.floor(np.log10(size))  # place of the first digit
+    for count in FEWER:
+        in_units = size / 10.0 ** (first - count + 1)
+        if np.all(np.abs(in_units - np.round(in_units)) < 1e-6):
+            return float(OF_STEP * 10.0 ** (np.max(first) - count + 1))
+    return float(DIGITS * np.max(size))
+
+
+def _noise_shows(t: np.ndarray, x: np.ndarray, step: float, digits: float) -> bool:
+    """Whether no second recording would give a reading `x [time]` at `t [time]` s: it shows noise, or so many codes change that
+    no machine would change them at the same rows again. Without either a motion that is simulated twice is the same."""
     if len(x) < FEWEST:
         return False
-    third, fifth = from_differences([x], 3), from_differences([x], 5)
-    if third > max(step, digits):
-        return fifth > 0.5 * third  # white noise is the same in both, motion is less in the fifth
+    apart = [differences(t, x, order)[0] for order in ORDERS]
+    levels = [float(np.sqrt(np.median(d**2) / MEDIAN)) for d in apart]
+    if min(levels) > max(step, digits):
+        turns = float(np.mean(apart[1][1:] * apart[1][:-1] < 0))
+        return CHANGE_SIGN[0] < turns < CHANGE_SIGN[1] and max(levels) < (1 + ALIKE) * min(levels)
     changes = np.count_nonzero(np.diff(x))
     return bool(step > 10 * digits and step < REPEATS_TO * changes * np.ptp(x))
 
@@ -137,6 +156,7 @@ def _shown(other: Run, copy: Run, same: Same) -> Shown:
     name, of = copy.experiment.name, other.experiment.name
     whole = _whole(copy, same)
     count = same.stop - same.first
+    sure = other.noisy or copy.noisy  # what one of them rounds away shows in the other
     t, there = copy.experiment.t, other.experiment.t
     if whole and count == len(other.samples):
         holds = f"{name} holds {of} sample for sample"
@@ -144,8 +164,8 @@ def _shown(other: Run, copy: Run, same: Same) -> Shown:
         holds = f"{name} holds {count} samples of {of}, from {there[same.at]:.4g} s on, sample for sample"
     else:
         holds = f"{name} holds {count} samples of {of} from {t[same.first]:.4g} s to {t[same.stop - 1]:.4g} s, sample for sample"
-    noise = ", noise and all" if copy.noisy else ""
-    doubt = "" if copy.noisy else " Without noise a simulation that is run twice does so, too: nothing is left out here."
+    noise = ", noise and all" if sure else ""
+    doubt = "" if sure else " Without noise a simulation that is run twice does so, too: nothing is left out here."
     what = name if whole else f"these samples of {name}"
     finding = DataFinding(
         "copy",
@@ -153,8 +173,8 @@ def _shown(other: Run, copy: Run, same: Same) -> Shown:
         float(count),
         f"{holds}{noise}: one recording under two names, neither a validation of the other nor a repeat. Leave {what} out."
         f"{doubt}",
-        decisive=copy.noisy,
+        decisive=sure,
         headline=f"{holds}; everything below leaves {'it' if whole else 'these samples'} out",
     )
     first, stop = (0, len(copy.experiment)) if whole else (same.first, same.stop)
-    return Shown(finding, Mending(left_out=((name, first, stop),)) if copy.noisy else Mending())
+    return Shown(finding, Mending(left_out=((name, first, stop),)) if sure else Mending())

@@ -109,12 +109,11 @@ def sensor_noise(series: Sequence[np.ndarray]) -> float:
 
     Where fifth differences give less than half of it, the motion shows in the third ones and the fifth are used.
     """
-    third, fifth = (from_differences(series, order) for order in (3, 5))
+    third, fifth = (_from_differences(series, order) for order in (3, 5))
     return fifth if fifth < 0.5 * third else third
 
 
-def from_differences(series: Sequence[np.ndarray], order: int) -> float:
-    """The standard deviation of white noise on series `[time]` by differences of this order, the median over blocks."""
+def _from_differences(series: Sequence[np.ndarray], order: int) -> float:
     variances: list[np.ndarray] = []
     for y in series:
         squares = (np.diff(y, order) / sqrt(comb(2 * order, order))) ** 2

@@ -57,11 +57,11 @@ def with_scatter(dataset: Dataset, stamps: Mapping[str, Stamps], noise: Mapping[
 
 def _speed(t: np.ndarray, y: np.ndarray, noise: float) -> np.ndarray:
     """Magnitude of a noisy signal's rate [time]."""
-    white = max(noise, float(np.sqrt(np.mean(_differences(t, y, 5)[0] ** 2)))) if len(t) > 20 else noise
+    white = max(noise, float(np.sqrt(np.mean(differences(t, y, 5)[0] ** 2)))) if len(t) > 20 else noise
     return np.abs(differentiate(t, y, content_cutoff(t, y, white))[1])
 
 
-def _differences(t: np.ndarray, y: np.ndarray, order: int) -> tuple[np.ndarray, np.ndarray]:
+def differences(t: np.ndarray, y: np.ndarray, order: int) -> tuple[np.ndarray, np.ndarray]:
     """What no polynomial below `order` has of the samples, whatever their times [time - order], and the weights of the samples
     in it [time - order, order + 1]: of unit norm, so that white noise keeps its variance."""
     step = np.diff(t)
@@ -92,7 +92,7 @@ def _by_differences(
     parts: list[tuple[np.ndarray, ...]] = []
     for e in runs:
         y = e.motion()[:, column]
-        d, weights = _differences(e.t, y, order)
+        d, weights = differences(e.t, y, order)
         cutoff = content_cutoff(e.t, y, max(noise, float(np.sqrt(np.mean(d**2)))))
         q, rate, bend = differentiate(e.t, y, cutoff)[:3]
         ends = filter_ends(e.t, cutoff)
