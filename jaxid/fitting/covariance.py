@@ -15,6 +15,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from jaxid.fitting.noise_model import Autoregression, autoregressions, Part, score_covariance, student, transform_length
+from jaxid.numerics.truncated import positive, pushed, within_bounds
 from jaxid.problem.problem import Problem, rows
 
 
@@ -82,37 +83,32 @@ def covariance(problem: Problem, z: np.ndarray) -> Covariance:
         identifiable[at_bound] &= null_directions(scaled, ~blind)[0][at_bound]
     identifiable &= ~blind
 
-    matrix = np.full((n, n), np.nan)
     white, memory = whiteness(series)
     dof = max(1, count - int(inside.sum()))
     s2 = max(S_white / dof, 1e-300)
     noise, widened = (), 1.0
-    # Those at a bound get their own figures from the full matrix.
-    for kept in (inside,) if np.array_equal(inside, ~blind) else (inside, ~blind):
-        index = np.flatnonzero(kept)
-        if not index.size:
-            continue
-        inverse = _pseudo_inverse(scaled[np.ix_(index, index)]) / scale[index] / scale[index][:, None]
-        known = prior[np.ix_(index, index)]
-        if white and not r.size:
-            cov = max(s2, 1.0) * inverse
-        elif white:
-            cov = inverse @ (max(s2, 1.0) * H_data[np.ix_(index, index)] + known) @ inverse
-        else:
-            own = [Part(p.r, p.J[:, :, index]) for p in parts]
-            noise = noise or tuple(autoregressions(own, inverse))
-            widened = student(own, noise, len(index))
-            cov = inverse @ (score_covariance(own, noise) * widened**2 + known) @ inverse
-            S = long_run(scores, n, memory)[np.ix_(index, index)]
-            # Never narrower than white residuals of that size.
-            least = inverse @ (max(1.0, s2) * H_data[np.ix_(index, index)] + known) @ inverse
-            floor = np.maximum(np.diag(inverse @ (S * count / dof + known) @ inverse), np.diag(least))
-            stretch = np.sqrt(np.maximum(1.0, floor / np.maximum(np.diag(cov), 1e-300)))
-            cov = cov * stretch * stretch[:, None]
-        target = np.ix_(index, index)
-        matrix[target] = np.where(np.isnan(matrix[target]), cov, matrix[target])
-    std = np.sqrt(np.maximum(np.diag(matrix), 0.0))
-    identifiable &= ~(std > span)  # determined in name only: the interval is wider than the bounds
+    known = prior + np.diag(_known_by_bounds(problem, z))
+    inverse = _inverse(H_data + known)
+    least = inverse @ (max(s2, 1.0) * H_data + known) @ inverse
+    if white:
+        spread = least
+    else:
+        noise = tuple(autoregressions(parts, _held(scaled, scale, inside)))
+        widened = student(parts, noise, int(inside.sum()))
+        spread = inverse @ (score_covariance(parts, noise) * widened**2 + known) @ inverse
+        slow = inverse @ (long_run(scores, n, memory) * count / dof + known) @ inverse
+        # Never narrower than white residuals of that size.
+        floor = np.maximum(np.diag(slow), np.diag(least))
+        stretch = np.sqrt(np.maximum(1.0, floor / np.maximum(np.diag(spread), 1e-300)))
+        spread = spread * stretch * stretch[:, None]
+    spread = positive(spread)
+    alone = np.where(inside, np.diag(_beside_bounds(spread, at_bound & ~blind & ~inside)), np.diag(spread))
+    identifiable &= ~(np.sqrt(alone) > span)  # determined in name only: the interval is wider than the bounds
+    at = np.flatnonzero(at_bound & ~inside & ~blind)
+    outwards = np.where(z - problem.lower <= problem.upper - z, slope, -slope)[at]
+    push = np.maximum(outwards, 0.0) * np.diag(inverse)[at] / np.maximum(np.diag(spread)[at], 1e-300)
+    matrix = _within_bounds(problem, z, pushed(spread, at, push))
+    std = np.sqrt(np.diag(matrix))
     std[~identifiable] = np.nan
     statement = (
         "residuals are white: standard deviations from the Gauss-Newton matrix"
@@ -120,6 +116,58 @@ def covariance(problem: Problem, z: np.ndarray) -> Covariance:
         else f"residuals are coloured (memory {memory} samples): standard deviations count it"
     )
     return Covariance(matrix, std, identifiable, at_bound, groups, white, statement, noise, widened, slope, H)
+
+
+def _room(problem: Problem, z: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """How far z [n] may go down and up to its bounds, as a straight line goes in the numbers themselves: what trades for each
+    other keeps a sum or a ratio of these, and no sum of logarithms."""
+    down, up = problem.lower - z, problem.upper - z
+    log = np.zeros(z.size, bool)
+    log[: problem.free.size] = problem.log
+    return np.where(log, np.expm1(np.where(log, down, 0.0)), down), np.where(log, np.expm1(np.where(log, up, 0.0)), up)
+
+
+def _known_by_bounds(problem: Problem, z: np.ndarray) -> np.ndarray:
+    """What bounds alone tell of each number [n], as a precision: no more than that it lies within them."""
+    down, up = _room(problem, z)
+    width = up - down
+    return np.where(np.isfinite(width) & (width > 0), 1 / np.maximum(width, 1e-150) ** 2, 0.0)
+
+
+def _within_bounds(problem: Problem, z: np.ndarray, spread: np.ndarray) -> np.ndarray:
+    """Mean squares and products of what z is off by, [n n]: of a normal distribution about z, cut off at the bounds."""
+    down, up = _room(problem, z)
+    bounded = np.arange(z.size) < problem.free.size
+    lower = np.where(bounded, np.minimum(down, 0.0), -np.inf)
+    upper = np.where(bounded, np.maximum(up, 0.0), np.inf)
+    mean, matrix = within_bounds(spread, np.zeros(z.size), lower, upper)
+    return positive(matrix + np.outer(mean, mean))
+
+
+def _beside_bounds(spread: np.ndarray, held: np.ndarray) -> np.ndarray:
+    """The covariance of the others where those that are `held` stay at their bounds, [n n]."""
+    at = np.flatnonzero(held)
+    if not at.size:
+        return spread
+    own = np.linalg.pinv(spread[np.ix_(at, at)], hermitian=True)
+    return spread - spread[:, at] @ own @ spread[at]
+
+
+def _held(scaled: np.ndarray, scale: np.ndarray, inside: np.ndarray) -> np.ndarray:
+    """The inverse of the Gauss-Newton matrix over what is inside, with zeros elsewhere, [n n]."""
+    out, index = np.zeros_like(scaled), np.flatnonzero(inside)
+    if index.size:
+        at = np.ix_(index, index)
+        out[at] = _pseudo_inverse(scaled[at]) / scale[index] / scale[index][:, None]
+    return out
+
+
+def _inverse(H: np.ndarray) -> np.ndarray:
+    """The inverse of a positive semidefinite matrix; a direction of nothing has what rounding would make of it."""
+    scale = np.sqrt(np.maximum(np.diag(H), 1e-300))
+    values, vectors = np.linalg.eigh(H / scale / scale[:, None])
+    least = len(H) * np.finfo(float).eps * values[-1]
+    return (vectors / np.maximum(values, least)) @ vectors.T / scale / scale[:, None]
 
 
 def _beside_its_start(J: np.ndarray, columns: np.ndarray, free: int, at_bound: np.ndarray) -> np.ndarray:
