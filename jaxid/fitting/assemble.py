@@ -18,7 +18,7 @@ from jaxid.fitting.problem_builder import Bench, estimate_starts
 from jaxid.fitting.result import EffectEstimate, Estimate, Fit, Score, Trace
 from jaxid.fitting.reweighting import weighed_by
 from jaxid.fitting.scores import free_runs, lost, make_traces, response_scores, scores, torque_scores
-from jaxid.fitting.stated import Stated, stated_numbers
+from jaxid.fitting.stated import judged, Stated, stated_numbers
 from jaxid.problem.binding import Binding
 from jaxid.problem.frequency_response import FrequencyResponseError
 from jaxid.problem.problem import Problem
@@ -95,6 +95,7 @@ def assemble(
     cov = known or getattr(result, "covariance", None) or covariance(problem, result.z)
     found = estimates(binding, problem, result.z, cov)
     own, added = named_estimates(binding, found)
+    told = numbers_covariance(binding, problem, result.z, cov)
     names = problem.names
     groups = tuple(tuple(names[i] for i in g) for g in cov.groups)
     notes.append(cov.statement)
@@ -136,13 +137,13 @@ def assemble(
             windowed = table[split]
     joints: tuple[dict, ...] = ()
     if is_robot(binding.chain.mechanism):
-        rows = yardstick.stated(binding, found)
-        notes += yardstick.sentences(rows, binding.chain.mechanism.tree.tree)  # type: ignore[attr-defined]
+        rows = {i: Stated(**row) for i, row in yardstick.stated(binding, found).items()}
+        stated = judged(rows, binding.layout.names, found, told)
+        notes += yardstick.sentences([s.to_dict() for s in stated])
         if residual.simulation != "momentum":
             joints = per_joint(bench, table, residual if residual.torques else None, problem.free)
-        stated = tuple(Stated(**row) for row in rows)
     else:
-        stated = stated_numbers(binding, found)
+        stated = stated_numbers(binding, found, told)
     noise = dict(zip((name for name, _ in problem.runs.channels), map(float, problem.runs.noise), strict=False))
     notes[:0] = (astray := lost(table, noise))
     reweighted = None if problem.weights is problem.runs.weights else result.loss
@@ -156,7 +157,7 @@ def assemble(
         binding.dataset.name, binding.dataset.sha256, tuple(notes), groups, tuple(result.history), tuple(traces), theta,
         end.state == "stalled", residual.simulation, free, stated, joints,
         fitted_chain(binding, theta, added), solver_name(binding), robot=origin_of(binding, added),
-        covariance=numbers_covariance(binding, problem, result.z, cov), reweighted_loss=reweighted,
+        covariance=told, reweighted_loss=reweighted,
         model_sha256=sha256_of(binding.chain.mechanism),
     )  # fmt: skip
 
@@ -174,10 +175,9 @@ def origin_of(binding: Binding, added: Sequence[EffectEstimate]) -> dict:
 def numbers_covariance(binding: Binding, problem: Problem, z: np.ndarray, cov: Covariance) -> results.Covariance:
     """That of the fitted numbers themselves, of which some are searched by their logarithm."""
     n, slope = len(problem.free), problem.dtheta(z)
-    known = np.where(np.isfinite(cov.std[:n]), slope, np.nan)
     names = tuple(binding.layout.names[i] for i in problem.free)
     doubts = np.array([binding.doubts.get(name, 0.0) for name in names])
-    return results.Covariance(names, cov.matrix[:n, :n] * known * known[:, None] + np.diag(doubts**2))
+    return results.Covariance(names, cov.matrix[:n, :n] * slope * slope[:, None] + np.diag(doubts**2))
 
 
 def fitted_chain(binding: Binding, theta: np.ndarray, added: Sequence[EffectEstimate]) -> Chain:

@@ -41,7 +41,11 @@ class Estimate:
 
 @dataclass(frozen=True)
 class Covariance:
-    """Of the fitted numbers `names`, [n n]; nan where the data do not determine one."""
+    """Mean squares and products of what the fitted numbers `names` are off by, [n n], positive semidefinite.
+
+    One-sided where a number stands at its bound. As wide as the bounds where the data do not determine one, whose estimate then
+    has no standard deviation.
+    """
 
     names: tuple[str, ...]
     matrix: np.ndarray

@@ -1,27 +1,29 @@
-"""What a dataset states of a model's numbers, beside what the data say."""
+"""What a dataset or a robot's file states of a model's numbers, beside what the data say."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from dataclasses import asdict, dataclass
+from collections.abc import Mapping, Sequence
+from dataclasses import asdict, dataclass, replace
 from typing import Any, TYPE_CHECKING
 
-from jaxid.wording import number, value_with_std
+import numpy as np
+
+from jaxid.numerics.stated_numbers import Change, Known, REFUTED, smallest_change
+from jaxid.wording import listed, number, percent, value_with_std
 
 
 if TYPE_CHECKING:
-    from jaxid.fitting.result import Estimate
+    from jaxid.fitting.result import Covariance, Estimate
     from jaxid.problem.binding import Binding
-
-
-#: A stated number is refuted beyond so many standard deviations.
-REFUTED = 3.0
 
 
 @dataclass(frozen=True)
 class Stated:
-    """One number as it is stated and as it was fitted; `deviation` in standard deviations of the fit, None where the data do not
-    determine it."""
+    """One number as it is stated and as it was fitted, or what two of them come to where the data tell only that.
+
+    `deviation` is in standard deviations, None where the data do not refute the number by itself and do not determine it;
+    `beside` what it is with the other stated numbers as they are, where it is refuted.
+    """
 
     joint: str
     link: str
@@ -32,6 +34,7 @@ class Stated:
     deviation: float | None
     text: str
     unit: str = ""
+    beside: float | None = None
 
     @property
     def refuted(self) -> bool:
@@ -41,23 +44,160 @@ class Stated:
         return asdict(self)
 
 
-def stated_numbers(binding: Binding, found: Mapping[int, Estimate]) -> tuple[Stated, ...]:
+def stated_numbers(binding: Binding, found: Mapping[int, Estimate], covariance: Covariance | None = None) -> tuple[Stated, ...]:
     """The fitted numbers (by position in the layout) for which the dataset states a value, those that are furthest off first."""
-    spec, out = binding.dataset.model, []
+    spec, out = binding.dataset.model, {}
     for name, prior in spec.parameters.items() if spec is not None else ():
         i = binding.layout.index(name)
         if prior.value is None or i not in found or i in binding.priors:
             continue
         entry, estimate = binding.layout.entries[i], found[i]
         joint = entry.location or (binding.chain.signature.joints[0] if binding.chain.nq == 1 else "")
-        std = estimate.std if estimate.identifiable and not estimate.at_bound else None
+        std = estimate.std if estimate.identifiable else None
         deviation = (estimate.value - prior.value) / std if std else None
-        out.append(
-            Stated(
-                joint, "", name, prior.value, estimate.value, std, deviation, sentence_of(name, prior.value, estimate, deviation)
-            )
-        )
-    return tuple(sorted(out, key=lambda s: -abs(s.deviation or 0.0)))
+        text = sentence_of(name, prior.value, estimate, deviation)
+        out[i] = Stated(joint, "", name, prior.value, estimate.value, std, deviation, text, estimate.unit)
+    told = judged(out, binding.layout.names, found, covariance, plain=True)
+    return tuple(sorted(told, key=lambda s: -abs(s.deviation or 0.0)))
+
+
+def judged(
+    rows: Mapping[int, Stated],
+    names: Sequence[str],
+    found: Mapping[int, Estimate],
+    covariance: Covariance | None,
+    plain: bool = False,
+) -> tuple[Stated, ...]:
+    """The rows (by position in the layout), judged all together: only what the smallest change takes is refuted.
+
+    Where another number might be changed in place of one, what the two come to is judged, in a row of its own. `names` are those
+    of the layout, `covariance` that of the fitted numbers; without one they count as independent. With `plain` a number is called
+    by its name alone, else by its joint or link, too.
+    """
+    at, known = _known(names, found, covariance)
+    stated = np.full(len(at), np.nan)
+    for k, i in enumerate(at):
+        if i in rows:
+            stated[k] = rows[i].stated
+    change = smallest_change(known, stated)
+    place = {i: k for k, i in enumerate(at)}
+    called = lambda i: _label(rows[i], plain)
+    undecided = {k: [at[k], *(at[m] for m in others)] for k, others in change.instead.items()}
+    either = {i: listed(called(j) for j in group if j != i) for group in undecided.values() for i in group}
+    out = []
+    for i, row in rows.items():
+        k = place.get(i, -1)
+        if i in either:
+            out.append(_undecided(row, called(i), either[i]))
+        elif k in change.refuted:
+            out.append(_refuted(row, called(i), found[i], change, k, plain))
+        else:
+            out.append(row)
+    for k, others in change.instead.items():
+        i, j = at[k], at[others[0]]
+        out.append(_together((rows[i], rows[j]), (called(i), called(j)), (k, others[0]), known, stated, change))
+    return tuple(out)
+
+
+def _known(names: Sequence[str], found: Mapping[int, Estimate], covariance: Covariance | None) -> tuple[list[int], Known]:
+    """The positions of the numbers that were fitted, and what is known of these."""
+    if covariance is None:
+        at = [i for i, e in found.items() if e.std]
+        matrix = np.diag([(found[i].std or 0.0) ** 2 for i in at])
+    else:
+        by_name = {name: k for k, name in enumerate(covariance.names)}
+        at = [i for i in found if names[i] in by_name]
+        own = [by_name[names[i]] for i in at]
+        matrix = covariance.matrix[np.ix_(own, own)]
+    value, lower, upper = (np.array([getattr(found[i], k) for i in at], float) for k in ("value", "lower", "upper"))
+    return at, Known(value=value, covariance=matrix.reshape(len(at), len(at)), lower=lower, upper=upper)
+
+
+def _refuted(row: Stated, called: str, estimate: Estimate, change: Change, k: int, plain: bool) -> Stated:
+    """A row of a number that is wrong by itself; what it is with the others as stated, where that is not what was fitted."""
+    value, std, deviation = float(change.value[k]), float(change.std[k]), change.deviation[k]
+    own = "" if estimate.unit in ("", "1") else f" {estimate.unit}"
+    off = f"{number(abs(deviation), 2)} standard deviations"
+    if abs(value - row.fitted) > std:
+        told = value_with_std(replace(estimate, value=value, std=std))
+        text = f"{called}: {told} with the other numbers as stated, stated {number(row.stated, 4)}{own} ({off})"
+    elif plain:
+        text = sentence_of(row.parameter, row.stated, estimate, deviation)
+    else:
+        text = f"{called}: {row.fitted:.4g}{own}, stated {row.stated:.4g} ({off})"
+    return replace(row, deviation=deviation, text=text, beside=value)
+
+
+def _undecided(row: Stated, called: str, others: str) -> Stated:
+    """A row of a number that the data refute only together with others."""
+    text = f"{called} as stated can be neither confirmed nor refuted by itself: the data tell it only together with {others}"
+    return replace(row, deviation=None, text=text)
+
+
+def _label(row: Stated, plain: bool) -> str:
+    """`inertia`, or with its place `kp of steer`."""
+    kind = row.parameter.replace("_", " ")
+    of_link = row.parameter.startswith(("com_", "mass", "gyration_")) and row.link
+    place = row.link if of_link else row.joint
+    return kind if plain or not place else f"{kind} of {place}"
+
+
+@dataclass(frozen=True)
+class _Form:
+    """What two numbers come to: `slope` [2] by which it changes with them."""
+
+    sign: str
+    name: str
+    value: float
+    stated: float
+    slope: np.ndarray
+
+
+def _together(
+    rows: tuple[Stated, Stated],
+    called: tuple[str, str],
+    at: tuple[int, int],
+    known: Known,
+    stated: np.ndarray,
+    change: Change,
+) -> Stated:
+    """What two numbers come to, of which either may be wrong: of ratio, product, sum and difference what the data tell best."""
+    k, m = at
+    row = rows[0]
+    told = map(int, np.flatnonzero(np.isfinite(stated)))
+    kept = [i for i in told if i not in change.refuted and i != m]
+    value, covariance, _ = known.beside(kept, stated[kept])
+    pair = np.ix_([k, m], [k, m])
+    form = min(
+        _forms(value[[k, m]], stated[[k, m]], rows[0].unit == rows[1].unit),
+        key=lambda f: float(f.slope @ covariance[pair] @ f.slope) / max(f.value**2, 1e-300),
+    )
+    std = float(np.sqrt(max(form.slope @ covariance[pair] @ form.slope, 0.0)))
+    deviation = change.deviation[k]
+    name = f"{called[0]} {form.sign} {called[1]}"
+    only = f"the data tell only the {form.name}, not which of the two differs"
+    off = f"{number(abs(deviation), 2)} standard deviations"
+    if form.name in ("ratio", "product") and form.stated:
+        share = form.value / form.stated - 1
+        text = f"{name} is {percent(abs(share))} {'higher' if share > 0 else 'lower'} than stated ({off}): {only}"
+    else:
+        text = f"{name} is {number(form.value)} ± {number(std, 2)} {row.unit}, stated {number(form.stated)} ({off}): {only}"
+    unit = row.unit if form.name in ("sum", "difference") else ""
+    signed = float(np.copysign(deviation, form.value - form.stated))
+    return Stated(row.joint, row.link, name, form.stated, form.value, std, signed, text, unit)
+
+
+def _forms(value: np.ndarray, stated: np.ndarray, alike: bool) -> list[_Form]:
+    """Ways in which two numbers (values [2], as stated [2]) may go together; sums only of what has the same unit."""
+    (a, b), (c, d) = map(float, value), map(float, stated)
+    out = []
+    if b and d:
+        out.append(_Form("/", "ratio", a / b, c / d, np.array([1 / b, -a / b**2])))
+    out.append(_Form("·", "product", a * b, c * d, np.array([b, a])))
+    if alike or not out:
+        out.append(_Form("+", "sum", a + b, c + d, np.array([1.0, 1.0])))
+        out.append(_Form("-", "difference", a - b, c - d, np.array([1.0, -1.0])))
+    return out
 
 
 def sentence_of(name: str, value: float, estimate: Estimate, deviation: float | None) -> str:

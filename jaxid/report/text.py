@@ -98,9 +98,11 @@ def stated_sentences(stated: Sequence[Stated], named: Sequence[EffectEstimate] =
         return [sentence(s.text) for s in refuted]
     unit = lambda s: "" if s.unit in ("", "1") else f" {one_line(s.unit)}"
     every = [s.parameter for s in stated]
-    several = lambda s: s.link or every.count(s.parameter) > 1  # "armature of elbow_flex"
+    together = lambda s: " " in s.parameter  # "kp / inertia"
+    several = lambda s: not together(s) and (s.link or every.count(s.parameter) > 1)  # "armature of elbow_flex"
+    best = lambda s: s.fitted if s.beside is None else s.beside
     name = lambda s: s.text.partition(":")[0] if several(s) else s.parameter
-    shown = [f"{one_line(name(s))} {number(s.stated)} → {number(s.fitted, 4)}{unit(s)}" for s in refuted[:STATED]]
+    shown = [f"{one_line(name(s))} {number(s.stated)} → {number(best(s), 4)}{unit(s)}" for s in refuted[:STATED]]
     more = f", and {len(refuted) - STATED} more" if len(refuted) > STATED else ""
     off = dict.fromkeys(number(abs(s.deviation or 0.0), 2) for s in (refuted[-1], refuted[0]))
     return [

@@ -2,26 +2,27 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
 
+from jaxid.numerics.stated_numbers import REFUTED
 from jaxid.robots.steps import nearest
 from jaxid.robots.tree import Tree
 
 
 #: Numbers that are always in the file, whatever their value.
 ALWAYS = ("mass", "com_x", "com_y", "com_z", "kp", "kd", "lowest", "highest")
-MANY = 3.0  # standard deviations from which a difference is worth a sentence of its own
 
 
-def stated(binding: Any, found: Mapping[int, Any]) -> tuple[dict[str, Any], ...]:
-    """Rows of the table: numbers that a file or the dataset states and the fit determined; `found` by place in the layout."""
+def stated(binding: Any, found: Mapping[int, Any]) -> dict[int, dict[str, Any]]:
+    """Rows of the table by place in the layout: numbers that a file or the dataset states and that were fitted, each by itself;
+    `found` by place in the layout."""
     mechanism = binding.chain.mechanism
     held = getattr(mechanism, "tree", None)
     tree: Tree | None = None if held is None else held.tree
-    rows = []
+    rows: dict[int, dict[str, Any]] = {}
     for i, estimate in found.items():
         name = binding.layout.entries[i].name
         kind, _, place = name.partition("@")
@@ -37,20 +38,26 @@ def stated(binding: Any, found: Mapping[int, Any]) -> tuple[dict[str, Any], ...]
             off = nearest(value, estimate.value, added) - value
         deviation = off / std if std else None
         # Of a number that is another one the file has to state what its simulator's steps do not add by themselves.
-        refuted = deviation is not None and abs(deviation) > MANY
+        refuted = deviation is not None and abs(deviation) > REFUTED
         fitted = estimate.value - added if added and refuted else estimate.value
         more = f"; the file's own steps add {added:.2g} to it" if added else ""
         link = place if tree is not None and place in tree.links else _link(tree, place)
         joint = place if tree is None or place in tree.joints else tree.joints[tree.links.index(place)]
-        rows.append(
-            {
-                "joint": joint, "link": link, "parameter": kind, "stated": value, "fitted": fitted, "std": std,
-                "unit": estimate.unit, "deviation": deviation,
-                "text": f"{kind.replace('_', ' ')} of {place or mechanism.name}: {fitted:.4g} {estimate.unit}, "
-                f"stated {value:.4g}{more}" + (f" ({abs(deviation):.1f} standard deviations)" if deviation is not None else ""),
-            }
-        )  # fmt: skip
-    return tuple(rows)
+        text = f"{kind.replace('_', ' ')} of {place or mechanism.name}: {fitted:.4g} {estimate.unit}, stated {value:.4g}{more}"
+        if deviation is not None:
+            text += f" ({abs(deviation):.1f} standard deviations)"
+        rows[i] = {
+            "joint": joint,
+            "link": link,
+            "parameter": kind,
+            "stated": value,
+            "fitted": fitted,
+            "std": std,
+            "unit": estimate.unit,
+            "deviation": deviation,
+            "text": text,
+        }
+    return rows
 
 
 def _added_by_steps(binding: Any, found: Mapping[int, Any], tree: Tree, joint: str) -> float:
@@ -80,10 +87,11 @@ def _link(tree: Tree | None, joint: str) -> str:
     return tree.links[tree.joints.index(joint)] if tree is not None and joint in tree.joints else ""
 
 
-def sentences(rows: tuple[dict[str, Any], ...], tree: Tree) -> tuple[str, ...]:
+def sentences(rows: Sequence[Mapping[str, Any]]) -> tuple[str, ...]:
     """What differs from the file, most certain first: one sentence for the first moment of a link, one for each other number."""
     out: list[tuple[float, str]] = []
-    links = dict.fromkeys(r["link"] for r in rows if r["parameter"].startswith("com_"))
+    wrong = [r for r in rows if r["deviation"] is not None and abs(r["deviation"]) > REFUTED]
+    links = dict.fromkeys(r["link"] for r in wrong if r["parameter"].startswith("com_"))
     for link in links:
         own = {r["parameter"][-1]: r for r in rows if r["link"] == link and r["parameter"].startswith("com_")}
         was, now = (np.array([r[k] for r in own.values()]) for k in ("stated", "fitted"))
@@ -93,11 +101,11 @@ def sentences(rows: tuple[dict[str, Any], ...], tree: Tree) -> tuple[str, ...]:
             continue
         share = float((now - was) @ was / size)
         doubt = float(np.sqrt(np.sum((was * std) ** 2)) / size)
-        if abs(share) > MANY * doubt and abs(share) > 0.01:
+        if abs(share) > REFUTED * doubt and abs(share) > 0.01:
             more = f"{100 * abs(share):.0f} % {'more' if share > 0 else 'less'}"
             out.append((abs(share) / doubt, f"link {link} carries {more} first moment than the file says"))
-    for r in rows:
-        if not r["parameter"].startswith("com_") and r["deviation"] is not None and abs(r["deviation"]) > MANY:
+    for r in wrong:
+        if not r["parameter"].startswith("com_"):
             out.append((abs(r["deviation"]), r["text"]))
     return tuple(text for _, text in sorted(out, key=lambda one: -one[0]))
 

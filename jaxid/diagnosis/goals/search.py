@@ -18,10 +18,10 @@ from jaxid.fitting.fitter import Progress
 from jaxid.fitting.least_squares import Path
 from jaxid.fitting.problem_builder import Bench, estimate_starts
 from jaxid.fitting.secant import descend_on_secants, Slopes
+from jaxid.numerics.stated_numbers import REFUTED
 from jaxid.problem.binding import Binding
 from jaxid.problem.problem import Problem
 from jaxid.problem.residual import OutputError
-from jaxid.robots.yardstick import MANY
 
 
 #: Iterations and tolerance of a refit from the numbers that were read along the measured motion.
@@ -114,7 +114,9 @@ class Decider:
         more is left than the noise, it may stand for what is not known, and stays a number."""
         b, chosen = self.bench.binding, search.chosen
         lacked = [
-            c for c in _absent(b) if all(abs(chosen.theta[i]) > MANY * abs(b.doubts.get(b.layout.names[i], 0.0)) for i in c.index)
+            c
+            for c in _absent(b)
+            if all(abs(chosen.theta[i]) > REFUTED * abs(b.doubts.get(b.layout.names[i], 0.0)) for i in c.index)
         ]
         if not lacked:
             return search

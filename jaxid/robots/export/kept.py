@@ -1,29 +1,45 @@
-"""Which of a result's numbers stay as the file has them: those that the data do not tell from the file's."""
+"""Which of a result's numbers stay as the file has them: all but the smallest change that the data ask for."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 
 import numpy as np
 
-from jaxid.robots.export.outcome import AS_STATED, Number, number, Outcome
+from jaxid.numerics.stated_numbers import Known, smallest_change
+from jaxid.robots.export.outcome import AS_STATED, Named, Number, number, Outcome
 from jaxid.wording import value_with_std
 
 
 def kept(found: Outcome) -> Outcome:
-    """The result with those of the file's numbers that its data do not refute as the file has them, and the others with the
-    digits that they bear. Together the former are within what the data leave open (95 %, all others as fitted): one that is
-    near the file's beside one that it goes with is not left behind."""
+    """The result with those of the file's numbers that its data do not refute as the file has them, and the others as they are
+    beside these, with the digits that they bear: what trades for a number that stays is moved along with it."""
     stated = _stated(found)
-    known = [k for k in stated if _std(found.parameters[k]) is not None]
-    left = set(_indistinct(found, known, np.array([found.parameters[k].value - stated[k] for k in known])))
+    every = dict(found.parameters)
+    for e in found.effects:
+        every |= {_name(e, k): n for k, n in e.numbers.items()}
+    names, known = _known(found, every)
+    change = smallest_change(known, np.array([stated.get(k, np.nan) for k in names], float))
+    refuted = {names[k] for k in change.refuted}
+    left = {k for k in stated if k in names and k not in refuted}
     if _unexplained(found):
-        left |= {k for k in stated if k not in known}
+        left |= {k for k in stated if k not in names}
     left |= {k for k, value in stated.items() if found.parameters[k].value == value}
-    numbers = {k: _as_stated(n, stated[k]) if k in left else _rounded(n) for k, n in found.parameters.items()}
-    effects = tuple(replace(e, numbers={k: _rounded(n) for k, n in e.numbers.items()}) for e in found.effects)
-    return replace(found, parameters=numbers, effects=effects)
+    moved = {}
+    for k, name in enumerate(names):
+        moved[name] = replace(every[name], value=float(change.value[k]), std=float(change.std[k]))
+    numbers = {k: _as_stated(n, stated[k]) if k in left else _rounded(moved.get(k, n)) for k, n in found.parameters.items()}
+    effects = []
+    for e in found.effects:
+        own = {k: _rounded(moved.get(_name(e, k), n)) for k, n in e.numbers.items()}
+        effects.append(replace(e, numbers=own))
+    return replace(found, parameters=numbers, effects=tuple(effects))
+
+
+def _name(e: Named, field: str) -> str:
+    """How the covariance calls a number of an effect."""
+    return f"{e.effect}.{field}@{e.location}"
 
 
 def _stated(found: Outcome) -> dict[str, float]:
@@ -39,47 +55,32 @@ def _stated(found: Outcome) -> dict[str, float]:
     return out
 
 
-def _std(n: Number) -> float | None:
-    return n.std if n.std is not None and n.std > 0 and not n.at_bound else None
-
-
 def _unexplained(found: Outcome) -> bool:
     which = found.content.get("which")
     return isinstance(which, Mapping) and which.get("verdict") == "unknown"
 
 
-def _indistinct(found: Outcome, names: list[str], off: np.ndarray) -> list[str]:
-    """Those of the names whose stated values the data allow, all together. One after the other is taken out, by how much it is
-    refuted beside the rest."""
-    from scipy.stats import chi2
-
-    information = _information(found, names)
-    left = list(range(len(names)))
-    while left:
-        d, I = off[left], information[np.ix_(left, left)]
-        if d @ I @ d <= chi2.ppf(0.95, len(left)):
-            break
-        without = [
-            d @ I @ d - (np.delete(d, k) @ np.delete(np.delete(I, k, 0), k, 1) @ np.delete(d, k)) for k in range(len(left))
-        ]
-        left.pop(int(np.argmax(without)))
-    return [names[k] for k in left]
+def _known(found: Outcome, every: Mapping[str, Number]) -> tuple[list[str], Known]:
+    """(names, what is known of them): all that the covariance holds, else those with a standard deviation, as independent."""
+    size = np.diag(found.covariance) if found.covariance.size else np.zeros(0)
+    held = [k for k, name in enumerate(found.names) if name in every and np.isfinite(size[k]) and size[k] > 0]
+    names, matrix = [found.names[k] for k in held], found.covariance[np.ix_(held, held)]
+    alone = [name for name, n in every.items() if n.std and name not in names]
+    names += alone
+    whole = np.zeros((len(names), len(names)))
+    whole[: len(held), : len(held)] = matrix
+    for k, name in enumerate(alone, start=len(held)):
+        whole[k, k] = _variance(every[name])
+    value, lower, upper = (_each(every, names, k) for k in ("value", "lower", "upper"))
+    return names, Known(value=value, covariance=whole, lower=lower, upper=upper)
 
 
-def _information(found: Outcome, names: list[str]) -> np.ndarray:
-    """Of these numbers with all others as fitted, [n n]; by the standard deviations alone where the result has no covariance."""
-    std = np.array([found.parameters[k].std for k in names], float)
-    at = [found.names.index(k) if k in found.names else -1 for k in names]
-    if any(k < 0 for k in at):
-        return np.diag(1 / std**2)
-    C = found.covariance
-    size = np.sqrt(np.diag(C))
-    usable = np.flatnonzero(np.isfinite(C).any(1) & (size > 0))
-    if not set(at) <= set(usable.tolist()) or not np.isfinite(C[np.ix_(usable, usable)]).all():
-        return np.diag(1 / std**2)
-    R = C[np.ix_(usable, usable)] / np.outer(size[usable], size[usable])
-    own = [int(np.flatnonzero(usable == k)[0]) for k in at]
-    return np.linalg.pinv(R, hermitian=True)[np.ix_(own, own)] / np.outer(std, std)
+def _variance(n: Number) -> float:
+    return (n.std or 0.0) ** 2
+
+
+def _each(every: Mapping[str, Number], names: Sequence[str], field: str) -> np.ndarray:
+    return np.array([getattr(every[name], field) for name in names], float)
 
 
 def _as_stated(n: Number, stated: float) -> Number:

@@ -30,6 +30,8 @@ class Number:
     unit: str = ""
     at_bound: bool = False
     kept: str = ""  # why it is as the file has it
+    lower: float = -math.inf
+    upper: float = math.inf
 
     @property
     def doubt(self) -> str:
@@ -133,7 +135,19 @@ def _number(name: str, entry: Any) -> Number:
         return Number(value)
     std = entry.get("std")
     known = isinstance(std, int | float) and not isinstance(std, bool) and math.isfinite(std) and std >= 0
-    return Number(value, float(std) if known else None, str(entry.get("unit") or "")[:40], bool(entry.get("at_bound")))  # type: ignore[arg-type]
+    return Number(
+        value=value,
+        std=float(std) if known else None,  # type: ignore[arg-type]
+        unit=str(entry.get("unit") or "")[:40],
+        at_bound=bool(entry.get("at_bound")),
+        lower=_bound(entry.get("lower"), -math.inf),
+        upper=_bound(entry.get("upper"), math.inf),
+    )
+
+
+def _bound(entry: Any, none: float) -> float:
+    known = isinstance(entry, int | float) and not isinstance(entry, bool) and not math.isnan(entry)
+    return float(entry) if known else none
 
 
 def _effect(entry: Any) -> Named:

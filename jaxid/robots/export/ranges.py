@@ -1,13 +1,18 @@
-"""What the data leave open, as ranges for domain randomisation: mean, standard deviation, 95 % interval, correlations."""
+"""What the data leave open, as ranges for domain randomisation: mean, standard deviation, 95 % interval, correlations.
+
+Together they are one distribution, that of the covariance of the result. Where a number stands at its bound, its interval and
+those of the numbers that trade for it go to one side.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
 
+from jaxid.numerics.truncated import positive
 from jaxid.robots.export.outcome import Number, Outcome
 
 
@@ -33,13 +38,14 @@ def ranges_of(found: Outcome, to: str) -> Ranges:
         numbers = _identified(found)
     for e in found.effects:
         numbers |= {f"{e.effect}.{k}@{e.location}": n for k, n in e.numbers.items()}
+    intervals = _intervals(found, numbers)
     rows: dict[str, Any] = {}
     left: list[str] = []
     for name, n in numbers.items():
         if n.std is None:
             left.append(name)
             continue
-        low, high = n.value - NORMAL_95 * n.std, n.value + NORMAL_95 * n.std
+        low, high = intervals[name]
         if name.partition("@")[0] in POSITIVE:
             low = max(0.0, low)
         rows[name] = {"mean": n.value, "std": n.std, "interval_95": [low, high], "unit": n.unit}
@@ -72,12 +78,56 @@ def _number(entry: Any) -> Number | None:
     return Number(float(entry["value"]), float(std) if known(std) else None, str(entry.get("unit") or "")[:40])  # type: ignore[arg-type]
 
 
-def _correlation(found: Outcome, wanted: list[str]) -> tuple[list[str], list[list[float | None]]]:
+def _shared(found: Outcome, wanted: Iterable[str]) -> tuple[list[str], np.ndarray]:
+    """(names, covariance) of those of the wanted numbers that the result's covariance holds."""
+    asked = set(wanted)
+    size = np.diag(found.covariance) if found.covariance.size else np.zeros(0)
+    keep = [i for i, name in enumerate(found.names) if name in asked and size[i] > 0]
+    return [found.names[i] for i in keep], found.covariance[np.ix_(keep, keep)]
+
+
+def _intervals(found: Outcome, numbers: Mapping[str, Number]) -> dict[str, tuple[float, float]]:
+    """95 % of each number that has a standard deviation.
+
+    What stands at a bound has half of its own, by its root mean square from there; a number that trades for it moves with it to
+    one side, and by what is its own to both.
+    """
+    known = {name: n for name, n in numbers.items() if n.std is not None}
+    down = {name: NORMAL_95 * (n.std or 0.0) for name, n in known.items()}
+    up = dict(down)
+    sides = {name: _side(n) for name, n in known.items()}
+    names, C = _shared(found, known)
+    at = [k for k, name in enumerate(names) if sides[name]]
+    if at and np.isfinite(C).all():
+        pull = C[:, at] @ np.linalg.pinv(C[np.ix_(at, at)], hermitian=True)
+        own = np.maximum(np.diag(C) - np.einsum("ij,ij->i", pull, C[:, at]), 0.0)
+        reach = pull * (np.sqrt(np.diag(C)[at]) * [sides[names[k]] for k in at])
+        for k, name in enumerate(names):
+            down[name] = NORMAL_95 * float(np.sqrt(own[k] + np.sum(np.minimum(reach[k], 0.0) ** 2)))
+            up[name] = NORMAL_95 * float(np.sqrt(own[k] + np.sum(np.maximum(reach[k], 0.0) ** 2)))
+    for name, side in sides.items():
+        down[name] = 0.0 if side > 0 else down[name]
+        up[name] = 0.0 if side < 0 else up[name]
+    low = {name: max(n.lower, n.value - down[name]) for name, n in known.items()}
+    high = {name: min(n.upper, n.value + up[name]) for name, n in known.items()}
+    return {name: (low[name], high[name]) for name in known}
+
+
+def _side(n: Number) -> float:
+    """To which side of its bound a number can go, 0 where it stands at none."""
+    if not n.at_bound:
+        return 0.0
+    return 1.0 if n.value - n.lower <= n.upper - n.value else -1.0
+
+
+def _correlation(found: Outcome, wanted: Iterable[str]) -> tuple[list[str], list[list[float | None]]]:
     """(names, matrix) of those numbers that the covariance holds."""
-    std = np.sqrt(np.maximum(np.diag(found.covariance), 0.0)) if found.covariance.size else np.zeros(0)
-    keep = [i for i in range(len(found.names)) if std[i] > 0]
-    C = found.covariance[np.ix_(keep, keep)] / std[keep] / std[keep][:, None] if keep else np.zeros((0, 0))
-    return [found.names[i] for i in keep], [[None if not np.isfinite(v) else float(np.clip(v, -1, 1)) for v in row] for row in C]
+    names, C = _shared(found, wanted)
+    if C.size and np.isfinite(C).all():
+        C = positive(C)
+    size = np.sqrt(np.diag(C))
+    R = C / np.outer(size, size)
+    return names, [[None if not np.isfinite(v) else float(np.clip(v, -1, 1)) for v in row] for row in R]
 
 
 def _by_field(rows: Mapping[str, Any], field: str) -> dict[str, list[float]]:
