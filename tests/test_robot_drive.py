@@ -92,7 +92,7 @@ def test_only_numbers_that_the_file_can_have_stand_beside_it():
     """Those of an effect at a torque have neither joint nor link of the file."""
     b = bind(Robot.from_mjcf("arm.xml", text=ARM), recording(), candidates=[Saturation, CoulombFriction])
     found = {i: Estimate(1.0, 0.1, "N m", 0.0, 9.0) for i in (*b.free, *b.layout.of_effect("saturation", "turn_tau"))}
-    rows = stated(b, found)
+    rows = stated(b, found).values()
     assert {r["parameter"] for r in rows} >= {"damping", "armature"} and not {r["parameter"] for r in rows} & {"limit"}
 
 
@@ -106,7 +106,7 @@ def test_what_the_files_steps_add_refutes_no_number_of_it():
     assert steps.step == 0.01 and added > 1e-3
     std = 0.01 * added
     for more, refuted in ((0.0, False), (added, False), (-added, True), (2 * added, True)):
-        (row,) = stated(b, {i: Estimate(b.theta[i] + more, std, "kg m^2", 0.0, 9.0)})
+        (row,) = stated(b, {i: Estimate(b.theta[i] + more, std, "kg m^2", 0.0, 9.0)}).values()
         assert (abs(row["deviation"]) > 3) == refuted, more
         fitted = b.theta[i] + more - (added if refuted else 0.0)
         np.testing.assert_allclose(row["fitted"], fitted)

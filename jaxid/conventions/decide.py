@@ -107,7 +107,8 @@ def _claimed(
         tried = sorted([*tried, *own], key=lambda t: t.left)
         if tried and tried[0].left <= WHOLE * before:
             break
-    if not tried or tried[0].left > GONE * before:
+    tried = [t for t in tried if np.isfinite(t.left)]
+    if not tried or not tried[0].left <= GONE * before:
         return None
     best = tried[0]
     near = [t for t in tried[1:] if t.left <= ALIKE * best.left]
@@ -134,7 +135,7 @@ def _claimed(
     # It has to show in what is fitted, too: held-out motion alone tells how laws that the model lacks extrapolate.
     closes &= ALIKE * (left.left + FLOOR) <= recorded.left + FLOOR
     # What leaves as much as the whole drive explains nothing of it.
-    if not closes or left.worst > (FLOOR if laws else 1.0):
+    if not closes or not left.worst <= (FLOOR if laws else 1.0):
         return None
     beyond = laws or _beyond(fit, change(m), beside, left, FREE not in what)
     if not beyond and left.worst + FLOOR > ASKED * before:

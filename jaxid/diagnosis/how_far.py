@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import replace
 
@@ -78,6 +79,8 @@ def measure(
                 f" The {split} runs are {times(gaps[2])} times the noise away all the same: they go where fit and validation "
                 "runs do not, with numbers that those do not determine. Fit runs that go there tell more."
             )
+    elif (unknown := not_measured(gaps[0], gaps[2])) is not None:
+        reason = unknown
     elif gaps[0] <= 1.0:
         reason = "the gap was at the noise floor on report data before any effect was added"
     else:
@@ -131,6 +134,15 @@ def parts(bench: Bench, residual: Residual, split: str, held: HeldOut) -> tuple[
     settled = replace(held, residual=held.settled)
     whole = whole_runs(bench, residual, split, settled)
     return by_run(bench, split, [whole] * 3), by_regime(bench, split, [settled] * 3)
+
+
+def not_measured(*gaps: float) -> str | None:
+    """Why nothing is said of gaps that are no numbers; None where all are."""
+    if all(math.isfinite(gap) for gap in gaps):
+        return None
+    if any(math.isnan(gap) for gap in gaps):
+        return "no sample of these data could be compared"
+    return "a simulation does not stay finite, so that its gap has no size"
 
 
 def shrink(before: float, after: float) -> float:

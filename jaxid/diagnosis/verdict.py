@@ -101,6 +101,9 @@ def judge(search: Search, counted: np.ndarray | None = None) -> Verdict:
     gap = float(np.sqrt(max(nominal.loss, search.nominal.fit_loss)))
     if counted is not None and counted.any() and floor < gap**2 <= MOST_OF_ZEROS and _within_a_step(search.nominal, counted):
         return Verdict("none", (WithinAStep(gap),))
+    compared = [chosen.loss, search.chosen.fit_loss]
+    if search.chosen.effects and not np.isfinite(compared).all():
+        return Verdict("unknown", (NothingExplains(gap),))
     if not search.chosen.effects:
         if nominal.loss <= floor and search.nominal.fit_loss <= level(search.nominal.path.count):
             return Verdict("none", (AtTheNoise(),))
@@ -151,13 +154,15 @@ def _nearer(search: Search) -> tuple[Reason, ...]:
 def upheld(verdict: Verdict, gaps: Gaps, several: bool = False) -> Verdict:
     """A verdict that names effects (`several` of them) once the report data have been seen."""
     before, retuned, after = gaps
+    if not after < np.inf or np.isnan(retuned):  # a gap that is no number bears nothing out
+        return verdict.but("unknown", FartherOnReport(after, retuned, before))
     room = retuned**2 > LIMITS.alike  # beyond what is known of the noise
     closed = shrinking.closed(retuned**2, after**2)
     if retuned <= LIMITS.seen and (after < retuned or not (room or after**2 > LIMITS.alike * retuned**2)):
         if verdict.name == "named" and room and closed < LIMITS.partly:
             return verdict.unclaimed().but("unknown", LittleOnReport(after, retuned))
         return verdict
-    if after >= min(retuned, before):
+    if not after < np.minimum(retuned, before):
         return verdict.but("unknown", FartherOnReport(after, retuned, before))
     if verdict.name == "named" and several and after > LIMITS.left:
         return verdict.but("partly", LeftOnReport(after))

@@ -142,7 +142,7 @@ def findings(
             strength = float(np.sqrt(np.mean(values**2)))
             floor = floor_of(found, j, inside)
             above = strength / max(floor, 1e-300)
-            if above < 1 and joint not in given:
+            if not above >= 1 and joint not in given:
                 continue  # no more than noise
             window, experiment = _window(found, force, inside)
             spread, told_by = _WORDS[regime]

@@ -168,7 +168,7 @@ def ending(problem: Problem, found: Minimum, cov: Covariance, traces: Sequence[T
         return Ending("failed", f"{t.channel} moves by {np.ptp(t.measured):.3g} {t.unit} and the fitted model keeps it still")
     if problem.free.size > 1 and cov.at_bound[own].all():
         return Ending("failed", f"all numbers ended at their bounds ({found.stopped_because}): state wider ones")
-    if found.loss > LOST and not cov.identifiable[own].any():
+    if not found.loss <= LOST and not cov.identifiable[own].any():
         return Ending("failed", f"the loss is {found.loss:.3g} and no number is determined ({found.stopped_because})")
     plain = Ending(_state(found), found.stopped_because)
     if cov.gradient is None or cov.hessian is None or problem.loss_name != "sum_of_squares":
@@ -177,6 +177,8 @@ def ending(problem: Problem, found: Minimum, cov: Covariance, traces: Sequence[T
     out = np.where(problem.lower >= found.z - 1e-9 * problem.scale, g > 0, cov.at_bound & (g < 0)) & cov.at_bound
     bound = [i for i in np.flatnonzero(out) if _bends(problem, found, int(i)) and g[i] ** 2 > PUSHES * size * H[i, i]]
     left = _newton_gain(g, H, ~out) / size
+    if not np.isfinite(left):
+        return Ending("stalled", f"the derivatives at the end are no numbers ({found.stopped_because})")
     if left > MATERIAL and found.converged:
         which = problem.names[int(np.argmax(np.where(out, 0.0, np.abs(g) / np.sqrt(np.maximum(np.diag(H), 1e-300)))))]
         return Ending("stalled", f"no minimum: the loss still slopes along {which} ({found.stopped_because})")
@@ -211,6 +213,8 @@ def _bends(problem: Problem, found: Minimum, i: int) -> bool:
 
 def _newton_gain(g: np.ndarray, H: np.ndarray, inside: np.ndarray) -> float:
     """By how much a Gauss-Newton step would lower the sum of squares, over the numbers `inside`."""
+    if not np.isfinite(g[inside]).all() or not np.isfinite(H).all():
+        return float("nan")
     scale = np.sqrt(np.maximum(np.diag(H), 0.0))
     kept = np.flatnonzero(inside & (scale > 1e-150))
     if not kept.size:

@@ -73,12 +73,12 @@ def lost(table: Mapping[str, Mapping[str, Score]], noise: Mapping[str, float]) -
     found: dict[str, tuple[float, str]] = {}
     for split in ("validation", "report"):
         for name, s in table.get(split, {}).items():
-            seen = s.nrmse > LOST and s.rmse > ABOVE_NOISE * noise.get(name, 0.0)
-            if seen and name in fit and s.nrmse > ABOVE_FIT * fit[name].nrmse:
+            seen = not s.nrmse <= LOST and not s.rmse <= ABOVE_NOISE * noise.get(name, 0.0)
+            if seen and name in fit and not s.nrmse <= ABOVE_FIT * fit[name].nrmse:
                 found.setdefault(name, (s.nrmse, split))
     if not found:
         return ()
-    worst = sorted(found, key=lambda name: -found[name][0])
+    worst = sorted(found, key=lambda name: -np.nan_to_num(found[name][0], nan=np.inf))
     said = [f"{name} is off by {times(found[name][0])} times its standard deviation ({found[name][1]})" for name in worst[:2]]
     more = [f"{len(worst) - 2} more channels too"] if len(worst) > 2 else []
     return (f"worse than no model on data that were not fitted: {listed([*said, *more])}",)

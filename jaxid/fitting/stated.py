@@ -8,13 +8,17 @@ from typing import Any, TYPE_CHECKING
 
 import numpy as np
 
-from jaxid.numerics.stated_numbers import Change, Known, REFUTED, smallest_change
+from jaxid.numerics.stated_numbers import apart, Change, Known, REFUTED, smallest_change
 from jaxid.wording import listed, number, percent, value_with_std
 
 
 if TYPE_CHECKING:
     from jaxid.fitting.result import Covariance, Estimate
     from jaxid.problem.binding import Binding
+
+
+#: By so much of itself a number has to be another beside the others as stated, for both to be said.
+SHOWN = 0.01
 
 
 @dataclass(frozen=True)
@@ -54,7 +58,7 @@ def stated_numbers(binding: Binding, found: Mapping[int, Estimate], covariance: 
         entry, estimate = binding.layout.entries[i], found[i]
         joint = entry.location or (binding.chain.signature.joints[0] if binding.chain.nq == 1 else "")
         std = estimate.std if estimate.identifiable else None
-        deviation = (estimate.value - prior.value) / std if std else None
+        deviation = apart(estimate.value, prior.value, std)
         text = sentence_of(name, prior.value, estimate, deviation)
         out[i] = Stated(joint, "", name, prior.value, estimate.value, std, deviation, text, estimate.unit)
     told = judged(out, binding.layout.names, found, covariance, plain=True)
@@ -77,8 +81,12 @@ def judged(
     at, known = _known(names, found, covariance)
     stated = np.full(len(at), np.nan)
     for k, i in enumerate(at):
-        if i in rows:
-            stated[k] = rows[i].stated
+        row = rows.get(i)
+        if row is None:
+            continue
+        stated[k] = row.stated
+        if row.deviation is not None and row.std:  # of an armature what steps add may be in it, or not: what lies nearest
+            known.value[k] = row.stated + row.deviation * row.std
     change = smallest_change(known, stated)
     place = {i: k for k, i in enumerate(at)}
     called = lambda i: _label(rows[i], plain)
@@ -118,13 +126,13 @@ def _refuted(row: Stated, called: str, estimate: Estimate, change: Change, k: in
     value, std, deviation = float(change.value[k]), float(change.std[k]), change.deviation[k]
     own = "" if estimate.unit in ("", "1") else f" {estimate.unit}"
     off = f"{number(abs(deviation), 2)} standard deviations"
-    if abs(value - row.fitted) > std:
+    if abs(value - row.fitted) > max(std, SHOWN * abs(row.fitted)):
         told = value_with_std(replace(estimate, value=value, std=std))
         text = f"{called}: {told} with the other numbers as stated, stated {number(row.stated, 4)}{own} ({off})"
     elif plain:
         text = sentence_of(row.parameter, row.stated, estimate, deviation)
     else:
-        text = f"{called}: {row.fitted:.4g}{own}, stated {row.stated:.4g} ({off})"
+        text = f"{row.text.rpartition(' (')[0] or row.text} ({off})"
     return replace(row, deviation=deviation, text=text, beside=value)
 
 
@@ -203,7 +211,7 @@ def _forms(value: np.ndarray, stated: np.ndarray, alike: bool) -> list[_Form]:
 def sentence_of(name: str, value: float, estimate: Estimate, deviation: float | None) -> str:
     """What the data say of one number as it is stated."""
     own = f"your stated {name} {number(value)}{'' if estimate.unit in ('', '1') else ' ' + estimate.unit}"
-    if deviation is None:
+    if deviation is None or not np.isfinite(deviation):
         return f"{own} can be neither confirmed nor refuted: the data do not determine it"
     off = number(abs(deviation), 2)
     far = f"{off} standard deviation{'' if off == '1.0' else 's'} from {value_with_std(estimate)}"

@@ -10,6 +10,7 @@ import numpy as np
 from jaxid.data.dataset import ModelSpec
 from jaxid.dynamics.base_parameters import BaseParameters
 from jaxid.identification.regression import Law, Run, torques
+from jaxid.numerics.stated_numbers import apart
 from jaxid.wording import listed, number, percent
 
 
@@ -44,7 +45,7 @@ def _answer(name: str, value: float, known: dict[str, float], base: BaseParamete
     at = result.names.index(name) if name in result.names else None
     found = float(result.theta[at]) if at is not None else float("nan")
     std = float(result.std()[at]) if at is not None else float("nan")
-    deviation = (found - stated) / std if alone and std > 0 else None
+    deviation = apart(found, stated, std) if alone else None
     unit = result.units[at] if at is not None else ""
     joint = name[len(name.rstrip("0123456789")) :]
     what = f"your stated {name} {number(value)} {unit}".rstrip()
@@ -78,7 +79,7 @@ def beside_the_file(arm: Any, base: BaseParameters, law: Law, runs: Sequence[Run
         kind = name.rstrip("0123456789")
         if kind not in own and i >= result.base_count:
             continue
-        deviation = float((result.theta[i] - theta[i]) / std[i]) if std[i] > 0 else None
+        deviation = apart(float(result.theta[i]), float(theta[i]), float(std[i]))
         joint = int(name[len(kind) :])
         rows.append(
             {

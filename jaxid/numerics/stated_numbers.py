@@ -18,6 +18,14 @@ REFUTED = 3.0
 ROUNDING = 1e-13
 
 
+def apart(found: float, stated: float, std: float | None) -> float | None:
+    """How far a number lies from where it is stated, in standard deviations; None where that is no number."""
+    if std is None or not std > 0:
+        return None
+    deviation = (found - stated) / std
+    return deviation if np.isfinite(deviation) and np.isfinite(std) else None
+
+
 @dataclass(frozen=True)
 class Known:
     """Estimates `value` [n] with `covariance` [n n], between `lower` and `upper` [n]."""

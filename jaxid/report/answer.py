@@ -48,16 +48,18 @@ def words(effect: EffectEstimate) -> str:
 
 def headline(diagnosis: Diagnosis) -> str:
     which = diagnosis.which
-    if which.verdict == "none":
-        return other_numbers(diagnosis) or "Nothing is missing: the model reaches the noise."
     if not text.measured(diagnosis.how_far):
         return "Nothing can be judged: the data kept for it stand still."
+    if which.verdict == "none":
+        return other_numbers(diagnosis) or "Nothing is missing: the model reaches the noise."
     if which.verdict == "unknown":
         return "There is a gap that no known effect explains."
     return text.lacks(which, text.at_places, ", or an effect that looks the same in these data" if which.confusable_with else "")
 
 
 def where_card(diagnosis: Diagnosis) -> tuple[str, list[str]]:
+    if not text.measured(diagnosis.how_far):
+        return "Not measured", ["The data kept for it could not be compared."]
     if diagnosis.which.verdict != "none" and not diagnosis.where:
         return "In no one place", ["No joint, direction or time holds more of it than chance would put there."]
     if other_numbers(diagnosis):

@@ -61,11 +61,13 @@ def _clause(s: Stated) -> str:
     unit = "" if s.unit in ("", "1") else f" {one_line(s.unit)}"
     place = one_line(_place(s))
     what = f"the {place}'s {_word(s)}" if place else _word(s)
-    return f"{what} is {number(s.fitted, 3)}{unit}, not {s.stated:.4g}"
+    return f"{what} is {number(s.fitted if s.beside is None else s.beside, 3)}{unit}, not {s.stated:.4g}"
 
 
 def _place(s: Stated) -> str:
     """The joint of a number, or the link of a body's."""
+    if " " in s.parameter:  # what two numbers come to: "kp of lift / armature of lift"
+        return ""
     of_body = s.parameter == "mass" or s.parameter.startswith(("com_", "gyration_"))
     return s.link if of_body and s.link else s.joint
 

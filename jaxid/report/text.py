@@ -189,9 +189,11 @@ def how_far_sentence(how_far: HowFar, verdict: str) -> str:
             f"{away if not how_far.gap_retuned <= NEAR else ''}"
         )
     if verdict == "unknown":
-        worse = before != retuned and not how_far.gap_retuned <= how_far.gap_before
+        worse = before != retuned and how_far.gap_retuned > how_far.gap_before
         led = " Re-tuned to the data that were fitted it is further from these than as it was stated." if worse else ""
         return f"The gap is {before} times the noise, {retuned} after re-tuning the model's own parameters.{led}"
+    if math.isnan(how_far.gap_before) or math.isnan(how_far.gap_after):
+        return f"The gap is {before} times the noise before, {after} after ({retuned} re-tuned alone); – could not be measured."
     course = "falls" if how_far.gap_after < how_far.gap_before else "does not fall, but goes"
     return f"The gap {course} from {before} to {after} times the noise ({retuned} re-tuned alone)."
 

@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from jaxid.numerics.stated_numbers import REFUTED
+from jaxid.numerics.stated_numbers import apart, REFUTED
 from jaxid.robots.steps import nearest
 from jaxid.robots.tree import Tree
 
@@ -36,7 +36,7 @@ def stated(binding: Any, found: Mapping[int, Any]) -> dict[int, dict[str, Any]]:
         off = estimate.value - value
         if added:
             off = nearest(value, estimate.value, added) - value
-        deviation = off / std if std else None
+        deviation = apart(value + off, value, std)
         # Of a number that is another one the file has to state what its simulator's steps do not add by themselves.
         refuted = deviation is not None and abs(deviation) > REFUTED
         fitted = estimate.value - added if added and refuted else estimate.value

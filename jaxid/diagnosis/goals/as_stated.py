@@ -326,7 +326,7 @@ class AsStated:
         """`bench` of the model without candidates, `between` of its fit runs."""
         self.plain = bench.binding
         self.taken = difference(bench, {"fit": between})
-        if self.taken is not None and np.any(self.taken.floor > np.maximum(between.left, self.plain.sigma)):
+        if self.taken is not None and not np.all(self.taken.floor <= np.maximum(between.left, self.plain.sigma)):
             self.taken = None  # the difference is known less well than what the file leaves: nothing can be told beside it
         #: Whether it explains the recording by itself.
         self.stands = self.taken is not None and self.taken.accounts(self.plain)

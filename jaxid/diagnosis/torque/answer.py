@@ -10,7 +10,7 @@ import numpy as np
 
 from jaxid.diagnosis import where as location
 from jaxid.diagnosis.breakdown import Share
-from jaxid.diagnosis.how_far import closed, shrink
+from jaxid.diagnosis.how_far import closed, not_measured, shrink
 from jaxid.diagnosis.missing import Missing
 from jaxid.diagnosis.result import ChannelGap, Finding, HowFar, MissingForce, Ranked, Regime
 from jaxid.diagnosis.thresholds import LIMITS
@@ -197,7 +197,9 @@ def how_far(
     shrinkage, reason = None, ""
     if verdict == "none":
         reason = "the verdict is none: there is no gap to shrink"
-    elif not gaps[0] > 1.0:
+    elif (unknown := not_measured(gaps[0], gaps[2])) is not None:
+        reason = unknown
+    elif gaps[0] <= 1.0:
         reason = "the gap was at the noise floor before any effect was added"
     elif (exact := shrink(gaps[0] ** 2, gaps[2] ** 2)) < 0:
         reason = f"on {split} data the gap does not shrink"

@@ -171,9 +171,10 @@ def _judged(study: Study, found: Found) -> Verdict:
         return Verdict("unknown", (Undetermined(astray[0]),))
     if not final.units:
         gaps = [nominal.gap(w) for w in (found.fit, *sets) if w]
-        if all(not g > LIMITS.seen for g in gaps):
+        measured = [g for g in gaps if not np.isnan(g)]  # nan where no joint moves in a set of runs
+        if measured and max(measured) <= LIMITS.seen:
             return Verdict("none", (TorqueAtTheNoise(),))
-        return Verdict("unknown", (NothingPredicts(max(gaps)),))
+        return Verdict("unknown", (NothingPredicts(max(measured, default=float("nan"))),))
     names = tuple(_said(u) for u in final.units)
     base = found.base.final.units if found.base else ()
     beside = (Remark(f"The model lacks {listed(_said(u) for u in base)}."),) if base else ()
