@@ -56,12 +56,12 @@ def test_report_data_that_are_no_numbers_bear_nothing_out(values):
 @pytest.mark.parametrize("values", list(itertools.product((0.9, 5.0, *NONE), repeat=3)))
 @pytest.mark.parametrize("verdict", ["named", "partly", "unknown"])
 def test_no_words_are_made_of_what_is_no_number(values, verdict):
-    before, _, after = values
+    before, retuned, after = values
     reason = not_measured(before, after)
     assert (reason is None) == bool(np.isfinite([before, after]).all())
     if not np.isnan([before, after]).any():
         return
-    how_far = far(*values, reason or "")
+    how_far = far(before, retuned, after, reason or "")
     said = [text.how_far_sentence(how_far, verdict), text.shrinkage_sentence(how_far, verdict)]
     assert not any(claim in sentence for claim in CLAIMS for sentence in said)
 

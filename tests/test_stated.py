@@ -29,8 +29,9 @@ def servo(stated: dict[str, float]) -> tuple[Stated, ...]:
         k: Estimate(float(v), float(np.sqrt(C[k, k])), unit, 0.0, 100 * float(v))
         for k, (v, unit) in enumerate(zip(FITTED, UNITS, strict=True))
     }
+    off = lambda k, name: (float(FITTED[k]) - stated[name]) / float(np.sqrt(C[k, k]))
     rows = {
-        k: Stated("axis", "", name, stated[name], float(FITTED[k]), found[k].std, 0.1, f"{name}: …", UNITS[k])
+        k: Stated("axis", "", name, stated[name], float(FITTED[k]), found[k].std, off(k, name), f"{name}: …", UNITS[k])
         for k, name in enumerate(NAMES)
         if name in stated
     }

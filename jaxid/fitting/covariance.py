@@ -5,6 +5,10 @@ White residuals: cov = s^2 (J'J)^-1. Coloured ones (any model error, any disturb
 (`jaxid.fitting.noise_model`), and the long-run covariance of the scores themselves (Newey and West 1987, Bartlett weights; the
 bandwidth covers the residual's own correlation time), which also holds for a model error that follows the motion. Ordinary
 least-squares intervals are too narrow there by large factors.
+
+All numbers have one covariance: of a normal distribution about the minimum that is cut off at the bounds
+(`jaxid.numerics.truncated`), in units in which sums and ratios are straight lines. A direction that the data leave open is as
+wide as the bounds. What is pushed against a bound has its mean square from there, and frees the others by as much.
 """
 
 from __future__ import annotations
