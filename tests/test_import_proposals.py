@@ -12,7 +12,7 @@ import pytest
 from jaxid.cli.app import main
 from jaxid.data.importers.quantities import meaning_of
 from jaxid.data.io import load_dataset
-from test_import_tables import Q, T, TAU
+from test_import_tables import Q, run, same, T, TAU
 
 
 def german(header: str, columns: list[np.ndarray]) -> str:
@@ -101,3 +101,31 @@ def test_more_columns_than_are_shown_are_counted(tmp_path, capsys):
 def test_what_a_name_says(name, unit, quantity, goal):
     found = meaning_of(name, unit)
     assert (found.quantity, found.goal) == (quantity, goal)
+
+
+def trace(late: float = 0.0) -> str:
+    """A trace of a controller: a block a variable, its times in ms, those of the second `late`."""
+    lines = ["[key]; [value]", "Name; Plant.Trace1", "EveryNCycles; 1"]
+    for k, (name, shift, values) in enumerate((("GVL.fTorque", 0.0, TAU), ("GVL.fPos", late, Q))):
+        lines += [f"{k}.Variable; {name}", f"{k}.Class; 14", f"{k}.Data; "]
+        lines += [f"; {1e3 * t + shift:g}; {v}" for t, v in zip(T, values, strict=True)]
+    return "\n".join(lines) + "\n"
+
+
+@pytest.mark.parametrize("clock", ["t", "GVL.fTorque"])
+def test_a_trace_of_one_block_a_variable(tmp_path, capsys, clock):
+    (tmp_path / "a.csv").write_text(trace())
+    same(run(tmp_path / "a.csv", tmp_path / "a", (f"t={clock}:ms", "tau=GVL.fTorque:N m:input", "q=GVL.fPos:rad:output"))[0])
+    assert main(["import", "csv", str(tmp_path / "a.csv"), "--out", str(tmp_path / "out")]) == 2
+    said = capsys.readouterr().err
+    assert "a trace with one block a variable (2)" in said
+    assert "--channel t=t:ms --channel tau=GVL.fTorque:1:input --channel q=GVL.fPos:1:output" in said
+
+
+def test_blocks_with_other_times_are_read_where_they_were(tmp_path):
+    (tmp_path / "a.csv").write_text(trace(late=4))
+    data, _ = run(tmp_path / "a.csv", tmp_path / "a", ("t=t:ms", "tau=GVL.fTorque:N m:input", "q=GVL.fPos:rad:output"))
+    (e,) = data.experiments
+    np.testing.assert_allclose(e.y[e.read[:, 0], 0], Q)
+    np.testing.assert_allclose(e.t[e.read[:, 0]], T + 0.004, atol=1e-9)
+    np.testing.assert_allclose(e.u[::2, 0], TAU)

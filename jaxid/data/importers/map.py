@@ -120,7 +120,8 @@ def _read(
     """The channels that were found (patterns as one a joint), t [time] s, channel -> [time], and notes."""
     notes: list[str] = []
     flat = series_of(source.columns, None)
-    name = find_column(source, flat, clock.column) if clock.column else None
+    column = source.clock if source.clock and clock.column in flat else clock.column  # a block's name means its times
+    name = find_column(source, flat, column) if column else None
     length = len(flat[name]) if name is not None else None
     series = series_of(source.columns, length)
     found = _expanded(wanted, source, series, joined, joints)

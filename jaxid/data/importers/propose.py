@@ -13,6 +13,7 @@ from jaxid.data.importers.channels import channels_of, Proposed
 from jaxid.data.importers.command import Asked, command_with
 from jaxid.data.importers.joining import joined_files, names_once
 from jaxid.data.importers.source import parts_of, series_of, Source, stated_rate
+from jaxid.data.importers.traces import unit_of
 from jaxid.data.table import Table
 from jaxid.data.time_axis import contradicted, impossible, PER_SECOND
 
@@ -91,6 +92,8 @@ def _alone(name: str, series: Arrays) -> bool:
 
 def _time(source: Source, series: Arrays) -> str | None:
     """`t=COLUMN:UNIT` of what looks like the time; None where a stated rate stands for it."""
+    if source.clock:
+        return f"t={source.clock}:{unit_of(series[source.clock])}"
     names = [n for n in series if _TIME.fullmatch(n)]
     if not names and stated_rate(source) is not None:
         return None

@@ -12,7 +12,8 @@ import numpy as np
 
 from jaxid.data.importers.arrays import Arrays, kind_of, read_arrays
 from jaxid.data.importers.runs import refused
-from jaxid.data.importers.text import read_text, Stated
+from jaxid.data.importers.text import decoded, read_text, Stated
+from jaxid.data.importers.traces import CLOCK, read_trace, words_of as trace_words
 from jaxid.data.records import MINIMUM_SAMPLES
 from jaxid.data.table import read_table, Table
 from jaxid.data.time_axis import contradicted, impossible, PER_SECOND, since_start
@@ -36,6 +37,7 @@ class Source:
     options: str = ""
     twice: Mapping[str, list[int]] = field(default_factory=dict)
     ragged: Mapping[int, int] = field(default_factory=dict)
+    clock: str = ""  # the column of the times, where the kind of file says it
 
 
 def read_source(path: Path, stated: Stated) -> Source:
@@ -46,6 +48,8 @@ def read_source(path: Path, stated: Stated) -> Source:
     if not content.strip():
         raise refused(path, "the file is empty", "Record again")
     kind = kind_of(path, content)
+    if kind == "csv" and (trace := read_trace(path, decoded(path, content).splitlines())) is not None:
+        return Source(path, kind, trace, words=trace_words(trace), clock=CLOCK)
     if kind == "csv":
         table, units, form = read_text(path, content, stated)
         return Source(path, kind, dict(table.columns), units, table.rows, form.words(), form.options(), table.twice, table.ragged)

@@ -82,7 +82,7 @@ def read_text(path: Path, content: bytes, stated: Stated) -> tuple[Table, dict[s
 
     Raises `DatasetError` where no rows of numbers are found.
     """
-    lines = _decoded(path, content).splitlines()
+    lines = decoded(path, content).splitlines()
     form = recognise(lines, stated)
     if form is None:
         shown = next((line for line in lines if line.strip()), "")[:60]
@@ -258,7 +258,8 @@ def _known(unit: str) -> bool:
         return False
 
 
-def _decoded(path: Path, content: bytes) -> str:
+def decoded(path: Path, content: bytes) -> str:
+    """The text of a file, by its mark, as UTF-8, or as instruments write it. Raises `DatasetError` for binary data."""
     if content[:2] in (b"\xff\xfe", b"\xfe\xff"):
         return content.decode("utf-16", errors="replace")
     if b"\0" in content[:4096]:
