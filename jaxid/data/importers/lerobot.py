@@ -5,6 +5,7 @@ from __future__ import annotations
 
 import json
 import os
+import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -79,6 +80,7 @@ def import_lerobot(
         notes.append("every joint stays within -100..100: normalised by the recorder they are no degrees (--calibration FILE)")
     for j, name in enumerate(names):
         own = units.get(name)
+        share = _share_of_closing(sets, j, name)
         normal = _normalised(sets, j)
         if not normal and shown and j in arm and _within(sets, j):
             normal = "within -100..100, beside one that touches its end"
@@ -86,10 +88,9 @@ def import_lerobot(
             kept.append((name, scales[name]))
         elif own is not None:
             kept.append((name, Scale(1.0, 0.0, own)))
-        elif "gripper" in name.lower():
-            notes.append(
-                f"{name} is a gripper{normal and ' in percent'}: kept as auxiliary, unit 1 (--unit {name}=UNIT takes it)"
-            )
+        elif "gripper" in name.lower() or share:
+            what = "moves within 0..1, a share of its closing" if share else f"is a gripper{normal and ' in percent'}"
+            notes.append(f"{name} {what}: kept as auxiliary, unit 1 (--unit {name}=UNIT takes it)")
             kept.append((name, Scale(1.0, 0.0, "")))
         elif normal or everywhere is None:
             refusals.append(f"{name} ({normal or 'no unit stated'})")
@@ -192,6 +193,14 @@ def _normalised(sets: Sequence[Episodes], j: int) -> str:
         ends = "0..100" if low >= -0.001 and touches(high, 100) else "-100..100"
         return f"within {ends}, touching its end"
     return ""
+
+
+def _share_of_closing(sets: Sequence[Episodes], j: int, name: str) -> bool:
+    """Whether a joint of a hand never leaves 0..1: then it is as likely a share of its closing as an angle."""
+    if not re.search(r"gripper|hand|finger|thumb|claw", name, re.IGNORECASE):
+        return False
+    values = np.concatenate([a[:, j] for s in sets for a in (s.state, s.action)])
+    return bool(values.min() >= -0.001 and values.max() <= 1.001)
 
 
 def _within(sets: Sequence[Episodes], j: int) -> bool:

@@ -4,6 +4,7 @@ are never mixed."""
 from __future__ import annotations
 
 import os
+import re
 from collections import Counter
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
@@ -23,6 +24,7 @@ _ROLES = {
     "qd_cmd": ("auxiliary", "rad/s"), "tau_cmd": ("auxiliary", "N m"), "kp_cmd": ("auxiliary", "N m/rad"),
     "kd_cmd": ("auxiliary", "N m s/rad"),
 }  # fmt: skip
+_OPENING = 0.2  # m, more than the fingers of a gripper move
 _GOALS = ("leader", "command", "goal", "desired", "target", "reference")
 #: Order of the motors in Unitree's messages for quadrupeds, as its SDK has it.
 _QUADRUPED = tuple(f"{leg}_{joint}_joint" for leg in ("FR", "FL", "RR", "RL") for joint in ("hip", "thigh", "calf"))
@@ -61,7 +63,7 @@ def import_ros(
         if names and set(states.joints) != set(names):
             message = f"its joints are {', '.join(states.joints)}, those of {opened[0].path.name} {', '.join(names)}"
             raise refused(recording.path, message, "Import recordings of one robot together")
-        names = names or states.joints
+        names = names or _arm_first(states)
         order = [states.joints.index(n) for n in names]
         t, columns = states.t, {k: v[:, order] for k, v in states.values.items()}
         if command_topic is not None:
@@ -79,8 +81,35 @@ def import_ros(
     if not torque and "q1_cmd" not in runs[0].columns:
         said += "; no effort was recorded, so the dataset says that nothing drives the motion (free): name the goals with "
         said += "--command-topic, or add the channel that drives it"
+    if doubtful := _sliding(names, runs):
+        said += f"; {', '.join(doubtful)} may slide, in m, or turn, which ROS does not say: kept as auxiliary, unit 1"
+    for name in doubtful:
+        number = names.index(name) + 1
+        roles |= {_channel(quantity, number - 1): ("auxiliary", "1") for quantity in _ROLES}
+        del joints[f"q{number}"]
     kind_words = "rosbag2" if kind == "rosbag" else "mcap"
     return save_runs(runs, out, kind_words, roles, overwrite=overwrite, joints=joints, notes=[said])
+
+
+def _finger(name: str, q: np.ndarray) -> bool:
+    """Whether a joint is named like a finger and never leaves the opening of a gripper in m: no angle then, perhaps."""
+    return re.search(r"finger|gripper|claw", name, re.IGNORECASE) is not None and float(np.abs(q).max()) <= _OPENING
+
+
+def _arm_first(states: Rows) -> tuple[str, ...]:
+    """The joints in their order, those that may slide behind the others."""
+    finger = {name: _finger(name, states.values["q"][:, j]) for j, name in enumerate(states.joints)}
+    return tuple(sorted(states.joints, key=lambda name: finger[name]))
+
+
+def _sliding(names: Sequence[str], runs: Sequence[Run]) -> list[str]:
+    """Joints that may slide in every run; none where nothing else was recorded."""
+    found = [
+        name
+        for j, name in enumerate(names)
+        if all(f"q{j + 1}" in r.columns and _finger(name, r.columns[f"q{j + 1}"]) for r in runs)
+    ]
+    return found if len(found) < len(names) else []
 
 
 def _channel(quantity: str, joint: int) -> str:
