@@ -24,6 +24,7 @@ from jaxid.conventions.limits import GONE
 from jaxid.conventions.mending import mended, Mending
 from jaxid.conventions.missing_force import ForceFit, LAWS, LONGEST, measured, NEIGHBOURS
 from jaxid.conventions.rates import contradictions
+from jaxid.conventions.registers import register, told_once
 from jaxid.conventions.samples import Shown
 from jaxid.data.capacity import give_back
 from jaxid.data.dataset import Dataset
@@ -73,7 +74,7 @@ def run_check(
                         binding = _bound(model, data, tuple(without))[0] or binding
                 notes += sentences_of(binding.chain.mechanism, binding.dataset)
                 more, data = _by_model(binding, data, as_recorded, gap)
-                found += more
+                found = told_once(found, more)
             except UsageError as error:  # what these data do not allow is not the end of what comes after
                 notes.append(f"the model's readings of the recording could not be compared: {error}")
             give_back()
@@ -151,7 +152,9 @@ def _filtered(dataset: Dataset, channel):
 
 
 #: Every look at a channel, and at whole runs, in the order in which they are taken.
-LOOKS: tuple[Callable, ...] = (samples.wrapped, samples.glitch, samples.repeated_rows, samples.saturated, _filtered)
+LOOKS: tuple[Callable, ...] = (
+    register, samples.wrapped, samples.glitch, samples.repeated_rows, samples.saturated, _filtered,
+)  # fmt: skip
 RUN_LOOKS: tuple[Callable, ...] = (
     runs.not_at_rest, runs.does_not_move, lambda data, noise: runs.constant_inputs(data),
 )  # fmt: skip

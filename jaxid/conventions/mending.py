@@ -15,6 +15,10 @@ from jaxid.data.schema import ChannelEntry
 from jaxid.data.units import Conversion, conversion, UnitError
 
 
+#: Forms of the numbers as they were recorded, before any scale.
+REGISTER = frozenset({"sign_bit", "signed_bits"})
+
+
 @dataclass(frozen=True)
 class Mending:
     """Forms by channel (`scale`, `offset`, `unwrap`, `shift` …, on SI values), channels that take each other's samples, whether
@@ -82,9 +86,13 @@ def _run(dataset: Dataset, e: Experiment, mending: Mending) -> Experiment:
     for channel in dataset.channels:
         if channel.name not in mending.forms or channel.name not in read:
             continue
-        entry = ChannelEntry(role=channel.role, unit=channel.unit, hold=channel.hold, **mending.forms[channel.name])  # pyright: ignore
+        forms = mending.forms[channel.name]
+        entry = ChannelEntry(role=channel.role, unit=channel.unit, hold=channel.hold, **forms)  # pyright: ignore
         values, out = read[channel.name]
-        found = signal(values, e.t, ~out, entry, Conversion(1.0, channel.unit))
+        conversion = Conversion(1.0, channel.unit)
+        if REGISTER & forms.keys():  # the bits are those of what was recorded
+            entry, conversion, values = _as_recorded(channel, entry, values)
+        found = signal(values, e.t, ~out, entry, conversion)
         read[channel.name] = found.values, found.left_out
         known &= found.known
     there = np.flatnonzero(known)
@@ -102,6 +110,19 @@ def _run(dataset: Dataset, e: Experiment, mending: Mending) -> Experiment:
         at_rest=e.at_rest and not mending.moving,
         past=past,
     )
+
+
+def raw_of(channel: Channel, values: np.ndarray) -> np.ndarray:
+    """What was recorded where a channel has these values (SI), by the scale and offset that `dataset.toml` states."""
+    s = channel.stated or Stated(channel.unit)
+    return (values / s.factor - s.offset) / s.scale
+
+
+def _as_recorded(channel: Channel, entry: ChannelEntry, values: np.ndarray) -> tuple[ChannelEntry, Conversion, np.ndarray]:
+    """The entry, conversion and samples of a channel as its file has them, whole numbers of a register."""
+    s = channel.stated or Stated(channel.unit)
+    stated = entry.model_copy(update={"scale": s.scale, "offset": s.offset})
+    return stated, Conversion(s.factor, channel.unit), np.round(raw_of(channel, values))
 
 
 def lines(dataset: Dataset, channel: str, forms: Mapping[str, Any]) -> str:

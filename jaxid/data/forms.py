@@ -1,8 +1,9 @@
 """What `dataset.toml` may say of how a channel was recorded, applied to its samples: unwrapping, glitches, rows that repeat,
 rows and times it is late by, a clock that drifts.
 
-The forms compose in one order: raw (a column, or weighted columns), `scale` and `offset`, `unwrap`, `drop_glitches` and
-`sampled_every`, the unit's SI value, then `shift`, and `delay_s` with `clock_ppm` at last. Nothing is filled in: a reading of an
+The forms compose in one order: raw (a column, or weighted columns), the sign of a register (`sign_bit`, `signed_bits`), `scale`
+and `offset`, `unwrap`, `drop_glitches` and `sampled_every`, the unit's SI value, then `shift`, and `delay_s` with `clock_ppm` at
+last. Nothing is filled in: a reading of an
 output that is left out counts in no loss, and an input or auxiliary channel holds its last good sample there, as it does between
 samples.
 """
@@ -14,6 +15,7 @@ from typing import Any
 
 import numpy as np
 
+from jaxid.data import registers
 from jaxid.data.units import Conversion
 
 
@@ -48,7 +50,7 @@ def signal(raw: np.ndarray, t: np.ndarray, valid: np.ndarray, entry: Any, conver
     Raises `FormError` where a form does not fit the samples.
     """
     with np.errstate(over="ignore", invalid="ignore"):
-        values = entry.scale * raw + entry.offset
+        values = entry.scale * _with_sign(raw, valid, entry) + entry.offset
         period = _period(entry, conversion)
         values, left_out = _without_glitches(values, t, ~valid, period, entry.drop_glitches)
         if entry.sampled_every > 1:
@@ -65,6 +67,16 @@ def signal(raw: np.ndarray, t: np.ndarray, valid: np.ndarray, entry: Any, conver
     if entry.delay_s or entry.clock_ppm:
         found = _resampled(found, t, t[0] + (t - t[0]) / (1 + 1e-6 * entry.clock_ppm) - entry.delay_s, entry)
     return found
+
+
+def _with_sign(raw: np.ndarray, valid: np.ndarray, entry: Any) -> np.ndarray:
+    """Raw samples with the sign that their register holds beside their size."""
+    if entry.sign_bit is None and entry.signed_bits is None:
+        return raw
+    try:
+        return registers.signed(np.where(valid, raw, 0.0), entry.sign_bit, entry.signed_bits)
+    except ValueError as error:
+        raise FormError(str(error), "Remove it, or state the bits of this register") from None
 
 
 def _period(entry: Any, conversion: Conversion) -> float:

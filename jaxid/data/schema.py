@@ -51,6 +51,8 @@ class ChannelEntry(Strict):
     columns: list[Column] | None = Field(default=None, min_length=1)
     weights: list[FiniteFloat] | None = None
     valid: Column | None = None
+    sign_bit: int | None = Field(default=None, ge=1, le=62)
+    signed_bits: int | None = Field(default=None, ge=2, le=63)
     unwrap: bool | FiniteFloat = False
     drop_glitches: bool = False
     sampled_every: int = Field(default=1, ge=1)
@@ -90,6 +92,10 @@ class ChannelEntry(Strict):
             raise ValueError("`columns` and `weights` go together: columns = ['m5', 'm6'], weights = [32.0, 32.0]")
         if self.columns is not None and self.column is not None:
             raise ValueError("both `column` and `columns` say what to read: keep one of them")
+        if self.sign_bit is not None and self.signed_bits is not None:
+            raise ValueError("`sign_bit` and `signed_bits` are two forms of a register: keep one of them")
+        if self.columns is not None and (self.sign_bit or self.signed_bits):
+            raise ValueError("a register is one column: `sign_bit` and `signed_bits` do not go with `columns`")
         if self.columns is not None and len(self.columns) != len(self.weights or ()):
             raise ValueError(f"{len(self.columns)} columns have {len(self.weights or ())} weights: write one for each")
         return self

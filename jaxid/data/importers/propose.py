@@ -14,6 +14,7 @@ from jaxid.data.importers.command import Asked, command_with
 from jaxid.data.importers.joining import joined_files, names_once
 from jaxid.data.importers.source import parts_of, series_of, Source, stated_rate
 from jaxid.data.importers.traces import unit_of
+from jaxid.data.registers import found_sign, register_words
 from jaxid.data.table import Table
 from jaxid.data.time_axis import contradicted, impossible, PER_SECOND
 
@@ -44,8 +45,9 @@ def proposal(asked: Asked) -> str:
     command = command_with(asked, asked.stated.options(), [*([] if time is None else [time]), *said], asked.rate)
     command = command.replace(" --channel ", " --rate HZ --channel ", 1) if no_time else command
     words = f" ({source.words})" if source.words else ""
+    registers = "".join(f"; {n} {register_words(*found)}" for n, found in _registers(part, own).items())
     listed = _listed([*series_of(source.columns, None), *more], units)
-    return f"{source.path.name}{words} holds: {listed}; {_needed(part, time, no_time)}: {command} ({_remarks(channels)})"
+    return f"{source.path.name}{words} holds: {listed}; {_needed(part, time, no_time)}: {command} ({_remarks(channels)}{registers})"
 
 
 def _listed(names: Sequence[str], units: Mapping[str, str]) -> str:
@@ -88,6 +90,19 @@ def _takes(name: str, series: Arrays) -> bool:
 def _alone(name: str, series: Arrays) -> bool:
     base, _, element = name.rpartition("[") if name.endswith("]") else (name, "", "")
     return bool(element) and base in series and f"{base}[1]" not in series and _numeric(series[base])
+
+
+def _registers(source: Source, names: Sequence[str]) -> dict[str, tuple[str, int]]:
+    """Columns of numbers that are registers without their sign, and which bits hold it."""
+    found = {}
+    series = series_of(source.columns, None)
+    for name in names:
+        cells = series[name]
+        numbers = Table(source.path.name, {name: cells}, len(cells), source.rows).numbers(name).values
+        form = found_sign([numbers[np.isfinite(numbers)]])
+        if form is not None:
+            found[name] = form
+    return found
 
 
 def _time(source: Source, series: Arrays) -> str | None:

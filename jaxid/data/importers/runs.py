@@ -17,6 +17,7 @@ import numpy as np
 from jaxid.data.dataset import Dataset, ModelSpec
 from jaxid.data.io import save_dataset
 from jaxid.data.records import MINIMUM_SAMPLES
+from jaxid.data.registers import found_sign, register_words
 from jaxid.errors import DatasetError, DatasetWarning, Problem
 
 
@@ -117,6 +118,12 @@ def save_runs(
         if role[c] == "output" and all(np.ptp(r.columns[c][np.isfinite(r.columns[c])]) == 0 for r in runs):
             role[c] = "auxiliary"
             notes.append(f"{c} never moves and is kept as an auxiliary channel")
+    registers = {c: found for c in names if (found := found_sign([r.columns[c] for r in runs])) is not None}
+    bits = lambda key: {c: number for c, (form, number) in registers.items() if form == key}
+    sign_bit = bits("sign_bit")
+    # An output that is brought round to 0 may be a counter that wraps, which `jaxid check` tells.
+    signed_bits = {c: number for c, number in bits("signed_bits").items() if role[c] != "output"}
+    notes += [f"{c} {register_words(*registers[c])}; it was taken with it" for c in (*sign_bit, *signed_bits)]
     pick = lambda wanted: {c: [r.columns[c] for r in runs] for c in names if role[c] == wanted}
     blank = [c for c in names if any(np.isnan(r.columns[c]).any() for r in runs)]
     with warnings.catch_warnings():
@@ -135,6 +142,8 @@ def save_runs(
             valid={c: [np.isfinite(r.columns[c]).astype(float) for r in runs] for c in blank},
             resolution={c: v for c in names for s, v in (resolution or {}).items() if stem(c) == s},
             model=ModelSpec(joints=dict(joints)) if joints else None,
+            sign_bit=sign_bit,
+            signed_bits=signed_bits,
             time_unit="s",  # stated or judged by the importer
             check_model=False,
         )

@@ -18,7 +18,9 @@ from jaxid.errors import DatasetError, nearest, Problem
 
 
 RUN_SETTINGS = ("split", "at_rest", "initial", "constants", "initial_window_s", "split_at_gaps", "repeat_of")
-FORMS = ("scale", "offset", "unwrap", "drop_glitches", "sampled_every", "shift", "delay_s", "clock_ppm")
+FORMS = (
+    "sign_bit", "signed_bits", "scale", "offset", "unwrap", "drop_glitches", "sampled_every", "shift", "delay_s", "clock_ppm",
+)  # fmt: skip
 CHANNEL_SETTINGS = ("noise_std", "resolution", "hold", *FORMS)
 VALID = ".valid"  # behind a channel's name: the column that says where it was read; no channel can have such a name
 DATASET_SETTINGS = ("name", "time_unit", "names", "description", "source", "model", "controller", "check_model")
