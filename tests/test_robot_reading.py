@@ -160,7 +160,7 @@ URDF = """<robot name="tree"><link name="base"/>
 def test_urdf_with_branches_names_impossible_inertias():
     tree = read_urdf_tree("tree.urdf", URDF)
     assert tree.limbs() == (("left",), ("right",)) and tree.slides == (False, True)
-    assert len(tree.impossible) == 1 and re.search(r"'lb'.*0\.03", tree.impossible[0])
+    assert len(tree.impossible) == 1 and re.search(r"'lb'.*0\.03", tree.impossible[0][1])
     np.testing.assert_allclose(tree.damping[:, 0], [0.3, 0])
     np.testing.assert_allclose(tree.frictionloss, [0.1, 0])
     mimic = URDF.replace('<dynamics damping="0.3" friction="0.1"/>', '<mimic joint="right" multiplier="2" offset="0.1"/>')

@@ -15,14 +15,16 @@ from dataclasses import replace
 import numpy as np
 
 from jaxid.catalogue import effect_class
-from jaxid.conventions import runs, samples
+from jaxid.conventions import bodies, runs, samples
 from jaxid.conventions.copies import copies
 from jaxid.conventions.decide import judged
 from jaxid.conventions.finding import Checked, DataFinding
+from jaxid.conventions.late_speed import late_speeds
 from jaxid.conventions.law import is_open, law_reading, OTHER, read_as
 from jaxid.conventions.limits import GONE
 from jaxid.conventions.mending import mended, Mending
 from jaxid.conventions.missing_force import ForceFit, LAWS, LONGEST, measured, NEIGHBOURS
+from jaxid.conventions.play import plays
 from jaxid.conventions.rates import contradictions
 from jaxid.conventions.registers import register, told_once
 from jaxid.conventions.samples import Shown
@@ -35,6 +37,7 @@ from jaxid.dynamics.model_file import sha256_of
 from jaxid.errors import DatasetError, DatasetWarning, UsageError
 from jaxid.problem.binding import bind, Binding
 from jaxid.robots.floating import wanted
+from jaxid.robots.match import prepared
 from jaxid.robots.stops import sentences_of
 
 
@@ -58,6 +61,7 @@ def run_check(
     name = digest = ""
     if dataset.experiments and wanted(dataset):
         name = "robot"
+        found += bodies.impossible(prepared(model, dataset)[0])
         notes.append("a robot on a free base is not compared with its recording: found is what the samples show by themselves")
     elif dataset.experiments and _has_model(model, dataset):
         binding, why = _bound(model, data, tuple(without))
@@ -72,6 +76,7 @@ def run_check(
                     if found[-1].applied:
                         data = read_as(data, OTHER)
                         binding = _bound(model, data, tuple(without))[0] or binding
+                found += bodies.impossible(binding.chain.mechanism)
                 notes += sentences_of(binding.chain.mechanism, binding.dataset)
                 more, data = _by_model(binding, data, as_recorded, gap)
                 found = told_once(found, more)
@@ -157,6 +162,7 @@ LOOKS: tuple[Callable, ...] = (
 )  # fmt: skip
 RUN_LOOKS: tuple[Callable, ...] = (
     runs.not_at_rest, runs.does_not_move, lambda data, noise: runs.constant_inputs(data),
+    lambda data, noise: late_speeds(data), lambda data, noise: plays(data),
 )  # fmt: skip
 
 

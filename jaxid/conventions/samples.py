@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from math import pi
@@ -14,6 +15,8 @@ from jaxid.data.dataset import Channel, Dataset, Experiment
 from jaxid.data.forms import glitches
 
 
+#: Words of goals in names of channels: q_cmd, target_position, qref, Sollposition.
+GOAL = re.compile(r"cmd|command|goal|target|desired|demand|setpoint|soll|(?:^|_)(?:ref|des|set)(?:_|$|\d)|reference", re.I)
 LONGEST = 400_000  # samples of a run that are looked at
 #: A wrap is a jump that, with the period taken off, fits its neighbours to so many times what they usually change by.
 FITS = 6.0
@@ -45,6 +48,20 @@ def series(dataset: Dataset, channel: Channel) -> Iterator[tuple[Experiment, np.
         values = e.u if channel.role == "input" else e.y
         keep = slice(None) if channel.role == "input" else e.read[:LONGEST, column]
         yield e, values[:LONGEST, column][keep]
+
+
+def samples_of(dataset: Dataset, channel: Channel, e: Experiment) -> np.ndarray | None:
+    """An output's or auxiliary channel's samples in a run, one at each time."""
+    if channel.role == "auxiliary":
+        values = e.auxiliary.get(channel.name)
+        return None if values is None else values[:LONGEST]
+    column = [c.name for c in dataset.outputs].index(channel.name)
+    return e.motion()[:LONGEST, column]
+
+
+def commanded(name: str) -> bool:
+    """Whether a channel's name says that it is a goal and not measured."""
+    return GOAL.search(name) is not None
 
 
 def wrapped(dataset: Dataset, channel: Channel) -> Shown | None:
@@ -157,7 +174,7 @@ def repeated_rows(dataset: Dataset, channel: Channel) -> Shown | None:
     """An output that has a new value at every n-th row only."""
     if channel.role != "output":
         return None
-    every = {_every(y) for e, y in series(dataset, channel) if len(y) == min(len(e), LONGEST)}
+    every = {every_row(y) for e, y in series(dataset, channel) if len(y) == min(len(e), LONGEST)}
     if len(every) != 1 or (n := every.pop()) < 2:
         return None
     text = f"{channel.name} has a new value at every {n}. row only: it is sampled {n} times more slowly than it is logged."
@@ -168,7 +185,7 @@ def repeated_rows(dataset: Dataset, channel: Channel) -> Shown | None:
     return Shown(finding, Mending({channel.name: {"sampled_every": n}}))
 
 
-def _every(y: np.ndarray) -> int:
+def every_row(y: np.ndarray) -> int:
     changes = np.flatnonzero(np.diff(y) != 0) + 1
     if len(changes) < 20:
         return 1

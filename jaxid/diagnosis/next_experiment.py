@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Sequence
 
 import numpy as np
@@ -14,6 +15,11 @@ from jaxid.dynamics.parameter_vector import Layout
 from jaxid.excitation.discriminate import recorded, Rivals
 from jaxid.fitting.problem_builder import Bench
 from jaxid.simulation.sample_buffers import columns
+from jaxid.wording import listed
+
+
+#: What the effects of a transmission ask for beside a motion.
+SECOND = re.compile(r"(?:;|, and) a second encoder at the link")
 
 
 def rivals_of(bench: Bench, pair: tuple[Hypothesis, Hypothesis]) -> Rivals | None:
@@ -50,9 +56,10 @@ def advice(
     unseen: Sequence[Unseen] = (),
     repeated: bool = False,
     still: Sequence[str] = (),
+    read_twice: Sequence[str] = (),
 ) -> str:
     """Sentences a person can act on; effects by id. `repeated`: the recording holds repeats of a run, which gave the noise;
-    `still`: splits in which nothing moves."""
+    `still`: splits in which nothing moves; `read_twice`: two encoders of one joint that the recording holds."""
     if still:
         kept = " and ".join(still)
         return (
@@ -60,6 +67,9 @@ def advice(
             "cut the standstill off with window_s, so that the parts of one run fall where it moves."
         )
     text = _advice(verdict, named, mates, unseen, repeated)
+    if read_twice and SECOND.search(text):
+        told = f"`jaxid check` says what the difference of {listed(tuple(read_twice))} shows"
+        text = f"{SECOND.sub('', text)} Both ends of a joint are recorded: {told}."
     open_ = any(not u.absorbed for u in unseen) if verdict == "none" else verdict != "named" or mates
     if rivals is None or not rivals.recorded.top.any() or not open_:
         return text

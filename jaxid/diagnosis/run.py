@@ -11,6 +11,7 @@ import jax
 import numpy as np
 
 from jaxid import catalogue
+from jaxid.conventions.play import read_twice
 from jaxid.data.capacity import need, shortened
 from jaxid.data.dataset import Dataset
 from jaxid.data.time_stamps import scattered_stamps, with_scatter
@@ -262,7 +263,14 @@ def _diagnosed(question: Question, scatter: timing.Scatter | None = None) -> tup
     confusable = tuple(EffectEstimate(c.effect, c.location) for c in mates)
     which = Which(verdict.name, estimates if named else (), confusable, ranking, verdict.text, against)
     advised = advice(
-        verdict.name, [c.effect for c in named], [c.effect for c in mates], rivals, looked.unseen, judge.repeated, question.still
+        verdict.name,
+        [c.effect for c in named],
+        [c.effect for c in mates],
+        rivals,
+        looked.unseen,
+        judge.repeated,
+        question.still,
+        read_twice(binding.dataset),
     )
     found = Diagnosis(
         binding.chain.mechanism.name, binding.dataset.name, binding.dataset.sha256, seed, residual.name, findings, which,

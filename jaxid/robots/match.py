@@ -317,5 +317,5 @@ def notes_of(model: Any, dataset: Dataset) -> tuple[str, ...]:
     _, notes = recorded(tree, dataset)
     law = matched(model, dataset).mechanism.drive_law  # type: ignore[attr-defined]
     notes = notes if law is None else (*notes, law.text)
-    impossible = [f"{text}: no body has it, the nearest one is simulated" for text in tree.impossible]
+    impossible = [f"{text}: no body has it, the nearest one is simulated" for _, text in tree.impossible]
     return (*tree.notes, *impossible, *notes, *stops.sentences(tree, dataset))

@@ -57,7 +57,8 @@ class Tree:
 
     `inertia` [n 10] is about the node's origin, `anchor` [n 3] that origin in the frame of the body as the file has it (`links`,
     "" for a node between two joints of one body). `damping` [n 3]: f = d1 v + d2 v |v| + d3 v^3. Limits are infinite where
-    unknown. `held`: where joints of the file that do not move here stand. `trunk`: ten numbers of the base itself about the
+    unknown. `held`: where joints of the file that do not move here stand. `impossible`:
+    links with an inertia that no body has, and what is wrong with it. `trunk`: ten numbers of the base itself about the
     base's frame, `carrier` that link's name, and `root` [16], row by row, its pose in it where it is free to move in the file.
     `floats`: the first six nodes are the base's own freedom (see `robots.floating`). `steps`: those of the simulator that the
     file is of, where they add to its numbers.
@@ -87,7 +88,7 @@ class Tree:
     poses: Mapping[str, Mapping[str, float]] = field(default_factory=dict)
     gravity: tuple[float, float, float] = (0.0, 0.0, -9.81)
     base: str = "base"
-    impossible: tuple[str, ...] = ()
+    impossible: tuple[tuple[str, str], ...] = ()
     notes: tuple[str, ...] = ()
     held: Mapping[str, float] = field(default_factory=dict)
     trunk: tuple[float, ...] = (0.0,) * 10

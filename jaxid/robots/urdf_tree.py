@@ -60,7 +60,7 @@ def read_urdf_tree(path: str | Path, text: str | None = None) -> Tree:
         zero, np.array(bodies), np.zeros((len(joints), 3)), zero, damping, dissipation[:, 1].copy(), zero, zero,
         limits[0], limits[1], limits[2], limits[3], couplings, base=base,
         trunk=tuple(trunk.tolist()), carrier=base,
-        impossible=tuple(f for name, phi in robot.inertia.items() if (f := fault(name, phi))),
+        impossible=tuple((name, f) for name, phi in robot.inertia.items() if (f := fault(name, phi))),
         notes=tuple(f"joint {j.name}: by the file nothing of mass hangs on it (link {j.child} has no <inertial>), held at 0"
                     for j in massless),
     )  # fmt: skip
