@@ -111,7 +111,7 @@ def _lag(stretches: list[Stretch]) -> float | None:
     step = stretches[0].step
     most = max(2, min(min(len(s.rate) for s in stretches) // 3, _quarter_period(stretches)))
     lags = np.arange(-most, most + 1)
-    both = np.array([_shared(stretches, k) for k in lags])
+    both = np.array([_shared(stretches, int(k)) for k in lags])
     shares = both[:, 0] ** 2 / np.maximum(both[:, 1] * both[:, 2], 1e-300)
     best = int(np.argmax(shares))
     if shares[best] < SAME or best in (0, len(lags) - 1):

@@ -39,7 +39,7 @@ class Mending:
                     own["scale"] = own.get("scale", 1.0) * value
                     if "offset" in own:
                         own["offset"] *= value
-                elif key in ("offset", "shift", "clock_ppm"):
+                elif key in ("offset", "shift", "clock_ppm", "delay_s"):
                     own[key] = own.get(key, 0) + value
                 else:
                     own[key] = value
@@ -144,6 +144,8 @@ def lines(dataset: Dataset, channel: str, forms: Mapping[str, Any]) -> str:
             out.append("unwrap = true" if turn else f"unwrap = {_short(value / s.factor / abs(s.scale))}")
         elif key == "shift":
             out.append(f"shift = {s.shift + value}")
+        elif key == "delay_s":
+            out.append(f"delay_s = {s.delay_s + value:.4g}")
         elif key == "clock_ppm":
             out.append(f"clock_ppm = {s.clock_ppm + value:.4g}")
         elif key not in ("scale", "offset"):

@@ -113,10 +113,10 @@ def _ratio(pairs: list[tuple[np.ndarray, np.ndarray]]) -> float | None:
 
 def _two_ends(d: np.ndarray) -> tuple[float, float]:
     """The middles of what lies above and below half of the range of most samples."""
-    half = float(np.mean(np.percentile(d, [5, 95])))
+    low, high = (float(end) for end in np.percentile(d, [5, 95]))
     for _ in range(5):
-        low, high = float(np.median(d[d <= half])), float(np.median(d[d >= half]))
         half = (low + high) / 2
+        low, high = float(np.median(d[d <= half])), float(np.median(d[d >= half]))
     return low, high
 
 

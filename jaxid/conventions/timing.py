@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from jaxid.conventions.finding import DataFinding
-from jaxid.conventions.limits import ALIKE, FLOOR, GONE
+from jaxid.conventions.limits import ALIKE, ASKED, FLOOR, GONE
 from jaxid.conventions.mending import lines, Mending
 from jaxid.conventions.missing_force import Fitted, ForceFit, Motion
 from jaxid.conventions.readings import Names
@@ -24,6 +24,12 @@ SURE, LIKELY = 6.0, 2.0
 #: A clock's drift moves the input by at least so many rows within a run.
 DRIFT = 0.7
 MOST_ROWS, MOST_DRIFT = 6.0, 0.02
+#: A motion comes before its cause from so many rows on: an input that is held or runs on from sample to sample is half a row.
+EARLY = 0.75
+#: The time of a reading within its row is known no better, whatever scatters (rows, one standard deviation).
+FINEST = 0.05
+#: How well a lateness of many rows is known, as a share of it; steps to each side in which one is looked for.
+SHARE, WIDEST = 0.1, 12
 
 
 @dataclass(frozen=True)
@@ -40,6 +46,7 @@ def lateness(fit: ForceFit, m: Motion, as_one: bool = False) -> tuple[list[Late]
     """Of each input, or of all of them `as_one`, beside any law of the joint's own motion (what a model lacks there is no delay);
     and the motion without."""
     nu, nq, size = len(m.mix), fit.nq, len(fit.free)
+    begun = m.rows
     late: list[Late] = []
     for least in (LIKELY, LIKELY, SURE, SURE):
         fitted = fit.fit(replace(m, held=np.zeros(len(m.held), bool)))
@@ -70,7 +77,7 @@ def lateness(fit: ForceFit, m: Motion, as_one: bool = False) -> tuple[list[Late]
         change = drift if sure else -m.drift
         rows = np.array([good(p, 2.0) for p in steps[:nu]]) - change * m.since.mean() / m.step
         late = [Late(float(m.rows[k] + rows[k]), steps[k][1], float(m.drift[k] + change[k]), steps[nu + k][1]) for k in range(nu)]
-        m = replace(m, rows=np.clip(m.rows + rows, -MOST_ROWS, MOST_ROWS), drift=m.drift + change)
+        m = replace(m, rows=np.clip(m.rows + rows, begun - MOST_ROWS, begun + MOST_ROWS), drift=m.drift + change)
     return late, m
 
 
@@ -95,6 +102,65 @@ def _own_laws(m: Motion) -> np.ndarray:
 
 
 def timed(binding: Binding, fit: ForceFit, m: Motion, names: Names) -> Iterator[Shown]:
+    """What the times of inputs and motion say: rows and clocks, else a motion that comes before its cause by any time."""
+    rows = list(_rows_and_clocks(binding, fit, m, names))
+    yield from rows
+    if names.inputs and not any(shown.finding.decisive for shown in rows):
+        yield from _before_causes(binding, fit, m, names)
+
+
+def _before_causes(binding: Binding, fit: ForceFit, m: Motion, names: Names) -> Iterator[Shown]:
+    """Inputs that are recorded later than they act, by any time: the motion comes before its cause, as in no machine."""
+    plain = fit.fit(m)
+    noise = fit.noise(plain, binding, m)
+    if plain.worst <= ALIKE * noise:
+        return
+    near = _nearest_rows(fit, m, plain.worst)
+    late, common, _ = _told(fit, near)
+    told = [common if common is not None else (x.rows, x.std) for x in late]
+    rows = np.array([value if value >= EARLY and value > SURE * std else 0.0 for value, std in told])
+    if not rows.any() or any(std > max(KNOWN, SHARE * value) for (value, std), k in zip(told, rows, strict=True) if k):
+        return
+    left = fit.fit(replace(m, rows=m.rows + rows)).worst
+    if left > GONE * plain.worst:
+        return
+    # A fraction of a row has no value of its own that would speak for it: it has to be the answer as a whole.
+    sure = left <= max(ASKED * plain.worst, ALIKE * noise)
+    for k in np.flatnonzero(rows):
+        yield _early(binding, m.step, names, int(k), *told[k], sure)
+
+
+def _nearest_rows(fit: ForceFit, m: Motion, before: float) -> Motion:
+    """The motion with all inputs taken later or earlier by what leaves least of it, on a grid that no oscillation of theirs slips
+    through."""
+    change = np.concatenate([np.diff(s.u, axis=0) for s in m.sources])
+    size = np.concatenate([s.u - s.u.mean(0) for s in m.sources])
+    swing = float(np.mean(size**2)) / max(float(np.mean(change**2)), 1e-300)
+    apart = max(1.0, np.pi / 8 * np.sqrt(swing))
+    grid = apart * np.arange(-WIDEST, WIDEST + 1)
+    tried = [(fit.fit(replace(m, rows=m.rows + k), hopeless=before).worst, abs(k), k) for k in grid]
+    return replace(m, rows=m.rows + min(tried)[2])
+
+
+def _early(binding: Binding, step: float, names: Names, k: int, rows: float, std: float, sure: bool) -> Shown:
+    """A finding of an input that is recorded by so many rows later than it acts."""
+    name, joints = names.inputs[k], listed(tuple(names.joints))
+    forms = {"delay_s": float(f"{rows * step:.4g}")}
+    std = float(np.hypot(std, FINEST))
+    by = f"{1e3 * rows * step:.3g} ± {1.96e3 * std * step:.1g} ms ({rows:.2g} rows)"
+    moves = "moves" if len(names.joints) == 1 else "move"
+    text = (
+        f"{joints} {moves} {by} before {name}, the cause, and no machine does that: {name} is reported late, by a filter, a bus "
+        "or a log."
+    )
+    finding = DataFinding(
+        "row_shift", name, rows, text, lines(binding.dataset, name, forms), (rows - 1.96 * std, rows + 1.96 * std), decisive=sure,
+        headline=f"{name} is reported {1e3 * rows * step:.3g} ms late; everything below takes it that much earlier",
+    )  # fmt: skip
+    return Shown(finding, Mending({name: forms}) if sure else Mending(), True)
+
+
+def _rows_and_clocks(binding: Binding, fit: ForceFit, m: Motion, names: Names) -> Iterator[Shown]:
     """Whole rows and drifting clocks, where they close a share of what is missing: a load that is lost half-way looks late
     too."""
     plain, recorded = fit.fit(m), m

@@ -37,6 +37,7 @@ class Stated:
     column: str = ""
     shift: int = 0
     clock_ppm: float = 0.0
+    delay_s: float = 0.0
 
 
 @dataclass(frozen=True)

@@ -52,7 +52,16 @@ class Reading:
 
         entry = self.entry
         column = "" if entry.columns is not None else str(self.column)
-        stated = Stated(entry.unit, self.conversion.factor, entry.scale, entry.offset, column, entry.shift, entry.clock_ppm)
+        stated = Stated(
+            unit=entry.unit,
+            factor=self.conversion.factor,
+            scale=entry.scale,
+            offset=entry.offset,
+            column=column,
+            shift=entry.shift,
+            clock_ppm=entry.clock_ppm,
+            delay_s=entry.delay_s,
+        )
         noise, step = width(entry.noise_std), width(entry.resolution)
         return Channel(self.name, entry.role, self.conversion.si, noise, step, entry.hold, stated)
 
