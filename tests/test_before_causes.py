@@ -31,6 +31,7 @@ def test_a_motion_before_its_cause_is_told_in_time(model, rows, effect):
     (finding,) = checking.run_check(None, r.dataset()).findings
     assert (finding.kind, finding.channel, finding.applied) == ("row_shift", "tau", True)
     assert finding.value == pytest.approx(rows, abs=0.1)
+    assert finding.value is not None and finding.interval_95 is not None
     low, high = finding.interval_95
     assert low < rows < high
     assert float(finding.line.removeprefix("delay_s = ")) == pytest.approx(rows * r.t[1], abs=0.1 * r.t[1])
