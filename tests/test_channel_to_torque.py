@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import warnings
 from dataclasses import replace
 from typing import Any
 
@@ -10,16 +11,20 @@ import numpy as np
 import pytest
 
 import jaxid
+from jaxid.cli.terminal import warnings_said_once
 from jaxid.conventions.missing_force import ForceFit, measured
 from jaxid.data.dataset import ModelSpec
 from jaxid.diagnosis.missing import joint_load
+from jaxid.diagnosis.torque.answer import _body
+from jaxid.diagnosis.torque.library import BODY, Unit
 from jaxid.diagnosis.torque.study import Study
 from jaxid.dynamics.chain import Chain
 from jaxid.dynamics.effect import Command, Signals
 from jaxid.dynamics.kinematics import modified_dh
 from jaxid.dynamics.parameter_vector import Layout
-from jaxid.errors import UsageError
+from jaxid.errors import DatasetWarning, UsageError
 from jaxid.fitting.problem_builder import Bench
+from jaxid.identification.payload import Payload, USUAL_GAIN_STD, usual_gain_std
 from jaxid.identification.regression import read_run
 from jaxid.identification.run import _stated
 from jaxid.models import Joint, Panda, SerialArm, UR10, UR10e
@@ -182,3 +187,48 @@ def test_a_current_without_a_gain_is_refused() -> None:
     bare = replace(data, model=replace(data.model, constants={"drive_gain1": 14.87}))
     with pytest.raises(UsageError, match="current2: in A.*drive_gain2"):
         bind(ARMS["two"], bare)
+
+
+def test_a_load_without_a_mass_has_no_centre() -> None:
+    """Neither where it is read off a diagnosis nor off an identification; nothing divides by it."""
+    n = len(BODY)
+    unit = Unit("payload", "q2", BODY, np.zeros(n), np.zeros(n), np.ones(n), {}, (0, 1), [])
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        found = _body(unit, np.zeros(n), 1e-6 * np.eye(n), 0.05)
+        told = Payload(np.zeros(10), np.eye(10), np.zeros(10), np.zeros(10), 0.05, 3).to_dict()
+    assert found["mass"].value == 0.0 and not {"x", "y", "z"} & found.keys()
+    assert np.isnan(told["nearest_body"]["com"]).all() and told["com"][0]["std"] == np.inf
+
+
+def test_the_share_of_the_gains_is_in_the_interval_of_a_load() -> None:
+    """By itself where torques are made of currents; both roads state it alike."""
+    arm = ARMS["two"]
+    shares = {unit: usual_gain_std(_chain(arm, recorded(arm, unit))) for unit in ("N m", *UNITS)}
+    assert shares == {"N m": 0.0, **dict.fromkeys(UNITS, USUAL_GAIN_STD)}
+    values = np.array([3.0, 0.03, 0.0, 0.3, *[0.1] * 6])
+    unit = Unit("payload", "q2", BODY, np.zeros(10), np.zeros(10), np.ones(10), {}, (0, 1), [])
+    exact, counted = (_body(unit, values, 1e-6 * np.eye(10), share)["mass"].std for share in (0.0, 0.05))
+    assert exact == pytest.approx(1e-3) and counted == pytest.approx(np.hypot(1e-3, 0.15))
+    phi = np.concatenate([values[4:], values[1:4], values[:1]])
+    load = Payload(phi, 1e-6 * np.eye(10), phi, None, 0.05, 3)
+    assert load.mass[1] == pytest.approx(counted) and "5 %" in load.counted_gains and not load.exact_gains
+
+
+def test_warnings_of_arithmetic_reach_no_terminal(capsys: pytest.CaptureFixture[str]) -> None:
+    with warnings_said_once():
+        warnings.simplefilter("always")
+        assert np.isnan(np.zeros(1) / np.zeros(1)).all()
+        warnings.warn("a mass of the file is negative", DatasetWarning, stacklevel=1)
+    said = capsys.readouterr().err
+    assert "a mass of the file is negative" in said and "invalid value" not in said
+
+
+def test_a_joint_under_another_role_is_named() -> None:
+    arm = ARMS["two"]
+    data = recorded(arm, "N m")
+    beside = tuple(replace(c, role="auxiliary") if c.name == "q2" else c for c in data.channels)
+    (e,) = data.experiments
+    moved = replace(e, y=e.y[:, :1], auxiliary={"q2": e.y[:, 1]})
+    with pytest.raises(UsageError, match=r'q2: recorded as auxiliary; state role = "output" under \[channels.q2\]'):
+        bind(arm, replace(data, channels=beside, experiments=(moved,)))

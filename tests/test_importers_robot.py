@@ -67,7 +67,7 @@ def test_a_slowed_robot_and_a_still_joint_are_told(tmp_path):
     with pytest.warns(DatasetWarning) as caught:
         data = load_dataset(import_ur_rtde_csv(file, tmp_path / "out"), check_model=False)
     text = " | ".join(str(w.message) for w in caught)
-    assert "slowed down to 50 %" in text and "q4 never moves" in text and len(data.outputs) == 5
+    assert "slowed down to 50 %" in text and "q4 never moves" in text and len(data.outputs) == 6
 
 
 @pytest.mark.parametrize(

@@ -41,8 +41,9 @@ if TYPE_CHECKING:
     help="Identification of the unloaded arm: gives the payload.",
 )  # fmt: skip
 @click.option(
-    "--gain-std", type=click.FloatRange(0, 1), default=0.0, show_default=True, metavar="S",
-    help="Relative standard deviation of the drive gains, for the payload's interval.",
+    "--gain-std", type=click.FloatRange(0, 1), metavar="S",
+    help="Relative standard deviation of the drive gains, for the payload's interval; default: 0.05 where torques are made of "
+    "currents, else 0.",
 )  # fmt: skip
 @click.option(
     "--motion", type=click.Choice(("measured", "commanded", "fourier")), default="measured", show_default=True, metavar="W",

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import logging
 import sys
 import time
 import warnings
@@ -24,7 +25,9 @@ def warnings_said_once() -> Iterator[None]:
         show, said = warnings.showwarning, set()
 
         def say_once(message, category, *where: Any, **more: Any) -> None:
-            if not issubclass(category, DatasetWarning):
+            if of_arithmetic(message, category):
+                logging.getLogger("jaxid").debug("%s", message)
+            elif not issubclass(category, DatasetWarning):
                 show(message, category, *where, **more)
             elif str(message) not in said:
                 said.add(str(message))
@@ -58,6 +61,15 @@ def interrupted() -> None:
     """The last words of a process that does not end in time and has nothing to keep."""
     give_back()
     complain("interrupted")
+
+
+#: What NumPy's warnings of single operations begin with.
+ARITHMETIC = "divide by zero", "invalid value", "overflow encountered", "underflow encountered", "Degrees of", "Mean of empty"
+
+
+def of_arithmetic(message: Any, category: type[Warning]) -> bool:
+    """Whether a warning is one of an operation on arrays, which tells a user nothing; they go to the log `jaxid`, as debug."""
+    return issubclass(category, RuntimeWarning) and str(message).startswith(ARITHMETIC)
 
 
 #: Seconds between two lines of progress where standard error is no terminal.

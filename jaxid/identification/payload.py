@@ -18,6 +18,8 @@ from typing import Any
 import numpy as np
 
 from jaxid.dynamics.base_parameters import BaseParameters
+from jaxid.dynamics.chain import Chain
+from jaxid.dynamics.drive_torque import records_torque
 from jaxid.dynamics.rigid_body import INERTIA, pseudo_inertia
 from jaxid.errors import UsageError
 from jaxid.identification.estimators import consistent_bodies
@@ -27,6 +29,19 @@ from jaxid.storage.small_files import read_small
 Z95 = 1.959963984540054
 #: How far the torque constant of a motor's data sheet is off, more or less.
 USUAL_GAIN_STD = 0.05
+#: A mass below this, kg, has no centre.
+NO_MASS = 1e-12
+
+
+def usual_gain_std(chain: Chain) -> float:
+    """Relative standard deviation of the drive gains where nobody states one: the usual one where torques are made of currents,
+    none where torques were recorded."""
+    return 0.0 if records_torque(chain) else USUAL_GAIN_STD
+
+
+def centre(first: np.ndarray, mass: float) -> np.ndarray:
+    """Centre of mass [3] of a body by its first moments; not a number without a mass."""
+    return np.asarray(first, float) / mass if abs(mass) > NO_MASS else np.full(3, np.nan)
 
 
 @dataclass(frozen=True)
@@ -59,10 +74,20 @@ class Payload:
             f"(gain_std = {USUAL_GAIN_STD:g} would make it ± {with_gains:.2g} kg)"
         )
 
+    @property
+    def counted_gains(self) -> str:
+        """What share of the gains the interval holds, in words; nothing where it takes them as exact."""
+        if not self.gain_std > 0:
+            return ""
+        return (
+            f"the interval counts the drive gains, which make torque of current, as known to within {100 * self.gain_std:g} % "
+            "(--gain-std states another tolerance)"
+        )
+
     def com(self) -> list[tuple[float, float]]:
         """Centre of mass and standard deviations (m); gains cancel in first order."""
         m, out = self.phi[9], []
-        if abs(m) < 1e-12:
+        if not abs(m) > NO_MASS:
             return [(0.0, float("inf"))] * 3
         for k in (6, 7, 8):
             slope = np.array([1 / m, -self.phi[k] / m**2])
@@ -71,23 +96,23 @@ class Payload:
 
     def to_dict(self) -> dict[str, Any]:
         quantity = lambda v, s, unit: {"value": v, "std": s, "interval_95": [v - Z95 * s, v + Z95 * s], "unit": unit}
-        std = np.sqrt(np.diag(self.covariance))
+        std = np.hypot(np.sqrt(np.diag(self.covariance)), self.gain_std * np.abs(self.phi))
         out: dict[str, Any] = {
             "mass": quantity(*self.mass, "kg"),
             "com": [quantity(v, s, "m") for v, s in self.com()],
             "inertia": [
                 {"name": INERTIA[k], **quantity(float(self.phi[k]), float(std[k]), "kg m^2")} for k in range(6)
             ],
-            "nearest_body": {"mass": self.body[9], "com": self.body[6:9] / self.body[9], "inertia": self.body[:6]},
+            "nearest_body": {"mass": self.body[9], "com": centre(self.body[6:9], float(self.body[9])), "inertia": self.body[:6]},
             "frame": "last link; inertia about its origin",
             "gain_std": self.gain_std,
-            "gains": self.exact_gains or "their stated error is in the interval",
+            "gains": self.exact_gains or self.counted_gains,
             "rows": self.rows,
             "converged_after_s": self.converged_after_s,
         }  # fmt: skip
         if self.published is not None:
             m = self.published[9]
-            out["paper_001"] = {"mass": m, "com": self.published[6:9] / (m or np.inf), "inertia": self.published[:6]}
+            out["paper_001"] = {"mass": m, "com": centre(self.published[6:9], float(m)), "inertia": self.published[:6]}
         return out
 
 

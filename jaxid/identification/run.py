@@ -23,7 +23,7 @@ from jaxid.identification import estimators as solve, regression
 from jaxid.identification.commanded import commanded
 from jaxid.identification.estimators import Estimate
 from jaxid.identification.paper001 import as_printed, by_algorithm, P0, PAPER, unloaded, XI
-from jaxid.identification.payload import payload_by_difference, read_reference
+from jaxid.identification.payload import payload_by_difference, read_reference, usual_gain_std
 from jaxid.identification.regression import (
     every_row,
     exponent_slopes,
@@ -66,7 +66,7 @@ def identify(
     cutoff_hz: float = 5.0,
     motion_hz: float | None = None,
     reference: Identification | Mapping[str, Any] | str | Path | None = None,
-    gain_std: float = 0.0,
+    gain_std: float | None = None,
     as_recorded: bool = False,
     motion: str = "measured",
 ) -> Identification:
@@ -77,7 +77,8 @@ def identify(
     the payload of a `reference` (see `jaxid.identification.paper001`); `friction` linear, power, stribeck, or auto: the
     simplest that no richer law beats on every held-out run. Torque and columns are low-passed at `cutoff_hz`, positions at
     `motion_hz` (twice that) before they are differentiated. `reference`, the identification of the unloaded arm (or its JSON),
-    gives the payload; `gain_std` is the relative standard deviation of the drive gains, which moves payload and torque alike.
+    gives the payload; `gain_std` is the relative standard deviation of the drive gains, which moves payload and torque alike
+    (None: 0.05 where torques are made of currents, else 0).
     Decisive findings of `jaxid.check` are applied unless `as_recorded`. `motion` is measured, commanded (channels `q1_cmd` …),
     or fourier: the measured one as the Fourier series of runs that hold whole periods, whose derivatives keep every harmonic up
     to `motion_hz`. Raises `UsageError` for a model that is no serial arm and data that lack its channels.
@@ -104,6 +105,7 @@ def identify(
         raise UsageError(f"identify needs a serial arm (ur10, ur10e, panda, serial_arm); {arm.name} is none. Use jaxid fit")
     refuse_too_large(need("identify", data, chain.nq))
     base = arm.base()
+    gain_std = usual_gain_std(chain) if gain_std is None else gain_std
     motion_hz = motion_hz or 2 * cutoff_hz
     runs = [read_run(data, e, chain, base, cutoff_hz, motion_hz, fourier) for e in data.experiments]
     by = None

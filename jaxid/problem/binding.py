@@ -188,8 +188,19 @@ def _signature(mechanism: Mechanism, dataset: Dataset) -> Signature:
     )
     raise UsageError(
         f"model {mechanism.name} needs {wanted}; the dataset has inputs {', '.join(sorted(inputs)) or 'none'} and outputs "
-        f"{', '.join(sorted(outputs)) or 'none'}. Rename channels with `column`, or choose another model"
+        f"{', '.join(sorted(outputs)) or 'none'}. {_remedy(mechanism, dataset)}"
     )
+
+
+def _remedy(mechanism: Mechanism, dataset: Dataset) -> str:
+    """What to do about channels that a model lacks: some of them may be there under another role."""
+    beside = {c.name for c in dataset.channels if c.role == "auxiliary"}
+    wanted = {"input": mechanism.signatures[0].inputs, "output": mechanism.signatures[0].outputs}
+    for role, channels in wanted.items():
+        if found := [name for name, _ in channels if name in beside]:
+            each = f" (and so {wording.listed(found[1:])})" if len(found) > 1 else ""
+            return f'{wording.listed(found)}: recorded as auxiliary; state role = "{role}" under [channels.{found[0]}]{each}'
+    return "Rename channels with `column`, or choose another model"
 
 
 def _check_units(model: str, dataset: Dataset, needed: Iterable[tuple[str, str]]) -> None:

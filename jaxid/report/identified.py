@@ -38,14 +38,23 @@ def headline(result: Identification) -> str:
     """One sentence: the torque error on data that were not fitted, or the payload."""
     if result.payload is not None:
         value, std = result.payload.mass
-        more = result.payload.exact_gains
-        return f"The payload is {pair(value, std)} kg{': ' if more else ''}{more}."
+        more = result.payload.exact_gains or result.payload.counted_gains
+        return f"The payload is {pair(value, std)} kg: {more}.{not_predicted(result)}"
     rest = [e for e in result.experiments if e.split != "fit"] or list(result.experiments)
     worst = max(rest, key=lambda e: e.relative_error)
     kind = "held-out motion" if worst.split != "fit" else "the fitted motion"
     if not worst.relative_error < 1:
         return f"Torque is not predicted: on {kind} the model is off by {error(worst.relative_error)} of it, worse than no model."
     return f"Torque is predicted to {error(worst.relative_error)} on {kind}."
+
+
+def not_predicted(result: Identification) -> str:
+    """A sentence where the model of a loaded arm predicts a run worse than none would; it has a blank before it."""
+    worst = max(result.experiments, key=lambda e: e.relative_error)
+    if worst.relative_error < 1:
+        return ""
+    run, off = f"{worst.file} ({worst.split})", error(worst.relative_error)
+    return f" Do not rely on it: in {run} the model is off by {off} of the torque, worse than no model."
 
 
 def error(relative: float, decimals: int = 2) -> str:

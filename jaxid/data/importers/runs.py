@@ -114,8 +114,12 @@ def save_runs(
         notes.append(f"channels that not every run has were left out: {', '.join(left)}")
     stem = lambda c: c if c in roles else re.sub(r"\d+", "", c)
     role = {c: roles[stem(c)][0] or role_of(c) for c in names}
-    for c in names:  # a joint that nobody moved would make the whole dataset unreadable
-        if role[c] == "output" and all(np.ptp(r.columns[c][np.isfinite(r.columns[c])]) == 0 for r in runs):
+    outputs = [c for c in names if role[c] == "output"]
+    still = [c for c in outputs if all(np.ptp(r.columns[c][np.isfinite(r.columns[c])]) == 0 for r in runs)]
+    for c in still:
+        if len(still) < len(outputs):  # a joint that was held is one of the arm's all the same
+            notes.append(f"{c} never moves")
+        else:  # a dataset in which no output moves cannot be read
             role[c] = "auxiliary"
             notes.append(f"{c} never moves and is kept as an auxiliary channel")
     registers = {c: found for c in names if (found := found_sign([r.columns[c] for r in runs])) is not None}

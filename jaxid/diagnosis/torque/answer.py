@@ -21,6 +21,7 @@ from jaxid.dynamics.parameter import resolve, specs
 from jaxid.fitting.problem_builder import Bench
 from jaxid.fitting.result import EffectEstimate, Estimate, Score, Trace
 from jaxid.fitting.scores import score
+from jaxid.identification.payload import NO_MASS, usual_gain_std
 from jaxid.wording import listed, percent, times
 
 
@@ -100,7 +101,7 @@ def estimates(study: Study, chooser: Chooser, model: Model) -> tuple[dict[str, E
 
 def _effect(study: Study, unit: Unit, values: np.ndarray, covariance: np.ndarray, bound: np.ndarray) -> EffectEstimate:
     if unit.fields == BODY:
-        return EffectEstimate(unit.effect, unit.location, _body(unit, values, covariance))
+        return EffectEstimate(unit.effect, unit.location, _body(unit, values, covariance, usual_gain_std(study.binding.chain)))
     std = np.sqrt(np.maximum(np.nan_to_num(np.diag(covariance)), 0.0))
     found = {
         f: Estimate(float(v), None if held else float(s), _unit(study, unit, f), float(low), float("inf"), bool(held), not held)
@@ -129,24 +130,26 @@ def _unit(study: Study, unit: Unit, field: str) -> str:
     return study.binding.chain.signature.unit(template, unit.joints[0])
 
 
-def _body(unit: Unit, values: np.ndarray, covariance: np.ndarray) -> dict[str, Estimate]:
-    """Mass, centre of mass and inertia about the link's origin of a body, from its ten numbers."""
+def _body(unit: Unit, values: np.ndarray, covariance: np.ndarray, gain_std: float = 0.0) -> dict[str, Estimate]:
+    """Mass, centre of mass and inertia about the link's origin of a body, from its ten numbers. An error of the drive gains,
+    relative `gain_std`, is one of mass and inertia alike, and none of the centre."""
     m, inf = float(values[0]), float("inf")
+    with_gains = covariance + gain_std**2 * np.diag(values**2)
     told = lambda v, var, spread: np.sqrt(max(var, 0.0)) < LIMITS.determined * spread
 
     def quantity(value: float, variance: float, unit_: str, sure: bool) -> Estimate:
         return Estimate(value, float(np.sqrt(max(variance, 0.0))) if sure else None, unit_, -inf, inf, False, sure)
 
     sure = told(m, covariance[0, 0], unit.spread[0])
-    out = {"mass": quantity(m, covariance[0, 0], "kg", bool(sure))}
-    for k, axis in ((1, "x"), (2, "y"), (3, "z")):
+    out = {"mass": quantity(m, with_gains[0, 0], "kg", bool(sure))}
+    for k, axis in ((1, "x"), (2, "y"), (3, "z")) if abs(m) > NO_MASS else ():
         slope = np.zeros(10)
         slope[k], slope[0] = 1 / m, -values[k] / m**2
         seen = sure and told(values[k], covariance[k, k], unit.spread[k])
         out[axis] = quantity(float(values[k] / m), float(slope @ covariance @ slope), "m", bool(seen))
     for k in range(4, 10):
         out[unit.fields[k]] = quantity(
-            float(values[k]), float(covariance[k, k]), "kg m^2", bool(told(values[k], covariance[k, k], unit.spread[k]))
+            float(values[k]), float(with_gains[k, k]), "kg m^2", bool(told(values[k], covariance[k, k], unit.spread[k]))
         )
     return out
 

@@ -29,6 +29,7 @@ from jaxid.fitting.fitter import Progress
 from jaxid.fitting.result import EffectEstimate, Estimate, Fit
 from jaxid.fitting.scores import lost
 from jaxid.fitting.stated import stated_numbers
+from jaxid.identification.payload import usual_gain_std
 from jaxid.problem.binding import Binding
 from jaxid.wording import listed
 
@@ -241,7 +242,7 @@ def _answered(study: Study, found: Found, most: int, seed: int, began: float) ->
         far, advice(verdict, [e.effect for e in named], [u.effect for u in mates], repeated=found.weights.spread.size > 0),
         time.perf_counter() - began,
         nominal_fit, final_fit, traces(study, found.nominal, final, label), pictures, regimes,
-        (*b.dataset.notes, *_notes(study, found)),
+        (*b.dataset.notes, *_notes(study, found), *_of_the_gains(study, named)),
     )  # fmt: skip
 
 
@@ -275,6 +276,17 @@ def _fit(
         tuple(notes), theta=theta, simulation="inverse_dynamics", stated=stated_numbers(b, at),
         chain=fitted_chain(b, theta, ()), model_sha256=sha256_of(b.chain.mechanism),
     )  # fmt: skip
+
+
+def _of_the_gains(study: Study, named: Sequence[EffectEstimate]) -> list[str]:
+    """What intervals of a load hold of the drive gains."""
+    if not any(e.effect == "payload" for e in named):
+        return []
+    if share := usual_gain_std(study.binding.chain):
+        return [
+            f"the payload's interval counts the drive gains, which make torque of current, as known to within {100 * share:g} %"
+        ]
+    return ["the payload's interval takes the recorded torques as exact: a relative error of them is one of the mass"]
 
 
 def _notes(study: Study, found: Found) -> list[str]:
