@@ -347,11 +347,13 @@ class Searcher:
         by_torque = torque_screened(self.bench, h, [c for _, c, _ in ranked] or rest) if rest else []
         if not (ranked or by_torque):
             return []
+        lead = in_lead(self.known.values())
         if self.progress:
-            self.progress("screen", len(h.effects), 3, f"{len(ranked or by_torque)} candidates react to the data")
+            told = (f"{len(ranked or by_torque)} candidates react to the data", lead)
+            self.progress("screen", len(h.effects), 3, "; ".join(filter(None, told)))
         kept = shortlist(self.bench, ranked, by_torque, lambda c: bool(base[str(c)]), not h.effects)
         if self.progress:
-            told = (f"{len(kept)} candidates", in_lead(self.known.values()))
+            told = (f"{len(kept)} candidates", lead)
             self.progress("refit", len(h.effects), 3, "; ".join(filter(None, told)))
         return self.refit(beside(self.bench, h, kept, by_torque, base))
 
