@@ -206,6 +206,21 @@ def test_a_recorded_base_that_is_not_prescribed_is_said_to_be_unused():
     assert "base_roll recorded and not used" in data.notes[-1]
 
 
+def test_a_joint_that_is_called_like_an_angle_of_the_base_is_that_joint():
+    named = {old: old.replace("lift", "base_yaw") for old in ("lift", "turn", "lift_cmd", "turn_cmd")}
+    robot = Robot.from_mjcf("robot.xml", text=ARM.replace('"lift"', '"base_yaw"'))
+    prescribed = ModelSpec(base={"kind": "prescribed"})
+    for spec in (None, prescribed):
+        data = recording(pd(), model=spec)
+        data = replace(data, channels=tuple(replace(c, name=named[c.name]) for c in data.channels))
+        _, ready = prepared(robot, data)
+        assert not ready.notes and [c.name for c in ready.outputs] == ["base_yaw", "turn"]
+        assert resolve_model(robot, ready).signature.joints == ("base_yaw", "turn")
+    tilted = recording(pd(), {"base_roll": wave(1)}, {"base_roll": "rad"}, model=prescribed)
+    with pytest.raises(UsageError, match="'base_yaw'.*rename it"):
+        prepared(robot, tilted)
+
+
 def test_speeds_of_joints_are_outputs():
     data = recording(pd())
     e = data.experiments[0]

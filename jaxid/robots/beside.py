@@ -88,9 +88,10 @@ def rates_of(stated: object, joints: Sequence[str]) -> tuple[str, ...]:
     )
 
 
-def base_channels(dataset: Dataset) -> list[str]:
-    """The recorded angles of the base."""
-    return [c.name for c in dataset.channels if c.name in {f"base_{k}" for k in ANGLES}]
+def base_channels(dataset: Dataset, tree: Tree) -> list[str]:
+    """The recorded angles of the base; a joint of the file that has such a name is that joint."""
+    angles = {f"base_{k}" for k in ANGLES} - set(tree.joints) - set(tree.held)
+    return [c.name for c in dataset.channels if c.name in angles]
 
 
 def rides(dataset: Dataset) -> bool:
@@ -98,11 +99,12 @@ def rides(dataset: Dataset) -> bool:
     return any(c.name == "base_yaw_qdd" and c.role == "input" for c in dataset.channels)
 
 
-def with_base(dataset: Dataset) -> Dataset:
+def with_base(dataset: Dataset, tree: Tree) -> Dataset:
     """The dataset with the motion of a prescribed base as inputs: its angles as recorded, 0 where they are not, and their rates
-    and accelerations through a low-pass without phase. Raises `UsageError` for a channel that is no angle."""
+    and accelerations through a low-pass without phase. Raises `UsageError` for a channel that is no angle, and where the file
+    has a joint of the name that such an input gets."""
     kind = dataset.model.base.get("kind", "fixed") if dataset.model is not None else "fixed"
-    recorded = base_channels(dataset)
+    recorded = base_channels(dataset, tree)
     if not recorded or rides(dataset) or kind == "free":
         return dataset
     if kind != "prescribed":
@@ -111,6 +113,11 @@ def with_base(dataset: Dataset) -> Dataset:
     for c in dataset.channels:
         if c.name in recorded and (c.unit != "rad" or c.role == "output"):
             raise UsageError(f'{c.name} is the angle of the base: give it role = "auxiliary" and unit = "rad" (or "deg")')
+    taken = [f"base_{k}" for k in ANGLES if f"base_{k}" in tree.joints]
+    if taken:
+        raise UsageError(
+            f"{tree.file}: a joint is called {taken[0]!r}, which is the name of an angle of a base that moves: rename it"
+        )
     own = {c.name for c in dataset.inputs} & set(recorded)
     kept = [i for i, c in enumerate(dataset.inputs) if c.name not in own]
     read = _reader(dataset, own)

@@ -34,7 +34,7 @@ def part(dataset: Dataset, tree: Tree, joints: Sequence[str]) -> Dataset:
     stray = lambda name: not any(name == j or name.rsplit("_", 1)[0] == j for j in tree.joints)
     law = None if dataset.controller is None else _law(dataset.controller, tree.leading, joints)
     rates = _rates(law, own.leading)
-    also = lambda c: c.name.startswith("base_") or (c.role == "auxiliary" and stray(c.name))
+    also = lambda c: stray(c.name) and (c.name.startswith("base_") or c.role == "auxiliary")
     keep = [c for c in dataset.channels if mine(c.name) or c.name in rates or also(c)]
     kept = {c.name for c in keep}
     iu = [i for i, c in enumerate(dataset.inputs) if c.name in kept]

@@ -184,7 +184,7 @@ def prepared(model: object, dataset: Dataset) -> tuple[object, Dataset]:
     tree: Tree = model.tree.tree  # type: ignore[attr-defined]
     spec = dataset.model
     dataset = driving(named(dataset, tree, spec.joints if spec is not None else None), tree)
-    return model, with_base(with_rates(dataset, tree))
+    return model, with_base(with_rates(dataset, tree), tree)
 
 
 def _beyond_an_arm(path: str, dataset: Dataset) -> Any:
