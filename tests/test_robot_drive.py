@@ -27,7 +27,7 @@ from jaxid.problem.binding import bind, resolve_model
 from jaxid.problem.residual import InverseDynamics, OutputError
 from jaxid.robots.beside import left_out as without_channels, rides
 from jaxid.robots.drives import stated_law
-from jaxid.robots.match import prepared, spec_of_file
+from jaxid.robots.match import notes_of, prepared, spec_of_file
 from jaxid.robots.yardstick import stated
 from jaxid.runtime import Interrupted
 from report_sample import sample_diagnosis
@@ -301,17 +301,58 @@ def test_numbers_of_another_model_are_not_those_of_a_robot():
     assert b.theta[b.layout.index("armature@turn")] == 0.3
 
 
-def test_a_follower_without_its_leader_is_refused_and_units_are_checked():
-    coupled = ARM.replace(
-        "<actuator>", '<equality><joint joint1="turn" joint2="lift" polycoef="0 1 0 0 0"/></equality><actuator>'
-    )
-    coupled = coupled.replace('<position joint="turn"/>', "")
-    robot = Robot.from_mjcf("robot.xml", text=coupled)
-    alone = Dataset.from_arrays(
-        T, {"turn_cmd": wave(0)}, {"turn": wave(1)}, units={"turn": "rad", "turn_cmd": "rad"}, controller=pd(), check_model=False
-    )
-    with pytest.raises(UsageError, match="turn is recorded and lift, which it follows, is not"):
-        resolve_model(*prepared(robot, alone))
+GRIPPER = f"""<mujoco><compiler angle="radian"/><worldbody><body name="l1"><joint name="lift" axis="0 1 0" damping="0.3"/>{LINK}
+<body name="a" pos="0.2 0.02 0"><joint name="left" type="slide" axis="0 1 0" damping="2"/>{LINK}</body>
+<body name="b" pos="0.2 -0.02 0"><joint name="right" type="slide" axis="0 -1 0" damping="2"/>{LINK}</body></body></worldbody>
+<equality><joint joint1="left" joint2="right" polycoef="0.01 -2 0 0 0"/></equality>
+<actuator><position joint="lift" kp="8"/><position joint="left" kp="40" kv="4" forcerange="-6 6" ctrlrange="0 0.04"/></actuator>
+</mujoco>"""
+
+
+def gripper(joints, goals, text=GRIPPER, roles=()):
+    """(chain, dataset, notes) of an arm of which some joints and some goals are recorded; `roles` names auxiliary joints."""
+    goal = {f"{j}_cmd": 0.02 + 0.01 * wave(k) for k, j in enumerate(goals)}
+    shown = {j: 0.02 + 0.01 * wave(k) for k, j in enumerate(joints)}
+    units = {n: "rad" if n.startswith("lift") else "m" for n in (*goal, *shown, *roles)}
+    beside = {j: np.full(len(T), 0.03) for j in roles}
+    data = Dataset.from_arrays(T, goal, shown, auxiliary=beside, units=units, check_model=False)
+    robot, data = prepared(Robot.from_mjcf("robot.xml", text=text), data)
+    return resolve_model(robot, data), data, (*data.notes, *notes_of(robot, data))
+
+
+def test_a_recorded_follower_leads_with_its_own_goal():
+    chain, _, notes = gripper(("lift", "left"), ("lift", "left"))
+    assert chain.signature.joints == ("lift", "left") and chain.mechanism.drive_law.kp == (8.0, 40.0)
+    assert any("right = 0.005 + -0.5 left" in note for note in notes)
+    S, c = chain.mechanism.tree.tree.follow()
+    assert S[:, 1].tolist() == [0.0, 1.0, -0.5] and c.tolist() == [0.0, 0.0, 0.005]
+
+
+def test_goals_of_a_follower_are_told_to_the_joint_that_is_recorded():
+    """The file drives `left`; only `right`, which leads in the file, is recorded: the same force by virtual work."""
+    chain, data, notes = gripper(("lift", "right"), ("lift", "left"))
+    law = chain.mechanism.drive_law
+    assert (law.kp[1], law.kd[1], law.lowest[1], law.highest[1]) == (160.0, 16.0, -12.0, 12.0)
+    np.testing.assert_allclose(law.control[1], (-0.015, 0.005))
+    np.testing.assert_allclose(data.experiments[0].u[:, 1], (0.02 + 0.01 * wave(1) - 0.01) / -2)
+    assert any("the goal of left is taken as that of right" in note for note in notes)
+
+
+def test_fingers_that_nobody_recorded_are_held_whatever_ties_them():
+    tendon = '<tendon><fixed name="grip"><joint joint="left" coef="0.5"/><joint joint="right" coef="0.5"/></fixed></tendon>'
+    loop = '<connect name="bar" body1="a" body2="b" anchor="0 0 0"/></equality>'
+    tied = (GRIPPER.replace("</equality>", loop) + tendon).replace("</mujoco>", "") + "</mujoco>"
+    tied = tied.replace('<position joint="left"', '<position tendon="grip"')
+    chain, _, notes = gripper(("lift",), ("lift",), text=tied)
+    assert chain.signature.joints == ("lift",)
+    assert any("tendon 'grip', of left, right" in note and "equality 'bar'" in note for note in notes)
+    chain, _, _ = gripper(("lift",), ("lift",), text=tied, roles=("right",))
+    assert chain.mechanism.tree.tree.held == {"right": 0.03, "left": pytest.approx(-0.05)}
+    with pytest.raises(UsageError, match="tendon 'grip', acts on left, right, and right is recorded.*auxiliary"):
+        gripper(("lift", "right"), ("lift", "right"), text=tied)
+
+
+def test_units_of_channels_are_checked():
     metres = Dataset.from_arrays(
         T, {f"{j}_cmd": wave(k) for k, j in enumerate(JOINTS)}, {j: wave(k) for k, j in enumerate(JOINTS)},
         units={"lift": "m", "turn": "rad", "lift_cmd": "rad", "turn_cmd": "rad"}, controller=pd(), check_model=False,

@@ -76,27 +76,55 @@ def test_a_stated_drive_gives_the_torque_of_mujoco():
 
 
 def test_what_a_tree_cannot_express_is_refused_by_name():
-    geom = '<geom type="capsule" size="0.02 0.1"/>'
-    refused(mjcf(body=geom), "l1", "geometry", "<inertial")
+    mesh = '<asset><mesh name="arm" file="nowhere.stl"/></asset>'
+    refused(mjcf(body='<geom type="mesh" mesh="arm"/>', head=mesh), "l1", "meshes", "<inertial")
     refused(mjcf(head='<compiler inertiafromgeom="true"/>'), "inertiafromgeom")
-    refused(mjcf(joint='<joint name="lift" type="ball"/>'), "lift", "ball")
-    connect = '<equality><connect name="loop" body1="l1" body2="l2" anchor="0 0 0"/></equality>'
-    refused(mjcf(more=connect), "loop", "connect")
-    tendon = '<tendon><fixed name="t"><joint joint="lift" coef="1"/><joint joint="elbow" coef="1"/></fixed></tendon>'
-    refused(mjcf(more=tendon.replace('"t"', '"t" damping="1"')), "tendon 't'")
-    refused(mjcf(more=tendon + '<actuator><position tendon="t" kp="3"/></actuator>'), "tendon 't'")
     refused(mjcf(body=INERTIAL.replace("1e-3 1e-3 1e-3", "1e-3 1e-3 5e-3")), "l1", "0.005", "no body")
-    curved = '<equality><joint name="e" joint1="elbow" joint2="lift" polycoef="0 1 2 0 0"/></equality>'
-    refused(mjcf(more=curved), "'e'", "elbow", "polynomial")
     refused(mjcf(body=INERTIAL.replace("pos", 'mass="x" pos')), "robot.xml")
     refused("<robot/>", "<robot>", ".urdf")
     refused("<mujoco", "not XML")
 
 
+def test_what_ties_joints_together_is_named_with_all_of_them():
+    """Joints of a tendon, of a loop through its two branches, of a curved equality, and behind a ball joint."""
+    tendon = '<tendon><fixed name="t"><joint joint="lift" coef="1"/><joint joint="elbow" coef="1"/></fixed></tendon>'
+    driven = tendon + '<actuator><position tendon="t" kp="3"/></actuator><keyframe><key ctrl="1"/></keyframe>'
+    both = ("lift", "elbow")
+    loop = '<equality><connect name="loop" body1="l1" body2="l2" anchor="0 0 0"/></equality>'
+    to_the_world = '<equality><connect name="loop" body1="l2" anchor="0 0 0"/></equality>'
+    curved = '<equality><joint name="e" joint1="elbow" joint2="lift" polycoef="0 1 2 0 0"/></equality>'
+    cases = (
+        (mjcf(more=tendon), []),
+        (mjcf(more=tendon.replace('"t"', '"t" damping="1"')), [("tendon 't'", both)]),
+        (mjcf(more=tendon.replace('"t"', '"t" range="-1 1"')), [("tendon 't'", both)]),
+        (mjcf(more=driven), [("tendon 't'", both)]),
+        (mjcf(more=loop), [("equality 'loop' (connect)", ("elbow",))]),
+        (mjcf(more=to_the_world), [("equality 'loop' (connect)", both)]),
+        (mjcf(more=curved), [("equality 'e', a polynomial", ("elbow", "lift"))]),
+        (mjcf(joint='<joint name="lift" type="ball"/>'), [("ball joint 'lift'", ("elbow",))]),
+    )
+    for text, expected in cases:
+        found = read(text).ties
+        assert [t.joints for t in found] == [joints for _, joints in expected]
+        assert all(t.what.startswith(what) for t, (what, _) in zip(found, expected, strict=True))
+
+
+def test_shapes_without_meshes_give_the_inertia_of_mujoco():
+    text = mjcf(body='<geom type="capsule" size="0.02 0.1" pos="0.1 0 0.02" mass="0.7"/>')
+    model = mujoco.MjModel.from_xml_string(text)
+    link = read(text).inertia[0]
+    assert abs(link[9] - model.body_mass[1]) < 1e-15
+    np.testing.assert_allclose(link[6:9], model.body_mass[1] * (model.body_ipos[1] - model.jnt_pos[0]), atol=1e-12)
+    box = '<body name="box"><freejoint/><geom type="mesh" mesh="m"/></body>'
+    loose = mjcf(head='<asset><mesh name="m" file="nowhere.stl"/></asset>').replace("<worldbody>", "<worldbody>" + box)
+    assert read(loose).joints == ("lift", "elbow")
+
+
 @pytest.mark.parametrize("head", ["", '<compiler inertiafromgeom="true"/>'])
 def test_inertias_from_geometry_come_with_the_command_that_states_them(tmp_path, head):
     robot = tmp_path / "robot.xml"
-    robot.write_text(mjcf(head=head, body='<geom type="capsule" size="0.02 0.1" mass="0.7"/>'))
+    mesh = '<asset><mesh name="m" vertex="0 0 0  0.1 0 0  0 0.1 0  0 0 0.1"/></asset>'
+    robot.write_text(mjcf(head=head + mesh, body='<geom type="mesh" mesh="m" mass="0.7"/>'))
     with pytest.raises(UsageError) as refusal:
         read_mjcf(robot)
     command = re.search(r'python -c "(.*)"$', str(refusal.value))

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from functools import lru_cache
 from pathlib import Path
@@ -21,6 +21,7 @@ from jaxid.robots import stops
 from jaxid.robots.beside import as_inputs, left_out, rides, with_base, with_rates
 from jaxid.robots.drives import file_law, stated_law
 from jaxid.robots.floating import ANGLES, floating, refuse_unmeasured, wanted
+from jaxid.robots.followers import drives_led, led
 from jaxid.robots.mjcf_text import expanded
 from jaxid.robots.tree import Tree
 
@@ -183,7 +184,9 @@ def prepared(model: object, dataset: Dataset) -> tuple[object, Dataset]:
         model = type(model)(floating(model.tree.tree), driven=False)  # type: ignore[attr-defined, call-arg]
     tree: Tree = model.tree.tree  # type: ignore[attr-defined]
     spec = dataset.model
-    dataset = driving(named(dataset, tree, spec.joints if spec is not None else None), tree)
+    dataset = named(dataset, tree, spec.joints if spec is not None else None)
+    dataset = driving(drives_led(dataset, tree), tree)
+    tree, _ = led(tree, dataset)
     return model, with_base(with_rates(dataset, tree), tree)
 
 
@@ -251,6 +254,7 @@ def recorded(tree: Tree, dataset: Dataset) -> tuple[Tree, tuple[str, ...]]:
     names = [c.name for c in dataset.channels]
     if tree.floats:
         refuse_unmeasured(tree, dataset)
+    tree, notes = led(tree, dataset)
     constants = dataset.model.constants if dataset.model is not None else {}
     measured = [j for j in tree.leading if j in outputs or f"{j}_qd" in outputs]
     followers = {c.follower: c.leader for c in tree.couplings if c.follower in outputs}
@@ -260,6 +264,7 @@ def recorded(tree: Tree, dataset: Dataset) -> tuple[Tree, tuple[str, ...]]:
                 f"{follower} is recorded and {leader}, which it follows, is not: record {leader}, or work its position out "
                 f'of that of {follower} (`scale`, `offset`) and give {follower} role = "auxiliary"'
             )
+    _refuse_ties(tree, measured)
     if not measured:
         raise UsageError(
             f"no channel is a joint of {tree.file or 'the robot'}: its joints are {', '.join(tree.leading)}, the outputs of the "
@@ -289,12 +294,29 @@ def recorded(tree: Tree, dataset: Dataset) -> tuple[Tree, tuple[str, ...]]:
         series = [e.auxiliary[joint] for e in dataset.experiments if joint in e.auxiliary]
         value = float(np.mean(np.concatenate(series))) if series else tree.neutral(joint)
         held[joint] = constants.get(f"{POSE}{joint}", value)
-    notes = (f"not recorded and held: {', '.join(f'{j} at {v:.4g}' for j, v in held.items())} (state {POSE}NAME under "
-             "[model.constants] where that is wrong)",) if held else ()  # fmt: skip
+    if held:
+        listed = ", ".join(f"{j} at {v:.4g}" for j, v in held.items())
+        notes = (*notes, f"not recorded and held: {listed} (state {POSE}NAME under [model.constants] where that is wrong)")
+    if tree.ties:
+        listed = "; ".join(f"{t.what}, of {', '.join(t.joints)}" for t in tree.ties)
+        notes = (*notes, f"not simulated, for all joints that it acts on are held: {listed}")
     if followers:
         listed = ", ".join(f"{a} follows {b}" for a, b in followers.items())
         notes = (*notes, f"{listed}, as the file says: not compared")
     return tree.locked(held), notes
+
+
+def _refuse_ties(tree: Tree, measured: Sequence[str]) -> None:
+    """Raises `UsageError` where a joint that is recorded, or follows one that is, hangs on what a tree cannot express."""
+    moves = {*measured, *(c.follower for c in tree.couplings if c.leader in measured)}
+    for tie in tree.ties:
+        hanging = [joint for joint in tie.joints if joint in moves]
+        if hanging:
+            raise UsageError(
+                f"{tree.file or 'the robot'}: {tie.what}, acts on {', '.join(tie.joints)}, and {hanging[0]} is recorded; jaxid "
+                'takes joints that are driven by themselves. Give these joints role = "auxiliary" (and take their goals out): '
+                "they are then held where they were on average"
+            )
 
 
 def _placed(robot: Any, spec: ModelSpec | None) -> Any:

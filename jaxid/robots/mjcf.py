@@ -7,7 +7,7 @@ joints cannot express is refused by name.
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -15,22 +15,11 @@ import numpy as np
 
 from jaxid.dynamics.rigid_body import about_origin
 from jaxid.errors import UsageError
-from jaxid.robots.bodies import fault
+from jaxid.robots.mjcf_spec import compilable, library
 from jaxid.robots.mjcf_text import expanded
+from jaxid.robots.mjcf_ties import resolved, Tendon, Ties
 from jaxid.robots.steps import steps_of
 from jaxid.robots.tree import Actuator, Coupling, Tree, turned
-from jaxid.wording import listed
-
-
-#: What is drawn, touched or sensed, and moves nothing.
-DROPPED = ("geoms", "pairs", "excludes", "skins", "meshes", "hfields", "materials", "textures", "sensors", "cameras", "lights")
-
-
-def library() -> Any:
-    """MuJoCo, whose names are made when it loads."""
-    import mujoco
-
-    return mujoco
 
 
 def read_mjcf(path: str | Path, text: str | None = None) -> Tree:
@@ -39,101 +28,23 @@ def read_mjcf(path: str | Path, text: str | None = None) -> Tree:
     A free joint at the root is left out: the base is fixed where the file puts it. Raises `UsageError` naming the element.
     """
     path = Path(path)
-    spec = compilable(path, expanded(path, text))
+    spec, tendons = compilable(path, expanded(path, text))
     mujoco = library()
     try:
         model = spec.compile()
     except (ValueError, mujoco.FatalError) as error:
         raise UsageError(f"{path}: MuJoCo does not take it: {' '.join(str(error).split())}") from None
-    return _Reader(path, model).tree()
-
-
-def compilable(path: Path, text: str) -> Any:
-    """The spec without what is drawn, refused where a body's inertia would come from it or cannot be."""
-    mujoco = library()
-    try:
-        spec = mujoco.MjSpec.from_string(text)
-    except (ValueError, mujoco.FatalError) as error:
-        raise UsageError(f"{path}: MuJoCo does not take it: {' '.join(str(error).split())}") from None
-    if spec.compiler.inertiafromgeom == mujoco.mjtInertiaFromGeom.mjINERTIAFROMGEOM_TRUE:
-        raise UsageError(f'{path}: <compiler inertiafromgeom="true"> takes every inertia from geometry, which is not read; state '
-                         f"<inertial> in each body and remove it. {_written_by_mujoco(path)}")  # fmt: skip
-    lacking = [b.name or "a body without a name" for b in spec.bodies if _moves(b) and not b.explicitinertial and _heavy(b)]
-    if lacking:
-        raise UsageError(
-            f"{path}: the inertia of {_first(lacking)} comes from geometry, which is not read: add "
-            f'<inertial pos="…" mass="…" diaginertia="…"/> to each. {_written_by_mujoco(path)}'
-        )
-    faults = [f for b in spec.bodies if b.explicitinertial and (f := _fault(b))]
-    if faults:
-        raise UsageError(f"{path}: {'; '.join(faults)}: no body has such an inertia; correct <inertial>")
-    _refuse_tendons(path, spec)
-    for name in DROPPED:
-        for one in list(getattr(spec, name)):
-            spec.delete(one)
-    for one in list(spec.tendons):
-        spec.delete(one)
-    spec.compiler.balanceinertia = False
-    spec.compiler.fusestatic = False
-    spec.compiler.discardvisual = False
-    return spec
-
-
-def _first(names: list[str], most: int = 8) -> str:
-    return listed(names if len(names) <= most else [*names[:most], f"{len(names) - most} more"])
-
-
-def _written_by_mujoco(path: Path) -> str:
-    """The command that states every inertia in a copy of the file, where its meshes are."""
-    copy = path.with_name(f"{path.stem}_inertial.xml").as_posix()
-    return (
-        f'MuJoCo writes a copy with all of them: python -c "import mujoco; s = mujoco.MjSpec.from_file({path.as_posix()!r}); '
-        f"s.compiler.saveinertial = True; s.compiler.inertiafromgeom = 2; s.compile(); open({copy!r}, 'w').write(s.to_xml())\""
-    )
-
-
-def _moves(body: Any) -> bool:
-    """Whether a joint carries a body."""
-    while body is not None and body.name != "world":
-        if len(body.joints):
-            return True
-        body = body.parent
-    return False
-
-
-def _heavy(body: Any) -> bool:
-    """Whether its geometry would give a body mass."""
-    return any(not (g.mass == 0 or (np.isnan(g.mass) and g.density == 0)) for g in body.geoms)
-
-
-def _fault(body: Any) -> str | None:
-    full = np.asarray(body.fullinertia, np.float64)
-    xx, yy, zz, xy, xz, yz = full if np.isfinite(full).all() else (*np.asarray(body.inertia, np.float64), 0.0, 0.0, 0.0)
-    return fault(body.name, about_origin(body.mass, np.zeros(3), [xx, xy, xz, yy, yz, zz]))
-
-
-def _refuse_tendons(path: Path, spec: Any) -> None:
-    mujoco = library()
-    used = {a.target for a in spec.actuators if a.trntype == mujoco.mjtTrn.mjTRN_TENDON}
-    used |= {n for e in spec.equalities if e.type == mujoco.mjtEq.mjEQ_TENDON for n in (e.name1, e.name2)}
-    for t in spec.tendons:
-        acts = any(np.any(np.asarray(getattr(t, k)) != 0) for k in ("stiffness", "damping", "frictionloss", "armature"))
-        if acts or t.name in used or int(t.limited) == 1:
-            raise UsageError(
-                f"{path}: tendon {t.name!r} drives, couples or brakes joints; jaxid takes joints driven by themselves"
-            )
-    lost = sorted(used - {t.name for t in spec.tendons})
-    if lost:
-        raise UsageError(f"{path}: tendon {lost[0]!r} is used and stands nowhere")
+    return _Reader(path, model, tendons).tree()
 
 
 class _Reader:
     """Reads a compiled model, whose numbers are all resolved."""
 
-    def __init__(self, path: Path, model: Any):
+    def __init__(self, path: Path, model: Any, tendons: Sequence[Tendon]):
         mujoco = library()
-        self.path, self.m, self.mj = path, model, mujoco
+        self.path, self.m, self.mj, self.tendons = path, model, mujoco, tendons
         self.notes: list[str] = []
+        self.ties = Ties(mujoco, model, lambda j: self.name("JOINT", j))
 
     def name(self, kind: str, index: int) -> str:
         own = self.mj.mj_id2name(self.m, getattr(self.mj.mjtObj, f"mjOBJ_{kind}"), int(index))
@@ -168,7 +79,8 @@ class _Reader:
                         trunk, root, free, base = np.zeros(10), T, [b], self.name("BODY", b)
                     continue
                 if kind == mj.mjtJoint.mjJNT_BALL:
-                    raise self.refuse(f"joint {self.name('JOINT', j)!r} is a ball joint; jaxid takes hinge and slide joints")
+                    self.ball(j)
+                    continue
                 at = np.eye(4)
                 at[:3, 3] = m.jnt_pos[j] - here
                 parent.append(node)
@@ -204,7 +116,8 @@ class _Reader:
         damping = np.column_stack([m.dof_damping[dof], m.dof_dampingpoly[dof]])[:, :3]
         limited = m.jnt_limited[j].astype(bool)
         force = [self.joint_force(k) for k in j]
-        couplings, fixed = self.couplings(joints)
+        self.ties.tendons(self.tendons)
+        couplings, fixed = self.couplings()
         self.options()
         actuators = self.actuators(number)
         tree = Tree(
@@ -218,6 +131,7 @@ class _Reader:
             couplings, actuators, self.poses(number, joints), tuple(map(float, m.opt.gravity)), "world", (),  # type: ignore[arg-type]
             tuple(dict.fromkeys(self.notes)), trunk=tuple(trunk.tolist()), root=tuple(root.ravel().tolist()), carrier=base,
             steps=steps_of(self.mj, m),
+            ties=tuple(t for t in self.ties.found if t.joints),
         )  # fmt: skip
         return tree.locked(fixed)
 
@@ -244,8 +158,14 @@ class _Reader:
         m = self.m
         return tuple(map(float, m.jnt_actfrcrange[j])) if m.jnt_actfrclimited[j] else (-np.inf, np.inf)  # type: ignore[return-value]
 
-    def couplings(self, joints: list[str]) -> tuple[tuple[Coupling, ...], dict[str, float]]:
-        """Mimic joints, and joints that an equality holds. Raises for closed loops, by name."""
+    def ball(self, j: int) -> None:
+        """A ball joint is held where the file puts it, and everything behind it with it."""
+        name = self.name("JOINT", j)
+        self.notes.append(f"joint {name!r} is a ball joint: held where the file puts it (jaxid takes hinge and slide joints)")
+        self.ties.add(f"ball joint {name!r}", self.ties.behind(j))
+
+    def couplings(self) -> tuple[tuple[Coupling, ...], dict[str, float]]:
+        """(joints that follow another one, joints that an equality holds); what is neither is a tie."""
         m, mj = self.m, self.mj
         out, fixed = [], {}
         for e in range(m.neq):
@@ -253,8 +173,8 @@ class _Reader:
                 continue
             name, kind = self.name("EQUALITY", e), int(m.eq_type[e])
             if kind != mj.mjtEq.mjEQ_JOINT:
-                what = mj.mjtEq(kind).name.removeprefix("mjEQ_").lower()
-                raise self.refuse(f"equality {name!r} ({what}) closes a loop or ties bodies; jaxid takes open trees: cut it open")
+                self.loop(e, name, kind)
+                continue
             a, b = int(m.eq_obj1id[e]), int(m.eq_obj2id[e])
             first = self.name("JOINT", a)
             c = m.eq_data[e, :5]
@@ -262,15 +182,23 @@ class _Reader:
             if b < 0:
                 fixed[first] = float(start + c[0])
                 continue
-            if np.any(c[2:]):
-                raise self.refuse(f"equality {name!r} couples {first!r} by a polynomial of degree above 1")
             second = self.name("JOINT", b)
+            if np.any(c[2:]):
+                self.ties.add(f"equality {name!r}, a polynomial of degree above 1", (first, second))
+                continue
             out.append(Coupling(first, second, float(start + c[0] - c[1] * m.qpos0[m.jnt_qposadr[b]]), float(c[1])))
-        followers = [c.follower for c in out]
-        for c in out:
-            if c.leader in followers or followers.count(c.follower) > 1:
-                raise self.refuse(f"joint {c.follower!r} follows {c.leader!r}, which follows another: name the last one in each")
-        return tuple(out), fixed
+        couplings, rest = resolved(out)
+        for c in rest:
+            self.ties.add(f"equality of {c.follower!r} with {c.leader!r}, one of several", (c.follower, c.leader))
+        return couplings, fixed
+
+    def loop(self, e: int, name: str, kind: int) -> None:
+        """An equality between bodies."""
+        kinds = self.mj.mjtEq
+        what = kinds(kind).name.removeprefix("mjEQ_").lower()
+        if kind not in (int(kinds.mjEQ_CONNECT), int(kinds.mjEQ_WELD)):
+            raise self.refuse(f"equality {name!r} is of the kind {what}, which is not read")
+        self.ties.loop(e, f"equality {name!r} ({what}), which closes a loop or ties bodies")
 
     def added(self, number: list[int], field: str) -> np.ndarray:
         """What actuators add to their joints' armature or damping, by the square of the gear."""

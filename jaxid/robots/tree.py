@@ -33,6 +33,14 @@ class Coupling:
 
 
 @dataclass(frozen=True)
+class Tie:
+    """What acts among several joints and a tree cannot express: `what` it is, and the `joints` that it acts on."""
+
+    what: str
+    joints: tuple[str, ...]
+
+
+@dataclass(frozen=True)
 class Actuator:
     """What a file states of a joint's drive, at the joint: torque = gear (gain u + bias - kp q' - kd qd'), clipped to `force`.
 
@@ -61,7 +69,8 @@ class Tree:
     links with an inertia that no body has, and what is wrong with it. `trunk`: ten numbers of the base itself about the
     base's frame, `carrier` that link's name, and `root` [16], row by row, its pose in it where it is free to move in the file.
     `floats`: the first six nodes are the base's own freedom (see `robots.floating`). `steps`: those of the simulator that the
-    file is of, where they add to its numbers.
+    file is of, where they add to its numbers. `ties` must have all of their joints held before anything is simulated (see
+    `robots.match`).
     """
 
     file: str
@@ -96,6 +105,7 @@ class Tree:
     carrier: str = "base"
     floats: bool = False
     steps: Steps | None = None
+    ties: tuple[Tie, ...] = ()
 
     @property
     def n(self) -> int:
@@ -172,6 +182,7 @@ class Tree:
             couplings=tuple(c for c in self.couplings if c.follower not in gone and c.leader not in gone),
             actuators={k: a for k, a in self.actuators.items() if k not in gone},
             poses={name: {j: v for j, v in p.items() if j not in gone} for name, p in self.poses.items()},
+            ties=tuple(t for t in self.ties if not gone.issuperset(set(t.joints) & set(self.joints))),
             held={**self.held, **{self.joints[k]: value for k, value in held.items()}},
         )
 

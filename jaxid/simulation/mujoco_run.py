@@ -11,7 +11,7 @@ import numpy as np
 
 from jaxid.errors import UsageError
 from jaxid.robots.drives import Law
-from jaxid.robots.mjcf import compilable, library
+from jaxid.robots.mjcf_spec import compilable, library
 from jaxid.robots.mjcf_text import expanded
 from jaxid.robots.tree import Tree
 
@@ -61,13 +61,18 @@ class MujocoRobot:
         self.held = dict(held)
 
     def _of_file(self, path: Path) -> Any:
-        spec = compilable(path, expanded(path))
+        spec, _ = compilable(path, expanded(path))
         for key in list(spec.keys):
             spec.delete(key)
+        kinds = self.mj.mjtJoint
         for joint in list(spec.joints):
-            if joint.type == self.mj.mjtJoint.mjJNT_FREE:
+            if joint.type == kinds.mjJNT_BALL:  # held, as jaxid has it
+                spec.delete(joint)
+            elif joint.type == kinds.mjJNT_FREE:
                 spec.delete(joint)
                 self.notes.append("the base is held where the file puts it, as jaxid has it")
+        for loop in [e for e in spec.equalities if e.type != self.mj.mjtEq.mjEQ_JOINT]:
+            spec.delete(loop)  # all of its joints are held
         return spec
 
     def _of_tree(self, tree: Tree, law: Law | None) -> Any:

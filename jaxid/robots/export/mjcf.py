@@ -341,7 +341,8 @@ class _Patch:
                      joined(note, "what is fixed to it keeps its own numbers" if lumped else ""))  # fmt: skip
 
     def _own_body(self, link: str) -> Body:
-        from jaxid.robots.mjcf import library, pose
+        from jaxid.robots.mjcf import pose
+        from jaxid.robots.mjcf_spec import library
 
         m, mj = self.file.model, library()
         b = mj.mj_name2id(m, mj.mjtObj.mjOBJ_BODY, link)

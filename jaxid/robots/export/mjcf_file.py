@@ -7,7 +7,7 @@ from typing import Any
 
 from jaxid.errors import UsageError
 from jaxid.robots.export.xml_text import Element, XmlText
-from jaxid.robots.mjcf import compilable, library
+from jaxid.robots.mjcf_spec import compilable, library
 from jaxid.robots.mjcf_text import expanded, LARGEST
 
 
@@ -105,7 +105,7 @@ class MjcfFile:
 
 def compiled(path: Path, text: str | None = None) -> Any:
     """The model of a file without what is drawn. Raises `UsageError`."""
-    spec = compilable(path, expanded(path, text))
+    spec, _ = compilable(path, expanded(path, text))
     try:
         return spec.compile()
     except (ValueError, library().FatalError) as error:

@@ -1,0 +1,135 @@
+"""What of an MJCF file is compiled: bodies, joints and drives, and neither tendons nor what is drawn, touched or sensed."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from jaxid.dynamics.rigid_body import about_origin
+from jaxid.errors import UsageError
+from jaxid.robots.bodies import fault
+from jaxid.robots.mjcf_ties import acting_tendons, Tendon, without_tendons
+from jaxid.wording import listed
+
+
+#: What is drawn, touched or sensed, and moves nothing.
+DROPPED = ("geoms", "pairs", "excludes", "skins", "meshes", "hfields", "materials", "textures", "sensors", "cameras", "lights")
+
+
+def library() -> Any:
+    """MuJoCo, whose names are made when it loads."""
+    import mujoco
+
+    return mujoco
+
+
+def compilable(path: Path, text: str) -> tuple[Any, list[Tendon]]:
+    """(spec without what is drawn and without tendons, those tendons that act). Refused where a body's inertia would come from
+    what is drawn, or cannot be."""
+    mujoco = library()
+    try:
+        spec = mujoco.MjSpec.from_string(text)
+    except (ValueError, mujoco.FatalError) as error:
+        raise UsageError(f"{path}: MuJoCo does not take it: {' '.join(str(error).split())}") from None
+    if spec.compiler.inertiafromgeom == mujoco.mjtInertiaFromGeom.mjINERTIAFROMGEOM_TRUE:
+        raise UsageError(f'{path}: <compiler inertiafromgeom="true"> takes every inertia from geometry, which is not read; state '
+                         f"<inertial> in each body and remove it. {_written_by_mujoco(path)}")  # fmt: skip
+    silent = [] if spec.compiler.inertiafromgeom == mujoco.mjtInertiaFromGeom.mjINERTIAFROMGEOM_FALSE else _silent(spec)
+    shapes = [(b.name, list(_heavy(b, spec))) for b in silent]
+    lacking = [name or "a body without a name" for name, own in shapes if not all(map(_plain, own))]
+    if lacking:
+        raise UsageError(
+            f"{path}: the inertia of {_first(lacking)} comes from meshes, which are not read: add "
+            f'<inertial pos="…" mass="…" diaginertia="…"/> to each. {_written_by_mujoco(path)}'
+        )
+    faults = [f for b in spec.bodies if b.explicitinertial and (f := _fault(b))]
+    if faults:
+        raise UsageError(f"{path}: {'; '.join(faults)}: no body has such an inertia; correct <inertial>")
+    tendons, lost = acting_tendons(mujoco, spec)
+    if lost:
+        raise UsageError(f"{path}: tendon {lost[0]!r} is used and stands nowhere")
+    for body in [
+        b for b in spec.bodies if _loose(b) and not b.explicitinertial
+    ]:  # moves by itself and moves nothing: its inertia is of no matter
+        body.mass, body.inertia, body.explicitinertial = 1.0, np.ones(3), True
+    kept = [g for _, own in shapes for g in own]
+    for geom in kept:
+        geom.contype = geom.conaffinity = 0
+        geom.material = ""
+    for name in DROPPED:
+        for one in list(getattr(spec, name)):
+            if not (name == "geoms" and one in kept):
+                spec.delete(one)
+    without_tendons(mujoco, spec)
+    spec.compiler.balanceinertia = False
+    spec.compiler.fusestatic = False
+    spec.compiler.discardvisual = False
+    return spec, tendons
+
+
+def _first(names: list[str], most: int = 8) -> str:
+    return listed(names if len(names) <= most else [*names[:most], f"{len(names) - most} more"])
+
+
+def _written_by_mujoco(path: Path) -> str:
+    """The command that states every inertia in a copy of the file, where its meshes are."""
+    copy = path.with_name(f"{path.stem}_inertial.xml").as_posix()
+    return (
+        f'MuJoCo writes a copy with all of them: python -c "import mujoco; s = mujoco.MjSpec.from_file({path.as_posix()!r}); '
+        f"s.compiler.saveinertial = True; s.compiler.inertiafromgeom = 2; s.compile(); open({copy!r}, 'w').write(s.to_xml())\""
+    )
+
+
+def _silent(spec: Any) -> list[Any]:
+    """Bodies without a stated inertia that a joint of the robot carries, and that geometry gives mass."""
+    return [b for b in spec.bodies if not b.explicitinertial and _moves(b) and not _loose(b) and any(_heavy(b, spec))]
+
+
+def _up(body: Any) -> list[Any]:
+    """A body and what carries it, up to the world's children."""
+    out = []
+    while body is not None and body.name != "world":
+        out.append(body)
+        body = body.parent
+    return out
+
+
+def _moves(body: Any) -> bool:
+    """Whether a joint carries a body."""
+    return any(len(b.joints) for b in _up(body))
+
+
+def _loose(body: Any) -> bool:
+    """Whether a body moves as a whole with all that it is joined to, like a box on a table: no joint but a free one is there."""
+    free = library().mjtJoint.mjJNT_FREE
+    up = _up(body)
+    if not up or not _moves(body):
+        return False
+    root = up[-1]
+    below = [root, *root.find_all("body")]
+    return all(j.type == free for b in below for j in b.joints)
+
+
+def _heavy(body: Any, spec: Any) -> Iterable[Any]:
+    """The geometry that gives a body mass."""
+    low, high = spec.compiler.inertiagrouprange
+    for g in body.geoms:
+        weighs = not (g.mass == 0 or (np.isnan(g.mass) and g.density == 0))
+        if weighs and low <= g.group <= high:
+            yield g
+
+
+def _plain(geom: Any) -> bool:
+    """Whether a geom is a shape of its own, whose inertia needs no file."""
+    kinds = library().mjtGeom
+    shapes = (kinds.mjGEOM_SPHERE, kinds.mjGEOM_CAPSULE, kinds.mjGEOM_ELLIPSOID, kinds.mjGEOM_CYLINDER, kinds.mjGEOM_BOX)
+    return geom.type in shapes and not geom.meshname
+
+
+def _fault(body: Any) -> str | None:
+    full = np.asarray(body.fullinertia, np.float64)
+    xx, yy, zz, xy, xz, yz = full if np.isfinite(full).all() else (*np.asarray(body.inertia, np.float64), 0.0, 0.0, 0.0)
+    return fault(body.name, about_origin(body.mass, np.zeros(3), [xx, xy, xz, yy, yz, zz]))
