@@ -317,7 +317,8 @@ def gripper(joints, goals, text=GRIPPER, roles=()):
     beside = {j: np.full(len(T), 0.03) for j in roles}
     data = Dataset.from_arrays(T, goal, shown, auxiliary=beside, units=units, check_model=False)
     robot, data = prepared(Robot.from_mjcf("robot.xml", text=text), data)
-    return resolve_model(robot, data), data, (*data.notes, *notes_of(robot, data))
+    chain: Any = resolve_model(robot, data)
+    return chain, data, (*data.notes, *notes_of(robot, data))
 
 
 def test_a_recorded_follower_leads_with_its_own_goal():

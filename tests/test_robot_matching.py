@@ -110,7 +110,11 @@ def test_the_law_is_stated_by_number_list_or_name():
     kp, late = named.known()["kp@right2"], named.known()["delay@right1"]
     assert (kp.lower, kp.upper, kp.prior) == (0.02, 7.0, {"mean": 2.0, "std": 1.0})
     assert (late.lower, late.upper, late.prior) == (0.0, 0.1, {"mean": 0.01, "std": 0.001})
+    plain = law(fit=["kp", "kd"], spread=0.3).known()
+    assert plain["kp@right1"].prior == {"mean": 20.0, "std": 6.0} and plain["kd@right1"].prior["std"] == pytest.approx(0.45)
     for settings, words in (
+        ({"spread": 0.0}, "spread is 0.0; it is a positive number"),
+        ({"spread": {"kq": 0.1}}, "spread"),
         ({"kp": {"right1": 1.0}}, "right2, right3"),
         ({"kp": [1.0, 2.0]}, "a list of 3"),
         ({"kq": 1.0}, "kq"),

@@ -126,7 +126,7 @@ class ControllerEntry(BaseModel):
     __pydantic_extra__: dict[str, FiniteFloat | list[FiniteFloat] | dict[str, FiniteFloat]]
     kind: str
     fit: list[str] | None = None
-    spread: dict[str, FiniteFloat] | None = None
+    spread: FiniteFloat | dict[str, FiniteFloat] | None = None
     velocity: str | None = None
     reference: str | list[str] | None = None
     reference_velocity: str | list[str] | dict[str, str] | None = None

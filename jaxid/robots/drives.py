@@ -195,15 +195,26 @@ def stated_law(controller: Controller, joints: Sequence[str], period: float) -> 
     for name in fit:
         if name not in can:
             raise UsageError(f"[controller]: fit names {name!r}{nearest(name, can)}; it takes {', '.join(can)}")
-    spread = settings.get("spread", {})
-    if not isinstance(spread, Mapping) or not all(k in can and isinstance(v, int | float) and v > 0 for k, v in spread.items()):
-        raise UsageError(f"[controller]: spread is {spread!r}; it holds positive numbers for {', '.join(can)}")
+    spread = _spread(settings.get("spread", {}), can)
     n = len(joints)
     return Law(
         "[controller]", kind, number("kp"), number("kv" if kind == "cascade" else "kd"), number("ki"), gain,
         tuple(-s for s in saturation), saturation, number("offset"), delay, (0.0,) * n, (), velocity, rate, float(every), rates,
-        fit, tuple((k, float(v)) for k, v in spread.items()),
+        fit, tuple(spread.items()),
     )  # fmt: skip
+
+
+def _spread(stated: Any, can: Sequence[str]) -> dict[str, float]:
+    """The relative standard deviation of each number of a law; a plain number is that of all of them."""
+    spread: dict[str, Any] = dict(stated) if isinstance(stated, Mapping) else {name: stated for name in can}
+    for name, value in spread.items():
+        plain = isinstance(value, int | float) and not isinstance(value, bool)
+        if name not in can or not (plain and 0 < value < np.inf):
+            raise UsageError(
+                f"[controller]: spread is {stated!r}; it is a positive number for all that is fitted, or a table of them for "
+                f"{', '.join(can)}"
+            )
+    return {name: float(value) for name, value in spread.items()}
 
 
 def _words(settings: Mapping[str, Any], period: float, kind: str, joints: Sequence[str]) -> tuple[str, bool, tuple[str, ...]]:

@@ -310,7 +310,7 @@ def _refuse_ties(tree: Tree, measured: Sequence[str]) -> None:
     """Raises `UsageError` where a joint that is recorded, or follows one that is, hangs on what a tree cannot express."""
     moves = {*measured, *(c.follower for c in tree.couplings if c.leader in measured)}
     for tie in tree.ties:
-        hanging = [joint for joint in tie.joints if joint in moves]
+        hanging = [j for j in (*measured, *tie.joints) if j in tie.joints and j in moves]
         if hanging:
             raise UsageError(
                 f"{tree.file or 'the robot'}: {tie.what}, acts on {', '.join(tie.joints)}, and {hanging[0]} is recorded; jaxid "

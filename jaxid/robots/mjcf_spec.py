@@ -51,9 +51,8 @@ def compilable(path: Path, text: str) -> tuple[Any, list[Tendon]]:
     tendons, lost = acting_tendons(mujoco, spec)
     if lost:
         raise UsageError(f"{path}: tendon {lost[0]!r} is used and stands nowhere")
-    for body in [
-        b for b in spec.bodies if _loose(b) and not b.explicitinertial
-    ]:  # moves by itself and moves nothing: its inertia is of no matter
+    loose = [b for b in spec.bodies if _loose(b) and not b.explicitinertial]
+    for body in loose:  # moves nothing of the robot: its inertia is of no matter
         body.mass, body.inertia, body.explicitinertial = 1.0, np.ones(3), True
     kept = [g for _, own in shapes for g in own]
     for geom in kept:
