@@ -90,6 +90,18 @@ def test_a_simulation_that_is_run_twice_is_asked_about():
     assert not found.decisive and checked.mended is not None and len(checked.mended.experiments) == 2
 
 
+@pytest.mark.parametrize("blurred", [False, True])
+def test_motion_on_an_odd_clock_is_no_noise_of_a_copy(blurred):
+    """A clock that alternates makes motion alternate by rows; time stamps that scatter, by times."""
+    rng = np.random.default_rng(0)
+    true = T if blurred else np.cumsum(np.tile([0.004, 0.006], len(T) // 2))
+    stamps = T + 1e-4 * rng.standard_normal(len(T)) if blurred else true
+    q = np.sin(5 * true) + 0.4 * np.sin(9 * true)
+    data = jaxid.Dataset.from_arrays([stamps, stamps + 3.0], {"tau": [np.cos(3 * true)] * 2}, {"q": [q, q]})
+    (found,), _ = found_copies(data)
+    assert not found.decisive
+
+
 # ---- repeats that change one way
 
 

@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from benchmarks.false_alarms import alarms, CLOCKS, Form, forms, instants, twins
+from jaxid.conventions.runs import _first_speed
 from jaxid.conventions.samples import _lone
 from jaxid.data.forms import glitches
 
@@ -43,3 +44,12 @@ def test_glitches_on_an_uneven_clock_are_found_where_they_are():
     q[bad] += 0.3
     np.testing.assert_array_equal(np.flatnonzero(glitches(q, t)), bad)
     np.testing.assert_array_equal(np.flatnonzero(_lone(q, t)), bad)
+
+
+@pytest.mark.parametrize("first", [0.15, 0.01])
+def test_a_gap_at_the_beginning_is_no_speed(first):
+    """From rest under a constant force: at even times it goes one, three, five; after a gap it does not."""
+    t = np.concatenate([[0.0], first + 0.01 * np.arange(200)])
+    q = 0.5 * np.minimum(t, 0.16) ** 2 + np.maximum(t - 0.16, 0) * 0.1 + 1e-5 * np.random.default_rng(0).standard_normal(len(t))
+    assert _first_speed(t, q, 1e-5)[0] == 0.0
+    assert _first_speed(t, q + 0.4 * t, 1e-5)[0] == pytest.approx(0.0 if first > 0.1 else 0.4, abs=0.02)

@@ -84,9 +84,9 @@ def _first_speed(t: np.ndarray, y: np.ndarray, noise: float) -> tuple[float, flo
     that moves already goes as far again.
     """
     usual = float(np.percentile(np.abs(np.gradient(y, t)), 95))
-    most = max(1, int(SOON / (t[1] - t[0])))
-    for k in (k for k in (1, 2, 3, 4, 6, 8, 12, 16) if k <= most and 3 * k < len(y)):
-        first, again, third = y[k] - y[0], y[2 * k] - y[k], y[3 * k] - y[2 * k]
+    soon = max(SOON, 1.5 * float(np.median(np.diff(t))))  # a row that comes after a gap says nothing of the start
+    for k in (k for k in (1, 2, 3, 4, 6, 8, 12, 16) if 3 * k < len(y) and t[k] - t[0] <= soon):
+        first, again, third = np.diff(np.interp(t[0] + (t[k] - t[0]) * np.arange(4), t, y))
         sure = abs(first) / (np.sqrt(2) * max(noise, 1e-300))
         if sure > SURE:
             steady = first * again > 0 and first * third > 0 and abs(first) > ALREADY * max(abs(again), abs(third))
