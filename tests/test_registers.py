@@ -58,11 +58,15 @@ def registers(**settings) -> jaxid.Dataset:
     """A joint driven by a register of load, with its speed as an auxiliary channel."""
     rng, t = np.random.default_rng(1), np.arange(0, 8, 0.01)
     drive = wave(rng, len(t), "even")
-    speed = np.cumsum(drive) * 0.01 / 0.03
+    # A drive that holds from its row on acts on the rows behind it.
+    rate = drive / 0.03
+    speed = np.concatenate([[0.0], np.cumsum(rate[:-1]) * 0.01])
+    speed = speed - speed.mean()
+    position = np.concatenate([[0.0], np.cumsum(speed[:-1] + 0.005 * rate[:-1]) * 0.01])
     load = without_sign(500 * drive, "sign_bit", 10)
-    register = without_sign(650 * (speed - speed.mean()), "sign_bit", 15)
+    register = without_sign(650 * speed, "sign_bit", 15)
     return jaxid.Dataset.from_arrays(
-        t, inputs={"tau": load}, outputs={"q": np.cumsum(speed - speed.mean()) * 0.01}, auxiliary={"qd": register},
+        t, inputs={"tau": load}, outputs={"q": position}, auxiliary={"qd": register},
         units={"tau": "N m", "q": "rad", "qd": "rad/s"}, scale={"tau": 0.002, "qd": 1 / 650}, **settings,
     )  # fmt: skip
 
