@@ -210,8 +210,9 @@ def test_status_of_mutated_studies(tmp_path, capsys):
 
 def test_nothing_in_the_package_runs_what_it_reads():
     """No pickle, eval, exec, YAML or shell in the package; arrays are read without pickles. Files of PyTorch are pickles: the one
-    module that reads them knows tensors alone (its own tests hold it to that)."""
+    module that reads them knows tensors alone (its own tests hold it to that). A model of one's own is code: one module runs it."""
     tensors = ROOT / "jaxid/data/importers/torch.py"
+    own_models = ROOT / "jaxid/dynamics/model_file.py"
     for top in ("jaxid", "models", "fitters"):
         for path in (ROOT / top).rglob("*.py"):
             for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
@@ -228,7 +229,7 @@ def test_nothing_in_the_package_runs_what_it_reads():
                     }, path
                 if isinstance(node, ast.Call):
                     called = node.func.id if isinstance(node.func, ast.Name) else ""
-                    assert called not in ("eval", "exec", "compile"), path
+                    assert path == own_models or called not in ("eval", "exec", "compile"), path
                     for keyword in node.keywords:
                         value = getattr(keyword.value, "value", None)
                         assert (keyword.arg, value) not in (("shell", True), ("allow_pickle", True)), path
