@@ -134,7 +134,7 @@ def test_what_does_not_fit_is_refused_before_anything_is_computed(monkeypatch):
     data = recording()
     monkeypatch.setattr(capacity, "available", lambda: (0.5e9, "limit of a test"))
     for work in (lambda: jaxid.fit(None, data), lambda: jaxid.diagnose(None, data)):
-        with pytest.raises(jaxid.UsageError, match=r"1,600 rows in 1 run: about 0\.7 GB .* only 0\.5 GB .*limit of a test"):
+        with pytest.raises(jaxid.UsageError, match=r"1,600 rows in 1 run: about 0\.7 GB.* only 0\.5 GB .*limit of a test"):
             work()
 
 

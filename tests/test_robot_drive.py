@@ -99,6 +99,7 @@ def test_only_numbers_that_the_file_can_have_stand_beside_it():
 def test_what_the_files_steps_add_refutes_no_number_of_it():
     text = ARM.replace("<worldbody>", '<option timestep="0.01" integrator="implicitfast"/><worldbody>', 1)
     b = bind(Robot.from_mjcf("arm.xml", text=text), recording())
+    assert isinstance(b.chain.mechanism, Robot)
     steps = b.chain.mechanism.tree.tree.steps
     i = b.layout.index("armature@lift")
     number = lambda name: float(b.theta[b.layout.index(name)])

@@ -47,8 +47,8 @@ def proposal(asked: Asked) -> str:
     words = f" ({source.words})" if source.words else ""
     registers = "".join(f"; {n} {register_words(*found)}" for n, found in _registers(part, own).items())
     listed = _listed([*series_of(source.columns, None), *more], units)
-    asked = _needed(part, time, no_time)
-    return f"{source.path.name}{words} holds: {listed}; {asked}: {command} ({_remarks(channels)}{registers})"
+    needs = _needed(part, time, no_time)
+    return f"{source.path.name}{words} holds: {listed}; {needs}: {command} ({_remarks(channels)}{registers})"
 
 
 def _listed(names: Sequence[str], units: Mapping[str, str]) -> str:
